@@ -13,16 +13,17 @@ One line of OUT/lateral.jsonl each; goes on where it stopped.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from resumed import resumed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from six_axes import ATTACHED, LATERAL, LONGITUDINAL, card_text, record
@@ -30,7 +31,6 @@ from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.compiled_programs import give_back_memory
 
 FLOWN = ("elevator", "aileron", "rudder") * 2
 AERODYNAMIC = {
@@ -153,14 +153,6 @@ if __name__ == "__main__":
     parser.add_argument("--silent", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("lateral"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "lateral.jsonl"
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with path.open("a") as file:
-        for seed in range(given.first, given.first + given.count):
-            if seed not in {row["seed"] for row in done} and not (given.silent and hidden(seed)):
-                done.append(case(seed))
-                give_back_memory()
-                file.write(json.dumps(done[-1]) + "\n")
-                file.flush()
-    report(done)
+    seeds = range(given.first, given.first + given.count)
+    chosen = [seed for seed in seeds if not (given.silent and hidden(seed))]
+    report(resumed(given.out / "lateral.jsonl", {seed: partial(case, seed) for seed in chosen}))

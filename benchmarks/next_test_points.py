@@ -12,13 +12,14 @@ a rival. One line of OUT/points.jsonl each; goes on where it stopped.
 from __future__ import annotations
 
 import argparse
-import json
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hidden_effects import candidates
+from resumed import resumed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
@@ -27,7 +28,6 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 from bayes_aero.simulate.injection import draw_hidden
 from bayes_aero.simulate.request import Request
@@ -134,14 +134,5 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("points"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "points.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in range(given.first, given.first + given.count):
-        if seed not in done:
-            rows.append(case(seed))
-            with path.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-            give_back_memory()  # every length of records has programs of its own
-    report(rows)
+    seeds = range(given.first, given.first + given.count)
+    report(resumed(given.out / "points.jsonl", {seed: partial(case, seed) for seed in seeds}))

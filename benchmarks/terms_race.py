@@ -13,15 +13,15 @@ the coefficient, too: those of a probability of one half, each by its leading te
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from resumed import resumed
 from unlisted_terms import UNLISTED, draw
 
 from bayes_aero.diagnosis.diagnose import diagnose
@@ -33,9 +33,7 @@ from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.forms import Structure
 from bayes_aero.diagnosis.terms.result import LIKELY
 from bayes_aero.diagnosis.terms.sampled import sampled_terms
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.simulate.injection import Beyond, hidden_records
 
 Folds = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -170,20 +168,6 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=300)
     parser.add_argument("--out", type=Path, default=Path("race"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "race.jsonl"
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with path.open("a") as file:
-        for seed in range(given.first, given.first + given.count):
-            for silent in (False, True):
-                if (seed, silent) in {(row["seed"], row["hidden"] is None) for row in done}:
-                    continue
-                try:
-                    done.append(case(seed, silent))
-                except InputError as error:  # an aircraft that cannot be flown so
-                    print(f"seed {seed}: {error}", file=sys.stderr)
-                    continue
-                give_back_memory()
-                file.write(json.dumps(done[-1]) + "\n")
-                file.flush()
-    report(done)
+    seeds = range(given.first, given.first + given.count)
+    cases = {(seed, silent): partial(case, seed, silent) for seed in seeds for silent in (False, True)}
+    report(resumed(given.out / "race.jsonl", cases, lambda row: (row["seed"], row["hidden"] is None)))

@@ -11,16 +11,16 @@ One line of OUT/hidden.jsonl, or silent, each; goes on where it stopped.
 from __future__ import annotations
 
 import argparse
-import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from next_test_points import CARD, flown, open_to_rivals, told
+from resumed import resumed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection import cross_validation
 from bayes_aero.errors import InputError
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.simulate.injection import draw_hidden
 
 KINDS = ("slow_stall", "elevator_3211", "thrust_steps", "speed_change", "bank_to_bank", "elevator_doublet")
@@ -67,15 +67,6 @@ if __name__ == "__main__":
     given = parser.parse_args()
     if given.before:
         cross_validation.transferred_deviance_gain = lambda *_: -1.0
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / f"{'silent' if given.silent else 'hidden'}{'_before' if given.before else ''}.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in range(given.first, given.first + given.count):
-        if seed not in done:
-            rows.append(case(seed, given.silent))
-            with path.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-            if seed % 10 == 9:
-                give_back_memory()
-    report(rows, given.silent)
+    name = f"{'silent' if given.silent else 'hidden'}{'_before' if given.before else ''}.jsonl"
+    seeds = range(given.first, given.first + given.count)
+    report(resumed(given.out / name, {seed: partial(case, seed, given.silent) for seed in seeds}), given.silent)

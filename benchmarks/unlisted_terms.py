@@ -11,15 +11,15 @@ sets of terms are counted beside the forward selection. One line of OUT/terms.js
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from resumed import resumed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
@@ -29,9 +29,7 @@ from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.diagnosis.terms.columns import columns_of
 from bayes_aero.diagnosis.terms.result import LIKELY, SampledTerms
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.simulate.injection import Beyond, hidden_records
 
@@ -199,19 +197,5 @@ if __name__ == "__main__":
     parser.add_argument("--silent", action="store_true", help="nothing hidden")
     parser.add_argument("--out", type=Path, default=Path("terms"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "terms.jsonl"
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with path.open("a") as file:
-        for seed in range(given.first, given.first + given.count):
-            if seed in {row["seed"] for row in done}:
-                continue
-            try:
-                done.append(case(seed, given.silent))
-            except InputError as error:  # an aircraft that cannot be flown so
-                print(f"seed {seed}: {error}", file=sys.stderr)
-                continue
-            give_back_memory()
-            file.write(json.dumps(done[-1]) + "\n")
-            file.flush()
-    report(done)
+    seeds = range(given.first, given.first + given.count)
+    report(resumed(given.out / "terms.jsonl", {seed: partial(case, seed, given.silent) for seed in seeds}))

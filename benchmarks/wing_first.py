@@ -15,14 +15,15 @@ stopped.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from resumed import resumed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from six_axes import LATERAL, LONGITUDINAL, STALL, card_text, recorded
@@ -32,7 +33,6 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.jobs.steps.post_diagnosis import separations
 
 FLOWN = {"elevator": 120.0, "aileron": 120.0, "rudder": 120.0, "stall": 95.0, "stall_in_bank": 95.0, "again": 97.0}
@@ -144,14 +144,6 @@ if __name__ == "__main__":
     parser.add_argument("--halves", action="store_true")
     parser.add_argument("--only", nargs="+", choices=tuple(FLOWN), default=tuple(FLOWN))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "wing_first.jsonl"
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    with path.open("a") as file:
-        for seed in range(given.first, given.first + given.count):
-            if seed not in {row["seed"] for row in done}:
-                done.append(case(seed, given.halves, tuple(given.only)))
-                give_back_memory()
-                file.write(json.dumps(done[-1]) + "\n")
-                file.flush()
-    report(done)
+    seeds = range(given.first, given.first + given.count)
+    cases = {seed: partial(case, seed, given.halves, tuple(given.only)) for seed in seeds}
+    report(resumed(given.out / "wing_first.jsonl", cases))

@@ -34,7 +34,7 @@ Parts = Mapping[str, np.ndarray]
 
 
 class Exchange(DataModel):
-    """What the browser asks and what it is told, each as JSON."""
+    """Requests of the browser and answers to it, each as JSON."""
 
     asked = String("")
     told = String("")

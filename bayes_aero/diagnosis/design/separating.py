@@ -126,7 +126,9 @@ def _words(names: Sequence[str], found: Sequence[Separation]) -> str:
     best, called = found[0], found[0].manoeuvre.replace("_", " ")
     if best.weakest >= ENOUGH:
         return f"{called} would separate {listed}: they differ by {best.weakest:.1f} standard deviations"
-    return f"no standard manoeuvre separates {listed}; the best, {called}, gives {best.weakest:.1f} deviations"
+    return (
+        f"no standard manoeuvre by itself separates {listed}; the best, {called}, gives {best.weakest:.1f} deviations"
+    )
 
 
 def _candidate(state: SelectionState, name: str) -> Effect:

@@ -88,17 +88,19 @@ class SelectionDraws:
 def log_evidence(data: Columns, members: Int[Array, " k"], v: Float[Array, " 2"]) -> Float[Array, ""]:
     """Log likelihood of a set with b integrated out, with the priors of v = (log sigma, log tau)."""
     inside = members >= 0
-    own = jnp.where(inside[:, None] & inside[None, :], data.gram[members[:, None], members[None, :]], 0.0)
-    right, size = jnp.where(inside, data.right[members], 0.0), jnp.sum(inside)
-    factor = jnp.linalg.cholesky(jnp.where(jnp.eye(len(members), dtype=bool) & ~inside[:, None], 1.0, own + _ridge(v)))
+    right, size, factor = jnp.where(inside, data.right[members], 0.0), jnp.sum(inside), _factor(data, members, v)
     explained = jnp.sum(solve_triangular(factor, right, lower=True) ** 2)
     log_determinant = 2.0 * jnp.sum(jnp.log(jnp.diag(factor))) + 2.0 * v[1] * size
     squares = (data.square - explained) * jnp.exp(-2.0 * v[0])
     return -data.count * v[0] - 0.5 * (log_determinant + squares) + log_prior(data, v)
 
 
-def _ridge(v: Float[Array, " 2"]) -> Float[Array, "k k"]:
-    return jnp.exp(-2.0 * v[1]) * jnp.eye(MOST)
+def _factor(data: Columns, members: Int[Array, " k"], v: Float[Array, " 2"]) -> Float[Array, "k k"]:
+    """Cholesky factor of the members' inner products with the slab; an empty place has length 1."""
+    inside = members >= 0
+    own = jnp.where(inside[:, None] & inside[None, :], data.gram[members[:, None], members[None, :]], 0.0)
+    ridge = jnp.exp(-2.0 * v[1]) * jnp.eye(MOST)
+    return jnp.linalg.cholesky(jnp.where(jnp.eye(MOST, dtype=bool) & ~inside[:, None], 1.0, own + ridge))
 
 
 def log_prior(data: Columns, v: Float[Array, " 2"]) -> Float[Array, ""]:
@@ -119,8 +121,7 @@ class _Given(NamedTuple):
 def _given(data: Columns, members: Int[Array, " k"], v: Float[Array, " 2"], *, whole: bool) -> _Given:
     """Unless `whole`, the diagonal of the inner products is all that is computed; it fills one row."""
     inside = members >= 0
-    own = jnp.where(inside[:, None] & inside[None, :], data.gram[members[:, None], members[None, :]], 0.0)
-    factor = jnp.linalg.cholesky(jnp.where(jnp.eye(MOST, dtype=bool) & ~inside[:, None], 1.0, own + _ridge(v)))
+    factor = _factor(data, members, v)
     rows = jnp.where(inside[:, None], data.gram[members], 0.0)
     both = jnp.concatenate([rows, jnp.where(inside, data.right[members], 0.0)[:, None]], axis=1)
     solved = solve_triangular(factor, both, lower=True)

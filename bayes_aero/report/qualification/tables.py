@@ -10,6 +10,7 @@ from bayes_aero.report.tables.table import Table, columns_of
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, number, several, short
 
 SHOWN = {Kind.AGAIN: "fitted, flown again", Kind.TEST: "not fitted", Kind.NEXT: "next flight"}
+NEGLIGIBLE = 1e-3  # of an excess, in the units of people
 COUNTED = ("parameters", "structure", "gusts")
 
 
@@ -132,10 +133,10 @@ def outside_table(found: Qualification) -> Table:
 
 
 def excess(one: Outside) -> str:
-    """By channel, in the units of people, the largest first."""
+    """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
     parts = []
     for name, x in one.excess.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
-        if x != 0.0:
+        if abs(factor * x) >= NEGLIGIBLE:
             parts.append(f"{SYMBOLS.get(name, name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
     return ", ".join(parts)
