@@ -128,11 +128,13 @@ def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Flo
     import jax
     import jax.numpy as jnp
 
-    def step(x, row):
-        x = row[0] * x + row[1]
-        return x, x
+    return jax.lax.scan(_kept_and_driven, jnp.zeros_like(drive[0]), (keep, drive))[1]
 
-    return jax.lax.scan(step, jnp.zeros_like(drive[0]), (keep, drive))[1]
+
+def _kept_and_driven(x, row):
+    """A step of the recurrence; not made anew at every call, or JAX compiles it anew."""
+    x = row[0] * x + row[1]
+    return x, x
 
 
 def advance(

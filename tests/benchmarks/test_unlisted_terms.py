@@ -22,7 +22,7 @@ def flown(values):
     return hidden_records({}, seed=SEED, noise="ar1", seconds=90.0, beyond=beyond)
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     coefficient, name, values = unlisted_terms.draw(np.random.default_rng([SEED, 31]))
     true, records, card = values["unlisted_product"], flown(values), read_card("attas")
@@ -49,7 +49,7 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     assert abs(size.mean - true) < 1.96 * size.sd
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_the_same_flights_without_it_get_no_term():
     found = diagnose(flown({}), read_card("attas"), seed=SEED)
     assert found.verdict is Verdict.NO_EFFECT

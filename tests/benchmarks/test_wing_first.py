@@ -12,7 +12,7 @@ from bayes_aero.jobs.steps.post_diagnosis import separations
 RECORDS = ("rudder", "stall_in_bank")
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     """No aileron offset, centre of gravity aside, uneven engines or vane: those are candidates of the same record."""
     plane, records, size = wing_first.flown(0)
@@ -29,7 +29,7 @@ def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     assert rivals <= {e.name for e in found.aerodynamics.state.full.candidates}
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvre_that_is_proposed():
     """The rudder that holds them is at rest while ailerons move: its derivative, free on the card, takes them up."""
     plane, records, size = wing_first.flown(3)

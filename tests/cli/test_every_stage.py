@@ -59,6 +59,7 @@ def climbed(program, folder, short: Short, *, quick: bool):
     return found
 
 
+@pytest.mark.verify
 def test_without_altitude_and_too_short_for_a_discrepancy(program, tmp_path):
     """12 s leave one block to fit the discrepancy to; manoeuvres are designed though no altitude was recorded."""
     short = Short(25.0, 12.4, without=("altitude",), constants={"density": "0.95 kg/m^3"})

@@ -161,6 +161,7 @@ def first_order(rng, t, sd, seconds):
     return np.array(x)
 
 
+@pytest.mark.verify
 def test_gusts_are_met_by_vane_and_pitot_tube_alone(program, flight, tmp_path):
     """Intensities, lengths and errors of sensors, without aerodynamics; noise of accelerometers is counted."""
     card, _, _ = flight

@@ -225,6 +225,7 @@ def test_a_killed_driver_costs_what_was_in_work(folder, cluster, undisturbed):
     same(folder, undisturbed)
 
 
+@pytest.mark.verify
 def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbed, monkeypatch):
     monkeypatch.setitem(ENVIRONMENT, "QUICK_SECONDS", "2.0")
     with driving(folder, "--workers", "1") as driver:
@@ -238,6 +239,7 @@ def test_a_killed_driver_takes_its_own_workers_along(folder, cluster, undisturbe
     same(folder, undisturbed)
 
 
+@pytest.mark.verify
 def test_a_lost_scheduler_is_told_and_costs_what_was_in_work(folder, cluster, undisturbed):
     with scheduler() as (address, process), workers(address, 1), driving(folder, "--scheduler", address) as driver:
         wait_for(lambda: len(finished(folder)) >= 2)
@@ -279,6 +281,7 @@ def test_ctrl_c_stops_at_once_and_says_how_to_go_on(folder, cluster, undisturbed
     same(folder, undisturbed)
 
 
+@pytest.mark.verify
 def test_a_unit_that_kills_its_workers_fails_alone(folder):
     (folder / "flights" / "sound.csv").rename(folder / "flights" / "deadly.csv")
     (folder / "study.toml").write_text(STUDY.replace("[0, 1, 2, 3, 4]", "[0]"))
@@ -293,6 +296,7 @@ def test_a_unit_that_kills_its_workers_fails_alone(folder):
     assert error.read_text().strip() == rows["deadly"]["error"]
 
 
+@pytest.mark.verify
 def test_a_full_disk_is_told_and_costs_what_was_in_work(folder, cluster, undisturbed):
     out = folder / "study_results"
     out.mkdir()

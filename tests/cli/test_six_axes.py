@@ -147,6 +147,7 @@ def test_a_record_without_sideslip_is_flown_without_the_lateral_axis(flown, prog
     assert "The lateral axis (CY, Cl, Cn) is left out: record blind has no channel beta" in said
 
 
+@pytest.mark.verify
 def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
     """Doublets of aileron and rudder and a 3-2-1-1, by `simulate`; their derivatives come back from `fly`."""
     plane = stranger_six.Plane()

@@ -60,7 +60,7 @@ def test_spikes_are_repaired_and_steps_of_a_quantised_channel_are_not(card):
     assert np.max(np.abs(np.asarray(repaired.channels["q"])[at] - np.asarray(record["q"])[at])) < 0.05
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
     """Ten times the usual noise of the sensors biases least squares by a tenth of Cma2, for alpha squared is noisy."""
     name, plain, freed, seen = "alpha_squared_moment", [], [], 0

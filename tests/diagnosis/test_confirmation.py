@@ -67,6 +67,7 @@ def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card,
     assert near[0] == pytest.approx(whole[0], rel=0.2)
 
 
+@pytest.mark.verify
 def test_without_induced_drag_which_is_neutral_at_infinity_first_order_is_exact(card, model):
     """Drag is linear in 1/e: along the tangent, too, nothing of it is left where e is infinite."""
     flights = hidden_flights({}, seed=int(DRAWN[4]), noise="white", seconds=90.0)

@@ -59,6 +59,7 @@ def test_pitch_rate_and_alpha_dot_part_where_the_flight_path_bends(rates):
     assert rates.manoeuvres[0].manoeuvre.replace("_", " ") in rates.status
 
 
+@pytest.mark.verify
 def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
     found = separating(state, ("thrust_scale", "mass_scale"), flights=flights)
     by_name = {m.manoeuvre: m for m in found.manoeuvres}

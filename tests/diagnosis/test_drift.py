@@ -84,6 +84,7 @@ def gusty():
     return fly([record], read_card("hfb320"), drift="Cm0", outputs="airspeed,alpha,theta,q,ax,az")
 
 
+@pytest.mark.verify
 def test_a_moment_that_steps_in_gusts_is_found_in_time_and_size(gusty):
     drift = gusty.process_noise.drift
     assert drift.changed == ("Cm0",)
@@ -94,6 +95,7 @@ def test_a_moment_that_steps_in_gusts_is_found_in_time_and_size(gusty):
     assert gusty.sentences[0].startswith("Cm0 changed during the record (p < 1e-12) by -0.01")
 
 
+@pytest.mark.verify
 def test_its_history_lies_within_its_bands(gusty):
     """Value and change; but for the sample of the step, at which a walk is not there yet."""
     drift = gusty.process_noise.drift

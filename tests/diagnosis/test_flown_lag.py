@@ -50,7 +50,7 @@ def asked(card, hidden, seed):
     return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.variance_inflation), lagged
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_hidden_lag_is_kept_and_measured(card):
     """Eight to sixteen chords: half a second and more in the stall. How often it is kept: benchmarks/flown_lag.py."""
     tau1 = np.random.default_rng(SEED).uniform(8.0, 16.0)

@@ -61,7 +61,7 @@ def test_trajectories_give_the_arm_back(flown):
     assert paths.variance_inflation >= 1.0
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_an_attitude_off_in_one_flight_is_fitted_and_leaves_the_arm_alone(flown, card):
     """The second flight's gyro stands off by a constant that the card allows for."""
     rng = np.random.default_rng(SEED)

@@ -75,6 +75,7 @@ def fitted(card, flights, *more):
     return fit_prediction_error(flown, 0.1 * np.array(sd), np.square(list(NOISE.values())), start=start)
 
 
+@pytest.mark.verify
 def test_intensity_and_length_are_found(shaken):
     card, flights, apart = shaken
     assert np.mean(apart < 0.1) > 0.2
@@ -95,6 +96,7 @@ def test_intensity_and_length_are_found(shaken):
     assert coloured[az] > 4.0 / np.sqrt(N)
 
 
+@pytest.mark.verify
 def test_where_buffet_is_modelled_the_sensors_are_steady(shaken):
     """Noise that grows as the flow separates stands for buffet: both would count it twice."""
     card, flights, _ = shaken

@@ -56,7 +56,7 @@ def test_one_mode_is_one_however_often_it_is_found():
     assert alone.u[0] == find_mode(Mixture(1.0 - 1e-9), np.array([-1.4])).u[0]  # that of the start, to the last digit
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_no_better_mode_lies_at_the_truth():
     """Of stalls drawn from the prior, whose maximum likelihood under white noise may lie elsewhere altogether."""
     card = read_card("attas")

@@ -94,6 +94,7 @@ def test_the_same_seed_gives_the_same_numbers(case):
 
 
 @pytest.mark.forgets
+@pytest.mark.verify
 def test_it_samples_as_before_after_compiled_programs_were_given_back():
     """As between two coefficients that one process trains."""
     x = np.linspace(-1.5, 1.5, 30)[:, None]
