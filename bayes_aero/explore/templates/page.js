@@ -96,7 +96,8 @@ const explore = (function () {
       refresh();
       ask();
     }});
-    const legend = make("legend", make("label", [box, " " + g.name], {title: g.claim}));
+    const title = g.switch ? make("label", [box, " " + g.name]) : make("span", g.name);
+    const legend = make("legend", Object.assign(title, {title: g.claim}));
     if (g.added) legend.append(make("button", "remove", {type: "button", ariaLabel: `remove ${g.name}`, onclick: () => { remove(g.name); ask(); }}));
     const set = make("fieldset", [legend, ...g.sliders.map(slider)]);
     set.dataset.effect = g.name;
@@ -139,7 +140,8 @@ const explore = (function () {
     for (const set of at("groups").querySelectorAll("fieldset")) {
       const off = state.off.includes(set.dataset.effect);
       set.classList.toggle("off", off);
-      set.querySelector("input[type=checkbox]").checked = !off;
+      const box = set.querySelector("input[type=checkbox]");
+      if (box) box.checked = !off;
       for (const row of set.querySelectorAll(".slider")) {
         row.refresh();
         for (const input of row.querySelectorAll("input")) input.disabled = off;
