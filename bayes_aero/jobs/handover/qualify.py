@@ -15,6 +15,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.jobs.handover.fitted_records import fitted_records, read_options
 from bayes_aero.jobs.handover.identified_card import card_of
 from bayes_aero.jobs.handover.identified_linear import IdentifiedLinear
@@ -125,7 +126,7 @@ def qualify_result(
         origins=origins
         if results.scattered in (None, True) or unknown.following is None
         else origins | {"next flight": UNSCATTERED},
-        notes=(*found.sources, *_reach(region)),
+        notes=(*found.sources, *_unjudged(card, bands), *_reach(region)),
         further=further,
     )
     if out is None:
@@ -221,6 +222,14 @@ def _simulated(strip: Strip, recorded: Mapping[str, np.ndarray]) -> dict[str, np
     if "mach" in recorded and "airspeed" in strip.simulated:
         found["mach"] = recorded["mach"] * strip.simulated["airspeed"] / strip.measured["airspeed"]
     return found
+
+
+def _unjudged(card: Card, bands: Mapping[str, float]) -> tuple[str, ...]:
+    """The tolerances that the card states and the model cannot be asked for."""
+    names = [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
+    if not names:
+        return ()
+    return (f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.",)
 
 
 def _reach(region: Region) -> tuple[str, ...]:
