@@ -10,7 +10,7 @@ from typing import Any
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.explore.choice import addable
-from bayes_aero.explore.linear import linear_groups
+from bayes_aero.explore.linear import LIMITS, linear_groups
 from bayes_aero.explore.records import records_of
 from bayes_aero.explore.sliders import Group, groups_of
 from bayes_aero.flight.card.card import Card
@@ -55,6 +55,18 @@ class Opened:
     def linear(self) -> bool:
         """Whether the model is a linear system."""
         return isinstance(self.identified, IdentifiedLinear)
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """A sentence on each thing that the model, or the fit, has and the page does not show."""
+        said = [LIMITS] if self.linear else []
+        if self.command == "fly" and with_process_noise(self.told):
+            drifts = ", drifts of parameters" if self.told["process_noise"].get("drift") else ""
+            said.append(
+                f"The values are those of the fit with process noise. Its gusts{drifts} and the noise of its states "
+                "are not flown here, as the result has no history of that noise: errors are those in still air."
+            )
+        return tuple(said)
 
     def groups(self, added: tuple[str, ...] = ()) -> tuple[Group, ...]:
         """The sliders, with those of the effects that are `added`."""

@@ -21,7 +21,6 @@ from bayes_aero.explore.asked import Asked, read_asked
 from bayes_aero.explore.choice import Choice
 from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, Shared, View, stacked, window_of
 from bayes_aero.explore.hand_on import export_chosen
-from bayes_aero.explore.linear import LIMITS
 from bayes_aero.explore.scores import gain, scores
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -90,7 +89,8 @@ class Page:
             "version": __version__,
             "manoeuvres": self.simulator.manoeuvres,
             "addable": [(e.name, e.claim) for e in opened.addable(tuple(have))],
-            "limits": LIMITS if opened.linear else "",
+            "limits": opened.limits,
+            "linear": opened.linear,
             "forms": tuple(FORMS),
             "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
             "sources": opened.identified.sources,

@@ -176,6 +176,9 @@ const explore = (function () {
       });
     }
     exchange.properties.told.change.connect(answered);
+    for (const line of Bokeh.documents[0].all_models) {  // Bokeh cuts lines at the frame in the lower layer alone
+      if (line.level === "overlay" && line.type === "GlyphRenderer") Object.defineProperty(Bokeh.index.find_one(line), "needs_clip", {value: true});
+    }
     at("manoeuvre").onchange = () => { Object.assign(state, {manoeuvre: Number(at("manoeuvre").value), window: null}); ask(); };
     at("from").onchange = at("to").onchange = () => {
       const [from, to] = [at("from").valueAsNumber, at("to").valueAsNumber];
