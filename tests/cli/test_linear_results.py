@@ -74,6 +74,24 @@ def test_what_a_linear_system_lacks_is_one_sentence(here, folder):
         export_chosen(opened, Choice(), opened.identified.values, "python")
 
 
+def test_parts_of_a_divided_file_are_found_again(here, folder):
+    """Two flights in one file, 10 s of time apart."""
+    head, *first = (folder / "one.csv").read_text().splitlines()
+    second = (folder / "two.csv").read_text().splitlines()[1:]
+    column = head.split(",").index("t")
+
+    def later(row):
+        cells = row.split(",")
+        cells[column] = repr(float(cells[column]) + 30.0)
+        return ",".join(cells)
+
+    (folder / "both.csv").write_text("\n".join([head, *first, *map(later, second)]) + "\n")
+    assert here("fly", "both.csv", "--split", "--out", "divided", *FLAGS).code in (0, 3)
+    done = here("qualify", "divided", "--draws", 100, "--out", "parts", "--json")
+    assert done.code == 0, done.err
+    assert len({t["manoeuvre"] for t in json.loads(done.out)["tests"]}) == 2
+
+
 def test_constants_of_each_manoeuvre_cannot_fly_another_one(here, folder):
     text = (folder / "sp.toml").read_text().replace("[linear]\n", '[linear]\nby_manoeuvre = ["M0"]\n')
     (folder / "own.toml").write_text(text)
