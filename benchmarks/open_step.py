@@ -101,7 +101,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60)
     given = parser.parse_args()
     simulator = Simulator(open_result(given.result))
-    name = simulator.opened.identified.model.names[1]
+    name = simulator.opened.identified.names[1]
     seen = drawn(simulator, name, given.steps)
     print(f"{simulator.opened.title}, {name} moved, ms: best/median/95th percentile")
     print(f"{'manoeuvre':20} {'samples':>7} {'flight':>13} {'answer':>13} {'drawn':>13}")

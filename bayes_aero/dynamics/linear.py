@@ -26,6 +26,7 @@ from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.units import si_unit
 
 FLAT_SD = 1000.0  # SI: larger than any derivative of an aircraft, also az per alpha of a fighter
+FLAT = Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice")
 
 
 class LinearSystem(System):
@@ -86,8 +87,13 @@ class LinearDynamics(Dynamics):
     def free(self) -> tuple[Parameter, ...]:
         """Free parameters in the order of the card."""
         free = [p for p in self.parameters if p.name not in self.fixed]
-        many = {name: self._own(name) for name in self.rows.by_manoeuvre}
+        many = {name: self.names_of(name) for name in self.rows.by_manoeuvre}
         return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        """Free parameters of which the card states no prior."""
+        return tuple(p.name for p in self.free if p.prior == FLAT)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -124,14 +130,15 @@ class LinearDynamics(Dynamics):
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Recorded inputs, and a constant, which gives the number of samples where there are no inputs."""
         which = np.repeat(np.arange(len(self.lengths)), self.lengths)
-        own = {name: jnp.stack([values[n] for n in self._own(name)])[which] for name in self.rows.by_manoeuvre}
+        own = {name: jnp.stack([values[n] for n in self.names_of(name)])[which] for name in self.rows.by_manoeuvre}
         return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
         """Delay parameters of the card by output."""
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
 
-    def _own(self, name: str) -> list[str]:
+    def names_of(self, name: str) -> list[str]:
+        """Parameters of a constant that differs between manoeuvres, in the order of these."""
         return [f"{name}_{k + 1}" for k in range(len(self.lengths))]
 
 
@@ -146,7 +153,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
     parameters = []
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
-        parameter = Parameter(name, unit, 0.0, 0.0, text, Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice"))
+        parameter = Parameter(name, unit, 0.0, 0.0, text, FLAT)
         change = card.changes.get(name)
         given = {} if change is None else {key: value for key, value in vars(change).items() if value is not None}
         try:

@@ -91,8 +91,9 @@ class View:
         t, y = self.columns
         shared.now.add([], t)
         shared.now.add([], y)
-        now = f.line(t, y, source=shared.now, color=COLOURS["after"], line_width=2.0)
-        f.line("t", "y", source=self.before, color=COLOURS["before"], line_dash="dashed", line_width=1.4)
+        now = f.line(t, y, source=shared.now, color=COLOURS["after"], line_width=2.0, level="overlay")
+        before = {"color": COLOURS["before"], "line_dash": "dashed", "line_width": 1.4, "level": "overlay"}
+        f.line("t", "y", source=self.before, **before)
         for line, (at, value) in ((now, self.columns), (shown, ("t", "y"))):
             tips = [("t", f"@{{{at}}}{{0.00}} s"), (self.label, f"@{{{value}}}{{0.[0000]}}")]
             f.add_tools(HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))

@@ -7,17 +7,26 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
+from bayes_aero.errors import InputError
 from bayes_aero.explore.choice import Choice, with_added
+from bayes_aero.explore.linear import LIMITS
 from bayes_aero.explore.opened import Opened
 from bayes_aero.export.identified import Identified
 from bayes_aero.jobs.handover.export import write_export
+from bayes_aero.jobs.handover.identified_linear import IdentifiedLinear
 
 FOLDER = "exports"
 
 
 def chosen_model(opened: Opened, choice: Choice, values: Mapping[str, float]) -> Identified:
-    """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
+    """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral.
+
+    Raises:
+        InputError: it is a linear system.
+    """
     identified = opened.identified
+    if isinstance(identified, IdentifiedLinear):
+        raise InputError(LIMITS.removesuffix("."))
     model = with_added(identified.model, choice.added)
     off = {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
     every = {p.name: identified.values.get(p.name, p.neutral) for p in model.parameters} | dict(values) | off

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
+from bayes_aero.explore.choice import addable
+from bayes_aero.explore.linear import LIMITS, linear_groups
 from bayes_aero.explore.records import records_of
-from bayes_aero.export.identified import Identified
+from bayes_aero.explore.sliders import Group, groups_of
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.handover.identified_card import card_of
-from bayes_aero.jobs.handover.identified_result import read_identified, with_process_noise
+from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
+from bayes_aero.jobs.handover.identified_result import read_finished, with_process_noise
 from bayes_aero.jobs.handover.result_file import read_result, result_file
 
 
@@ -35,7 +39,7 @@ class Opened:
 
     folder: Path
     command: str
-    identified: Identified
+    identified: Finished
     card: Card
     records: Sequence[FlightRecord]
     told: Mapping[str, Any]
@@ -46,6 +50,35 @@ class Opened:
     def title(self) -> str:
         """The command and the folder."""
         return f"{self.command}: {self.folder}"
+
+    @property
+    def linear(self) -> bool:
+        """Whether the model is a linear system."""
+        return isinstance(self.identified, IdentifiedLinear)
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """A sentence on each thing that the model, or the fit, has and the page does not show."""
+        said = [LIMITS] if self.linear else []
+        if self.command == "fly" and with_process_noise(self.told):
+            drifts = ", drifts of parameters" if self.told["process_noise"].get("drift") else ""
+            said.append(
+                f"The values are those of the fit with process noise. Its gusts{drifts} and the noise of its states "
+                "are not flown here, as the result has no history of that noise: errors are those in still air."
+            )
+        return tuple(said)
+
+    def groups(self, added: tuple[str, ...] = ()) -> tuple[Group, ...]:
+        """The sliders, with those of the effects that are `added`."""
+        found = self.identified
+        if isinstance(found, IdentifiedLinear):
+            return linear_groups(found, self.errors)
+        return groups_of(found.model, found.values, self.errors, added)
+
+    def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
+        """Effects of the catalogue that may be added where these channels are known."""
+        found = self.identified
+        return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
 
 
 COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
@@ -66,7 +99,7 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     if file is None:
         raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
     told = read_result(file)
-    identified, folder, told = read_identified(given, card)
+    identified, folder, told = read_finished(given, card)
     assert folder is not None
     whose = card_of(told["provenance"], file, card)
     command = COMMANDS[told["schema"].split("/")[1]]

@@ -18,12 +18,11 @@ from bokeh.models import CustomJS
 from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
 from bayes_aero.explore.asked import Asked, read_asked
-from bayes_aero.explore.choice import Choice, addable
+from bayes_aero.explore.choice import Choice
 from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, Shared, View, stacked, window_of
 from bayes_aero.explore.hand_on import export_chosen
 from bayes_aero.explore.scores import gain, scores
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
-from bayes_aero.explore.sliders import groups_of
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.jobs.handover.export import FORMS
@@ -57,7 +56,7 @@ class Page:
         first = simulator.result(0)
         self.outputs = [self._view(name) for name in simulator.outputs]
         self.coefficients = [self._view(name) for name in first.coefficients]
-        self.inputs = [self._view(name) for name in simulator.inputs]
+        self.inputs = [self._view(name, recorded=True) for name in simulator.inputs]
         left = stacked(self.outputs, "trajectories")
         right = stacked([*self.coefficients, *self.inputs], "coefficients")
         left.tags = [self.exchange]
@@ -73,9 +72,10 @@ class Page:
         )
         document.js_on_event("document_ready", start)
 
-    def _view(self, name: str) -> View:
-        unit = self.units.get(name, "1")
-        return View(name, axis_label(name, unit), for_people(unit)[1], self.shared, self.tolerances.get(name))
+    def _view(self, name: str, *, recorded: bool = False) -> View:
+        """`recorded`: nothing is compared with it, so that it has no tolerance."""
+        unit, band = self.units.get(name, "1"), None if recorded else self.tolerances.get(name)
+        return View(name, axis_label(name, unit), for_people(unit)[1], self.shared, band)
 
     def _facts(self) -> dict[str, Any]:
         """What the template shows."""
@@ -88,7 +88,9 @@ class Page:
             "aircraft": opened.identified.title,
             "version": __version__,
             "manoeuvres": self.simulator.manoeuvres,
-            "addable": [(e.name, e.claim) for e in addable(opened.identified.model, tuple(have))],
+            "addable": [(e.name, e.claim) for e in opened.addable(tuple(have))],
+            "limits": opened.limits,
+            "linear": opened.linear,
             "forms": tuple(FORMS),
             "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
             "sources": opened.identified.sources,
@@ -151,20 +153,16 @@ class Page:
         """What is asked, in SI."""
         if asked.manoeuvre >= len(self.simulator.manoeuvres):
             raise InputError(f"there is no manoeuvre {asked.manoeuvre + 1}; choose another one")
-        known = {e.name for e in addable(self.opened.identified.model, tuple(self.simulator.flights.channels))}
+        known = {e.name for e in self.opened.addable(tuple(self.simulator.flights.channels))}
         added = tuple(name for name in asked.added if name in known)
-        groups = self._sliders(added)
+        groups = self.opened.groups(added)
         factors = {s.name: s.factor for group in groups for s in group.sliders}
         values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
-        return Choice(values, frozenset(asked.off) & {group.name for group in groups}, added)
-
-    def _sliders(self, added: tuple[str, ...]) -> Any:
-        identified = self.opened.identified
-        return groups_of(identified.model, identified.values, self.opened.errors, added)
+        return Choice(values, frozenset(asked.off) & {group.name for group in groups if group.switch}, added)
 
     def _groups(self, choice: Choice) -> list[dict[str, Any]]:
         """The sliders, for the browser to build."""
-        return [asdict(group) for group in self._sliders(choice.added)]
+        return [asdict(group) for group in self.opened.groups(choice.added)]
 
     def _draw(self, asked: Asked, time: np.ndarray, window: np.ndarray, before: Flown, now: Flown) -> None:
         """What is flown now always; record and result where manoeuvre or window have changed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.errors import InputError
 from bayes_aero.explore.choice import Choice, flown_model, values_of
 from bayes_aero.explore.opened import Opened
+from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
 from bayes_aero.jobs.handover.posterior_draws import drawn
 from bayes_aero.jobs.options import FIXED, HELD
 from bayes_aero.model.joined_channels import Flights, despiked, join
@@ -59,9 +60,9 @@ class Ready:
 
 @dataclass(frozen=True)
 class Structure:
-    """A model of certain effects, what flies it, and the integration steps a sample."""
+    """A model of certain effects (None: a linear system), what flies it, and the integration steps a sample."""
 
-    model: Model
+    model: Model | None
     dynamics: Dynamics
     substeps: int
 
@@ -77,7 +78,9 @@ class Simulator:
         """
         self.opened = opened
         self.card, _ = on_recorded_axes(opened.card, opened.records, OF_AXIS, DERIVED)
-        self.flights, _ = despiked(join(opened.records, self.card, FLIGHT))
+        found = opened.identified
+        required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
+        self.flights, _ = despiked(join(opened.records, self.card, required))
         setting = opened.told.get("setting", {})
         self.held = setting.get("inputs") == HELD
         self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
@@ -136,9 +139,7 @@ class Simulator:
             InputError: the result has neither a posterior nor a covariance.
         """
         opened, values = self.opened, self._values(Choice())
-        if opened.command == "diagnose":
-            raise InputError("diagnose writes no covariance to draw from; open a result of identify or fly for a fan")
-        draws = drawn(opened.identified, opened.folder, opened.told, opened.identified.model.names, count, seed)
+        draws = drawn(opened.identified, opened.folder, opened.told, opened.identified.names, count, seed)
         theta = np.tile(list(values.values()), (count, 1))
         for k, name in enumerate(draws.names):
             if name in values:
@@ -157,9 +158,8 @@ class Simulator:
         key = choice.added, choice.off
         if key not in self._structures:
             opened = self.opened
-            model = flown_model(opened.identified.model, choice)
             asked = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
-            plain = aircraft_dynamics(model, self.flights, asked)
+            model, plain = _flown(opened.identified, choice, self.flights, asked)
             dynamics = biased_dynamics(plain, self.flights, self.biases)
             steps = _steps(dynamics, {p.name: p.start for p in dynamics.free}, self.flights)
             self._structures[key] = Structure(model, dynamics, steps)
@@ -168,7 +168,8 @@ class Simulator:
     def _values(self, choice: Choice) -> dict[str, float]:
         """Of the model and of the biases of outputs."""
         opened, own = self.opened, self._structure(choice)
-        found = values_of(own.model, opened.identified.values, choice)
+        values = opened.identified.values
+        found = {**values, **choice.values} if own.model is None else values_of(own.model, values, choice)
         fitted = {name: p["estimate"] for name, p in opened.told.get("parameters", {}).items()}
         every = {p.name: p.start for p in own.dynamics.free} | fitted | found
         return {name: float(every[name]) for name in own.dynamics.names}
@@ -187,8 +188,10 @@ class Simulator:
             self._ready[key] = Ready(alone, self._residuals(manoeuvre, own.model), departure)
         return self._ready[key]
 
-    def _residuals(self, manoeuvre: int, model: Model) -> EquationError | None:
+    def _residuals(self, manoeuvre: int, model: Model | None) -> EquationError | None:
         """Coefficients of one manoeuvre; None where the record does not give them."""
+        if model is None:
+            return None
         try:
             alone, _ = despiked(join([self.opened.records[manoeuvre]], self.card))
         except InputError as reason:
@@ -196,6 +199,14 @@ class Simulator:
             return None
         own = replace(alone.nameless, channels=dict(alone.channels))
         return EquationError(own, model, (), ())
+
+
+def _flown(found: Finished, choice: Choice, flights: Flights, outputs: Sequence[str]) -> tuple[Model | None, Dynamics]:
+    """The model of the chosen effects, and what flies it; a linear system has no choice."""
+    if isinstance(found, IdentifiedLinear):
+        return None, found.dynamics(flights)
+    model = flown_model(found.model, choice)
+    return model, aircraft_dynamics(model, flights, outputs)
 
 
 def _unpadded(flown: SegmentTrajectories) -> SegmentTrajectories:

@@ -35,12 +35,13 @@ class Slider:
 
 @dataclass(frozen=True)
 class Group:
-    """An effect with its sliders; `added`: it is not part of the result's model."""
+    """An effect with its sliders; `added`: it is not part of the result's model; `switch`: it can be switched off."""
 
     name: str
     claim: str
     added: bool
     sliders: tuple[Slider, ...]
+    switch: bool = True
 
 
 def groups_of(
@@ -62,14 +63,18 @@ def groups_of(
             e.name,
             e.claim,
             e.name in added,
-            tuple(_slider(known[p.name], begin[p.name], errors.get(p.name, 0.0), e) for p in e.parameters),
+            tuple(
+                slider(known[p.name], begin[p.name], errors.get(p.name, 0.0), _largest(known[p.name], e))
+                for p in e.parameters
+            ),
         )
         for e in shown_effects(model, added)
     )
 
 
-def _slider(p: Parameter, value: float, error: float, effect: Effect) -> Slider:
-    reach = max(ERRORS * error, SHARE * abs(value), 0.0 if error else _largest(p, effect))
+def slider(p: Parameter, value: float, error: float, largest: float) -> Slider:
+    """About `value` by the standard error `error` (0: unknown, then by the departure `largest`), SI."""
+    reach = max(ERRORS * error, SHARE * abs(value), 0.0 if error else largest)
     low, high = max(value - reach, p.bounds[0]), min(value + reach, p.bounds[1])
     unit, factor = for_people(p.unit)
     shown = (factor * x for x in (value, error, low, high))

@@ -48,6 +48,16 @@ class Identified:
     flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     draws: Draws | None = None
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters of the model."""
+        return self.model.names
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """By parameter."""
+        return {p.name: p.bounds for p in self.model.parameters}
+
     @cached_property
     def exported(self) -> Model:
         """The model without effects of sensors, of the record and of disturbed air."""

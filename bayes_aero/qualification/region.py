@@ -54,6 +54,8 @@ class Region:
             for n in CHANNELS
             if n in flown or (n == "mach" and "airspeed" in flown)
         )
+        if not names:
+            return cls((), np.zeros((0, 0)), np.zeros(0))
         points = np.stack([np.asarray(flown[n], float) for n in names], axis=1)
         scale = np.maximum(0.5 * np.ptp(points, axis=0), [LEAST[n] for n in names])
         return cls(names, points, scale)

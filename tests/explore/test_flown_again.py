@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,3 +130,13 @@ def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card
         agree(now.simulated, path.simulated)
         np.testing.assert_array_equal(simulator.time(k), path.time)
         assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
+
+
+def test_what_of_process_noise_is_not_flown_is_said(simulator):
+    opened = simulator.opened
+    assert opened.limits == ()
+    noisy = {"converged": True, "gain": 5.0}
+    (said,) = replace(opened, told={**opened.told, "process_noise": noisy}).limits
+    assert "gusts and the noise of its states are not flown here" in said
+    (said,) = replace(opened, told={**opened.told, "process_noise": noisy | {"drift": {"names": ["CLa"]}}}).limits
+    assert "gusts, drifts of parameters and the noise" in said

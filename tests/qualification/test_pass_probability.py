@@ -2,39 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from linear_cards import card_of, record_of
+from linear_cards import record_of
 from scipy.stats import norm
 
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join
 from bayes_aero.qualification.qualify import Uncertain, qualify
 from bayes_aero.qualification.refits import HoldOut
 from bayes_aero.qualification.result import Chance, Kind, Qualification, Recorded, Test, Verdict
 
-OFFSET = """
-[channels]
-time = { label = "t", unit = "s" }
-alpha = { label = "alpha", unit = "rad" }
-q = { label = "q", unit = "rad/s" }
-elevator = { label = "de", unit = "rad" }
-az = { label = "az", unit = "m/s^2" }
-
-[linear]
-states = ["alpha", "q"]
-[linear.rates.alpha]
-Zalpha = "alpha"
-[linear.rates.q]
-Mq = "q"
-[linear.outputs.az]
-az0 = "1"
-Zde = "elevator"
-[linear.fixed]
-Zalpha = -1.0
-Mq = -1.0
-"""
+FREE = {"az0": -9.8, "azde": 1.0}
 SD, COUNT, N = 0.5, 1000, 60
 ERROR = 4.0 * np.sqrt(0.25 / COUNT)  # four standard errors of a probability, at most
 
@@ -44,7 +27,9 @@ def flown():
     """az is a constant and an elevator that stands still: whatever differs, differs by a constant."""
     still = np.zeros(N)
     channels = {"alpha": still, "q": still, "elevator": still, "az": np.full(N, -9.8)}
-    card = card_of(OFFSET)
+    shipped = read_card("short_period")
+    held = tuple((n, {"Zalpha": -1.0, "Mq": -1.0}.get(n, 0.0)) for n in shipped.linear.parameters if n not in FREE)
+    card = replace(shipped, linear=replace(shipped.linear, fixed=held))
     records = [record_of(channels, dt=0.2, name=name) for name in ("one", "two")]
     flights = join(records, card, card.linear.inputs)
     dynamics = linear_dynamics(card, flights.lengths)
@@ -53,7 +38,7 @@ def flown():
 
 def unknown(flown, rng, sd=SD, **more):
     names = flown.dynamics.names
-    estimate = np.array([{"az0": -9.8, "Zde": 1.0}[name] for name in names])
+    estimate = np.array([FREE[name] for name in names])
     draws = np.tile(estimate, (COUNT, 1))
     draws[:, names.index("az0")] += sd * rng.standard_normal(COUNT)
     return Uncertain(estimate, draws, **more)

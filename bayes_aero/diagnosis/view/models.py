@@ -12,12 +12,11 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
 from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.selection.residuals import Profile, details, profiles, theil_parts
+from bayes_aero.diagnosis.view.covariance import covariance_of, joint_covariance
 from bayes_aero.diagnosis.view.rankings import rankings_of
 from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, Fitted, ParameterMove, View
 from bayes_aero.inference.identification import Stall
@@ -41,7 +40,14 @@ def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
     moves = {
         name: ParameterMove(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()
     }
-    return DiagnosisView(diagnosis=diagnosis, rankings=tuple(rankings_of(diagnosis)), moves=moves)
+    last = diagnosis.aerodynamics
+    deviations = {name: move.sd_after for name, move in moves.items()}
+    return DiagnosisView(
+        diagnosis=diagnosis,
+        rankings=tuple(rankings_of(diagnosis)),
+        moves=moves,
+        covariance=joint_covariance(last.state, last.fit, deviations, diagnosis.causes),
+    )
 
 
 def coefficient_view(diagnosis: Diagnosis) -> View:
@@ -64,6 +70,7 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
         parameters=card.state.full.model.parameters,
         rankings=tuple(rankings_of(diagnosis)),
         moves=_moves(card, extended),
+        covariance=joint_covariance(extended.state, extended.fit, {}, diagnosis.causes),
     )
 
 
@@ -118,16 +125,8 @@ def _profiles(
     )
 
 
-def _covariance(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
-    state, fit = fitted.state, fitted.fit
-    own = np.flatnonzero(fit.columns < len(state.theta))
-    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
-    return fit.columns[own], covariance[np.ix_(own, own)]
-
-
 def _deviations(fitted: Fitted) -> dict[str, float]:
-    columns, covariance = _covariance(fitted)
+    columns, covariance = covariance_of(fitted.state, fitted.fit)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     free = fitted.state.full.model.names
     return {free[c]: float(x) for c, x in zip(columns, sd, strict=True)}
@@ -136,7 +135,7 @@ def _deviations(fitted: Fitted) -> dict[str, float]:
 def _stall(fitted: Fitted) -> Stall:
     """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
     state = fitted.state
-    columns, covariance = _covariance(fitted)
+    columns, covariance = covariance_of(fitted.state, fitted.fit)
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     white = np.random.default_rng(0).standard_normal((DRAWS, len(columns)))

@@ -56,6 +56,14 @@ class ParameterMove:
 
 
 @dataclass(frozen=True)
+class JointCovariance:
+    """Covariance (k, k) of the extended model's estimates, SI, for coloured residuals; `names` (k) are its rows."""
+
+    names: tuple[str, ...]
+    matrix: Float[np.ndarray, "k k"]
+
+
+@dataclass(frozen=True)
 class RankedCandidate:
     """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
 
@@ -127,6 +135,7 @@ class DiagnosisView:
     diagnosis: Diagnosis
     rankings: tuple[Ranking, ...]
     moves: Mapping[str, ParameterMove]
+    covariance: JointCovariance | None = None
     trajectories: Trajectories | None = None
 
     @property

@@ -96,7 +96,8 @@ const explore = (function () {
       refresh();
       ask();
     }});
-    const legend = make("legend", make("label", [box, " " + g.name], {title: g.claim}));
+    const title = g.switch ? make("label", [box, " " + g.name]) : make("span", g.name);
+    const legend = make("legend", Object.assign(title, {title: g.claim}));
     if (g.added) legend.append(make("button", "remove", {type: "button", ariaLabel: `remove ${g.name}`, onclick: () => { remove(g.name); ask(); }}));
     const set = make("fieldset", [legend, ...g.sliders.map(slider)]);
     set.dataset.effect = g.name;
@@ -139,7 +140,8 @@ const explore = (function () {
     for (const set of at("groups").querySelectorAll("fieldset")) {
       const off = state.off.includes(set.dataset.effect);
       set.classList.toggle("off", off);
-      set.querySelector("input[type=checkbox]").checked = !off;
+      const box = set.querySelector("input[type=checkbox]");
+      if (box) box.checked = !off;
       for (const row of set.querySelectorAll(".slider")) {
         row.refresh();
         for (const input of row.querySelectorAll("input")) input.disabled = off;
@@ -174,6 +176,9 @@ const explore = (function () {
       });
     }
     exchange.properties.told.change.connect(answered);
+    for (const line of Bokeh.documents[0].all_models) {  // Bokeh cuts lines at the frame in the lower layer alone
+      if (line.level === "overlay" && line.type === "GlyphRenderer") Object.defineProperty(Bokeh.index.find_one(line), "needs_clip", {value: true});
+    }
     at("manoeuvre").onchange = () => { Object.assign(state, {manoeuvre: Number(at("manoeuvre").value), window: null}); ask(); };
     at("from").onchange = at("to").onchange = () => {
       const [from, to] = [at("from").valueAsNumber, at("to").valueAsNumber];

@@ -29,7 +29,7 @@ def fitted_records(told: Mapping[str, Any], result: Path, card: Card, given: Seq
     """
     wanted = [(one["name"], one["sha256"]) for one in told["provenance"]["inputs"]]
     words = shlex.split(told["provenance"].get("command", ""))
-    names = {one["source"] for one in told["provenance"]["inputs"]}
+    names = {segment_of(one["source"]).file.name for one in told["provenance"]["inputs"]}
     paths = list(given) or [p for word in words for p in _there(word, names, result)]
     read = read_records(paths, card.channels, **read_options(told, card)) if paths else []
     found = {(r.name, r.sha256): r for r in read}

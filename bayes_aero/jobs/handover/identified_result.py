@@ -12,6 +12,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
 from bayes_aero.jobs.handover.result_file import read_result, result_file
 from bayes_aero.model.chosen import effect_named
 from bayes_aero.model.model import Model
@@ -22,7 +23,22 @@ USABLE = ("converged", "at_bound")
 
 
 def read_identified(given: str, card: str | None = None) -> tuple[Identified, Path | None, Mapping[str, Any]]:
-    """The model of a folder of results, of a result file, or of a card.
+    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`.
+
+    Raises:
+        InputError: also where the card states a linear system.
+    """
+    found, folder, told = read_finished(given, card)
+    if isinstance(found, IdentifiedLinear):
+        raise InputError(
+            f"card {found.name} states a linear system, which has no coefficients to export; use a result of a card "
+            "with [model]"
+        )
+    return found, folder, told
+
+
+def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
+    """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
 
     Args:
         given: path of the folder or file, or the name of a shipped card.
@@ -61,23 +77,31 @@ def _of_card(card: Card) -> Identified:
     return Identified(card.name, card.title, model, card.aircraft, values, sources)
 
 
-def _of_result(told: Mapping[str, Any], file: Path, card: Card) -> Identified:
+def _of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
     kind = told["schema"].split("/")[1]
     estimates, causes, how = {"results": _identified, "trajectories": _flown, "diagnosis": _diagnosed}[kind](told, file)
+    if card.linear is not None:
+        found = IdentifiedLinear(card, {}, (how, _origin(told, card)), len(told["records"]))
+        return replace(found, values=_complete({name: estimates.get(name) for name in found.names}, file))
     model = _extended(_recorded(Model.from_card(card), card, estimates, told), card, causes)
     values = dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free}
-    for name, x in values.items():
-        if x is None:
-            raise InputError(f"{file} has no value of {name}; run the command again with this version")
     return Identified(
         card.name,
         card.title,
         model,
         card.aircraft,
-        {name: float(x) for name, x in values.items() if x is not None},
+        _complete(values, file),
         (how, _origin(told, card)),
         _flown_ranges(told["records"]),
     )
+
+
+def _complete(values: Mapping[str, float | None], file: Path) -> dict[str, float]:
+    """The same, with a value of every parameter."""
+    for name, x in values.items():
+        if x is None:
+            raise InputError(f"{file} has no value of {name}; run the command again with this version")
+    return {name: float(x) for name, x in values.items() if x is not None}
 
 
 def _identified(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Draws, Identified
+from bayes_aero.jobs.handover.identified_linear import Finished
 from bayes_aero.jobs.handover.identified_result import with_process_noise
 
 SAMPLERS = ("nuts", "emcee")
@@ -25,7 +26,7 @@ def exported(found: Identified) -> tuple[str, ...]:
 
 
 def drawn(
-    found: Identified, folder: Path | None, told: Mapping[str, Any], wanted: Sequence[str], count: int, seed: int
+    found: Finished, folder: Path | None, told: Mapping[str, Any], wanted: Sequence[str], count: int, seed: int
 ) -> Draws:
     """`count` draws of the parameters `wanted` that were fitted.
 
@@ -43,17 +44,23 @@ def drawn(
         file = None if folder is None else folder / f"posterior_{sampler}.nc"
         if status is not None and status["status"] == "converged" and file is not None and file.is_file():
             return _of_posterior(file, wanted, count, rng, f"posterior by {sampler} under {status['noise']} noise")
-    part = told.get("mle", told)
-    filtered = with_process_noise(told)
-    part = told["process_noise"] if filtered else part
-    matrix = part.get("covariance")
+    rows, matrix = _stored(told)
     if matrix is None:
         raise InputError(
-            f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; leave --draws "
-            "out, or export a result of identify or fly of this version"
+            f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
+            "of the result again with this version, or do without draws"
         )
-    rows = part["estimates"] if filtered else part["parameters"]
-    return _normal(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng, filtered)
+    return _normal(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng, with_process_noise(told))
+
+
+def _stored(told: Mapping[str, Any]) -> tuple[Sequence[str], Sequence[Sequence[float]] | None]:
+    """The covariance of the estimates, and the names of its rows; None where the result has none."""
+    if "causes" in told:  # a diagnosis
+        stored = told.get("covariance")
+        return ((), None) if stored is None else (stored["parameters"], stored["matrix"])
+    filtered = with_process_noise(told)
+    part = told["process_noise"] if filtered else told.get("mle", told)
+    return tuple(part["estimates"] if filtered else part["parameters"]), part.get("covariance")
 
 
 def _of_posterior(file: Path, wanted: Sequence[str], count: int, rng: np.random.Generator, origin: str) -> Draws:
@@ -67,7 +74,7 @@ def _of_posterior(file: Path, wanted: Sequence[str], count: int, rng: np.random.
 
 
 def _normal(
-    found: Identified,
+    found: Finished,
     wanted: Sequence[str],
     rows: Sequence[str],
     covariance: Float[np.ndarray, "k k"],
@@ -78,8 +85,7 @@ def _normal(
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
     names = tuple(name for name, one in zip(rows, known, strict=True) if one)
     part = covariance[np.ix_(known, known)]
-    bounds = {p.name: p.bounds for p in found.model.parameters}
-    low, high = np.array([bounds[name] for name in names]).T
+    low, high = np.array([found.bounds[name] for name in names]).T
     centre = np.array([found.values[name] for name in names])
     values, vectors = np.linalg.eigh(part)
     white = rng.standard_normal((TRIES * count, len(names)))

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.jobs.handover.fitted_records import fitted_records, read_options
 from bayes_aero.jobs.handover.identified_card import card_of
-from bayes_aero.jobs.handover.identified_result import read_identified
+from bayes_aero.jobs.handover.identified_linear import IdentifiedLinear
+from bayes_aero.jobs.handover.identified_result import read_finished
 from bayes_aero.jobs.handover.posterior_draws import MOST_DRAWS
 from bayes_aero.jobs.handover.qualification_json import RESULTS, qualification_results
 from bayes_aero.jobs.handover.result_file import result_file
@@ -35,6 +36,7 @@ from bayes_aero.report.html.page import put_page
 from bayes_aero.report.qualification.page import QualificationContext, qualification_page
 from bayes_aero.report.qualification.tables import test_table
 from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.phrases import several
 
 DRAWS = 400
 FEWEST = 100  # draws: with fewer no probability is decided
@@ -94,7 +96,7 @@ def qualify_result(
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card, and a card has no uncertainty; give the folder of a result")
-    found, folder, told = read_identified(str(file), options.card)
+    found, folder, told = read_finished(str(file), options.card)
     assert folder is not None
     card = card_of(told["provenance"], file, options.card)
     records = fitted_records(told, file, card, options.fitted)
@@ -103,9 +105,10 @@ def qualify_result(
     for record in new:
         if (record.name, record.sha256) in known:
             raise InputError(f"{record.name} was fitted, so it is tested anyway; give records that were not fitted")
+    source = Source(found, folder, told)
+    _flyable(source, new, options.gusts)
     if out is not None:
         writable(out)
-    source = Source(found, folder, told)
     flown, bands = _segments(source, card, records)
     tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
     unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
@@ -120,8 +123,10 @@ def qualify_result(
         strips=results.strips,
         tolerances={name: (x, card.tolerances[name].source) for name, x in bands.items()},
         draws=options.draws,
-        origins=origins if results.scattered in (None, True) else origins | {"next flight": UNSCATTERED},
-        notes=(*found.sources, *_reach(region)),
+        origins=origins
+        if results.scattered in (None, True) or unknown.following is None
+        else origins | {"next flight": UNSCATTERED},
+        notes=(*found.sources, *_unjudged(card, bands), *_reach(region)),
         further=further,
     )
     if out is None:
@@ -130,12 +135,29 @@ def qualify_result(
     return qualification, _put(qualification, card, [*records, *new], options.seed, settings, out)
 
 
+def _flyable(source: Source, new: Sequence[FlightRecord], gusts: float | None) -> None:
+    """Refuse what a linear system cannot fly."""
+    if source.linear is None:
+        return
+    if gusts:
+        raise InputError(
+            f"card {source.found.name} states a linear system, which does not fly through moving air; leave --gusts out"
+        )
+    if new and (own := source.linear.rows.by_manoeuvre):
+        raise InputError(
+            f"card {source.found.name} states {several(own)} for each manoeuvre, so there is no value for record "
+            f"{new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
+        )
+
+
 def _further(
     source: Source, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
 ) -> Further | None:
     """Flights that would decide the undecided tests."""
     if not undecided:
         return None
+    if isinstance(source.found, IdentifiedLinear):
+        return Further((), why_not="a linear system does not know the forces and moments of other manoeuvres")
     flights, names = flown.flights, list(flown.dynamics.names)
     assert isinstance(flights, Flights)
     values = {name: float(source.found.values[name]) for name in source.found.model.names}
@@ -150,9 +172,14 @@ def _segments(
     source: Source, card: Card, records: Sequence[FlightRecord], outputs: tuple[str, ...] = ()
 ) -> tuple[SegmentTrajectories, dict[str, float]]:
     """Whole manoeuvres with the outputs that have a tolerance, and half the widths of their bands, SI."""
-    flights, _ = despiked(join(records, card, FLIGHT))
-    dynamics = aircraft_dynamics(source.found.model, flights)
-    theta = np.array([source.found.values[name] for name in dynamics.names])
+    found = source.found
+    if isinstance(found, IdentifiedLinear):
+        flights, _ = despiked(join(records, card, found.rows.inputs))
+        dynamics: Dynamics = found.dynamics(flights)
+    else:
+        flights, _ = despiked(join(records, card, FLIGHT))
+        dynamics = aircraft_dynamics(found.model, flights)
+    theta = np.array([found.values[name] for name in dynamics.names])
     there = [n for n in dynamics.outputs if n in flights.channels]
     bands = {n: card.tolerances[n].value for n in there if n in card.tolerances}
     for name in outputs:
@@ -172,13 +199,13 @@ def _segments(
 def _outside(
     flown: SegmentTrajectories, tested: SegmentTrajectories | None, strips: Sequence[Strip]
 ) -> tuple[tuple[Outside, ...], Region]:
-    """Where recorded and simulated motions leave the flown region."""
+    """Where recorded and simulated motions leave the flown region; it has no channels where none was recorded."""
     every = [flown.flights.channels] + ([] if tested is None else [tested.flights.channels])
     shared = set.intersection(*(set(one) for one in every))
     region = Region.of({n: np.asarray(x) for n, x in flown.flights.channels.items() if n in shared})
     found = []
     for strip in strips:
-        if strip.kind is Kind.NEXT:
+        if strip.kind is Kind.NEXT or not region.channels:
             continue
         source = tested if strip.kind is Kind.TEST and tested is not None else flown
         own = source.flights.manoeuvre == source.flights.names.index(strip.manoeuvre)
@@ -197,11 +224,19 @@ def _simulated(strip: Strip, recorded: Mapping[str, np.ndarray]) -> dict[str, np
     return found
 
 
+def _unjudged(card: Card, bands: Mapping[str, float]) -> tuple[str, ...]:
+    """The tolerances that the card states and the model cannot be asked for."""
+    names = [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
+    if not names:
+        return ()
+    return (f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.",)
+
+
 def _reach(region: Region) -> tuple[str, ...]:
     """The largest flown angle of attack, which the rule on stall training asks for."""
-    alpha = (
-        np.degrees(region.points[:, region.channels.index("alpha")].max()) if "alpha" in region.channels else math.nan
-    )
+    if "alpha" not in region.channels:
+        return ()
+    alpha = np.degrees(region.points[:, region.channels.index("alpha")].max())
     return (
         f"The largest recorded angle of attack is {alpha:.1f} deg. Attachment 7 asks for a valid model up to 10 deg "
         "beyond the stall identification angle of attack, which the program does not know.",

@@ -93,6 +93,7 @@ def diagnosis_results(
         "screening": screen(d, view.rankings),
         "split": d.split,
         "base_parameters": {name: asdict(move) for name, move in view.moves.items()},
+        "covariance": _covariance(view),
         "residuals": _residuals(view),
         "predictors": dict(outcome.predictors),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
@@ -108,6 +109,14 @@ def diagnosis_results(
     if outcome.hidden is not None:
         found["hidden"] = {"effects": outcome.hidden, "named": outcome.named}
     return found
+
+
+def _covariance(view: DiagnosisView) -> dict[str, Any] | None:
+    """Of the extended model's estimates, with the assumption on which it rests."""
+    found = view.covariance
+    if found is None:
+        return None
+    return {"parameters": list(found.names), "matrix": found.matrix, "residuals": "coloured"}
 
 
 def _residuals(view: DiagnosisView) -> dict[str, Any]:
