@@ -1,8 +1,8 @@
 """What a flight makes of something added to a coefficient: to first order, for whatever is a function of the flight.
 
-A term theta phi(x) of a coefficient changes the residuals, to first order in theta, as phi of the flight without it does
-where it is prescribed: added to the coefficient as an input, linear between samples. So one compiled program has the
-sensitivities to all terms.
+A term theta phi(x) of a coefficient changes the residuals, to first order in theta, as phi along the flight without it
+does where it is prescribed: added to the coefficient as an input, linear between samples. So one compiled program has
+the sensitivities to all terms.
 """
 
 from __future__ import annotations

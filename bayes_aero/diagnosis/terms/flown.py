@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import UnexplainedStructure
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
@@ -31,6 +32,7 @@ from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.forms import Forms, Structure
 from bayes_aero.diagnosis.terms.search import NEAR, Found, reconsidered, sized, weights_of
 from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.progress import Progress
 
 
 class FlownForms(NamedTuple):
@@ -59,13 +61,16 @@ class _Rival(NamedTuple):
     weight: float
 
 
-def flown_forms(extension: Extension, *, seed: int) -> FlownForms:
+def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = None) -> FlownForms:
     """Terms of all coefficients for what an extended model leaves of flown residuals.
 
     Args:
         extension: by the catalogue, of a model that meets the record in trajectories or innovations.
         seed: of the noise-only replicates.
+        progress: told that it begins.
     """
+    if progress:
+        progress("terms", 0.0)
     state, causes = extension.state, extension.causes
     found, rivals = _sought(state, seed)
     if not found:
@@ -121,10 +126,13 @@ def _next(
         for standing in trial.screening.candidate_scores[: state.settings.candidates_tried]
     ]
     leaders.sort(key=lambda leader: -leader[1].score)
+    nulls = None
     for trial, standing in leaders:
         if not _useful(trial, standing):
             continue
-        p = _p_value(trial, standing, trials, noise)
+        if nulls is None:
+            nulls = np.max([_null_scores(t, noise) for t in trials], axis=0)
+        p = _p_value(trial, standing, nulls, sum(len(t.columns) for t in trials))
         if p <= state.settings.unnamed_false_alarm_rate:
             return _told(state, _rivals(state, trials, chosen, trial.column(standing)), chosen, p)
     return None
@@ -151,28 +159,26 @@ def _useful(trial: _Trial, standing: CandidateScore) -> bool:
     return nats(gain, standing.variance_inflation) >= settings.ambiguous
 
 
-def _p_value(trial: _Trial, standing: CandidateScore, trials: Sequence[_Trial], noise: SharedNoise) -> float:
+def _null_scores(trial: _Trial, noise: SharedNoise) -> Float[np.ndarray, " r"]:
+    """The largest score of any term in each noise-only replicate of the colour."""
+    projected = PartialledRegression(trial.state, trial.fit, trial.state.component_columns)
+    return null_scores(trial.state, trial.fit, projected, trial.screening.colour, noise)
+
+
+def _p_value(trial: _Trial, standing: CandidateScore, nulls: Float[np.ndarray, " r"], among: int) -> float:
     """Chance that noise alone lets some term of the library score as high: in replicates of the colour; or, in windows
-    of no stationary colour, by how far the term moves without each window, Bonferroni over the library."""
-    p = 1.0
-    if standing.score >= trial.state.settings.least_score:
-        nulls = [
-            null_scores(t.state, t.fit, PartialledRegression(t.state, t.fit, t.state.component_columns), t.screening.colour, noise)
-            for t in trials
-        ]
-        p = chance_of(standing.score, np.max(nulls, axis=0))
-    stretch = trial.state.responses.stretch
-    if stretch is None or p <= trial.state.settings.unnamed_false_alarm_rate:
+    of no stationary colour, by how far the term moves without each window, Bonferroni over all terms."""
+    settings, stretch = trial.state.settings, trial.state.responses.stretch
+    p = chance_of(standing.score, nulls) if standing.score >= settings.least_score else 1.0
+    if stretch is None or p <= settings.unnamed_false_alarm_rate:
         return p
     own = np.concatenate([trial.state.columns(), np.array(standing.columns, int)])
     wider = trial.state.products.fit(own, trial.state.mean, trial.state.precision)
     covariance = block_jackknife_covariance(trial.state, wider)[1]
-    return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(stretch.max()), sum(len(t.columns) for t in trials))
+    return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(stretch.max()), among)
 
 
-def _rivals(
-    state: SelectionState, trials: Sequence[_Trial], chosen: Sequence[Column], leader: Column
-) -> list[_Rival]:
+def _rivals(state: SelectionState, trials: Sequence[_Trial], chosen: Sequence[Column], leader: Column) -> list[_Rival]:
     """Terms of any coefficient that explain about as much as the leader, by weight.
 
     What tells two of them apart is the residual along the difference of what they explain.
