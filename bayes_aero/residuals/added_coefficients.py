@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import prepare
 from bayes_aero.dynamics.system import motion
 from bayes_aero.effect import Effect, Example, Kind, Stage
@@ -54,7 +55,9 @@ class AddedCoefficients:
         nothing = jnp.zeros(responses.flights.n)
         self.zeros = {_channel(name): nothing for name in model.coefficients}
         flights = replace(responses.flights, channels={**responses.flights.channels, **self.zeros})
-        dynamics = replace(responses.windows.dynamics, model=model)  # pyright: ignore[reportCallIssue]
+        dynamics = responses.windows.dynamics
+        assert isinstance(dynamics, AircraftDynamics)
+        dynamics = replace(dynamics, model=model)
         windows = replace(responses.windows, dynamics=dynamics, flights=flights)
         self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
         self.theta = jnp.asarray(theta)
@@ -95,8 +98,7 @@ def _slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], dire
 
     def residual(added):
         channels = {**responses.flights.channels, **added}
-        flights = replace(responses.flights, channels=channels)
-        return eqx.tree_at(lambda r: r.flights, responses, flights).residual(theta, still)
+        return eqx.tree_at(lambda r: r.flights.channels, responses, channels).residual(theta, still)
 
     return jax.vmap(lambda d: jax.jvp(residual, (zeros,), (d,))[1])(dict(directions))
 

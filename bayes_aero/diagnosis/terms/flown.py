@@ -1,12 +1,14 @@
 """Terms that nobody listed where a model meets the record in flight: screened by what they make of the residuals.
 
-The protocol is that of the catalogue's candidates, to first order: a score that knows the colour and how far windows
-disagree, noise-only replicates over the whole library, and what the term gains on left-out folds.
+The protocol is that of the catalogue's candidates, to first order. A term must gain on left-out folds and be beyond
+chance: by noise-only replicates over the whole library; or, in windows, whose residuals have no stationary colour, by
+how far the term moves when a window is left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +25,7 @@ from bayes_aero.diagnosis.screening.screening import (
     null_scores,
     screen,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.structure.components import chance_of, share_of, with_components
@@ -82,21 +84,23 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
         state, found, rivals = (bare, again, others) if again else (state, found, rivals)
         replaced = replaced if again else ()
     unknown = [
-        UnexplainedStructure(*one.column.component.label.split(" over "), one.share, one.p_value, names)
+        UnexplainedStructure(_coefficient(one.column), one.column.term.name, one.share, one.p_value, names)
         for one, names in zip(found, rivals, strict=True)
     ]
     return FlownForms(Forms(sized(state, found), replaced, _structures(state, found)), tuple(unknown))
 
 
+def _coefficient(column: Column) -> str:
+    return column.component.label.split(" over ")[0]
+
+
 def _structures(state: SelectionState, found: Sequence[Found]) -> tuple[Structure, ...]:
     """The coefficients with terms; what describes each, and what the others."""
-    by_label = {one.column.component.label: one.column.component for one in found}
-    names = dict.fromkeys(label.split(" over ")[0] for label in by_label)
-    own = {name: tuple(c for label, c in by_label.items() if label.split(" over ")[0] == name) for name in names}
-    return tuple(
-        Structure(state, name, own[name], tuple(c for other in names if other != name for c in own[other]))
-        for name in names
-    )
+    own: dict[str, list[Component]] = {}
+    for one in found:
+        own.setdefault(_coefficient(one.column), []).append(one.column.component)
+    others = {name: [c for other in own if other != name for c in own[other]] for name in own}
+    return tuple(Structure(state, name, tuple(own[name]), tuple(others[name])) for name in own)
 
 
 def _sought(state: SelectionState, seed: int) -> tuple[list[Found], list[tuple[str, ...]]]:
@@ -126,14 +130,9 @@ def _next(
         for standing in trial.screening.candidate_scores[: state.settings.candidates_tried]
     ]
     leaders.sort(key=lambda leader: -leader[1].score)
-    nulls = None
+    chance = _chance(trials, noise)
     for trial, standing in leaders:
-        if not _useful(trial, standing):
-            continue
-        if nulls is None:
-            nulls = np.max([_null_scores(t, noise) for t in trials], axis=0)
-        p = _p_value(trial, standing, nulls, sum(len(t.columns) for t in trials))
-        if p <= state.settings.unnamed_false_alarm_rate:
+        if _useful(trial, standing) and (p := chance(trial, standing)) <= state.settings.unnamed_false_alarm_rate:
             return _told(state, _rivals(state, trials, chosen, trial.column(standing)), chosen, p)
     return None
 
@@ -159,23 +158,33 @@ def _useful(trial: _Trial, standing: CandidateScore) -> bool:
     return nats(gain, standing.variance_inflation) >= settings.ambiguous
 
 
+def _chance(trials: Sequence[_Trial], noise: SharedNoise) -> Callable[[_Trial, CandidateScore], float]:
+    """The chance that noise alone lets some term of the library look as good as one does.
+
+    Replicates of the colour tell it of innovations. In windows no stationary colour holds, with a term in or out: there
+    it is how far the estimate moves without each window, Bonferroni over the library.
+    """
+    stretch, among = trials[0].state.responses.stretch, sum(len(t.columns) for t in trials)
+
+    @cache
+    def nulls() -> Float[np.ndarray, " r"]:
+        return np.max([_null_scores(t, noise) for t in trials], axis=0)
+
+    def of(trial: _Trial, standing: CandidateScore) -> float:
+        if stretch is None:
+            return chance_of(standing.score, nulls())
+        own = np.concatenate([trial.state.columns(), np.array(standing.columns, int)])
+        wider = trial.state.products.fit(own, trial.state.mean, trial.state.precision)
+        covariance = block_jackknife_covariance(trial.state, wider)[1]
+        return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(stretch.max()), among)
+
+    return of
+
+
 def _null_scores(trial: _Trial, noise: SharedNoise) -> Float[np.ndarray, " r"]:
     """The largest score of any term in each noise-only replicate of the colour."""
     projected = PartialledRegression(trial.state, trial.fit, trial.state.component_columns)
     return null_scores(trial.state, trial.fit, projected, trial.screening.colour, noise)
-
-
-def _p_value(trial: _Trial, standing: CandidateScore, nulls: Float[np.ndarray, " r"], among: int) -> float:
-    """Chance that noise alone lets some term of the library score as high: in replicates of the colour; or, in windows
-    of no stationary colour, by how far the term moves without each window, Bonferroni over all terms."""
-    settings, stretch = trial.state.settings, trial.state.responses.stretch
-    p = chance_of(standing.score, nulls) if standing.score >= settings.least_score else 1.0
-    if stretch is None or p <= settings.unnamed_false_alarm_rate:
-        return p
-    own = np.concatenate([trial.state.columns(), np.array(standing.columns, int)])
-    wider = trial.state.products.fit(own, trial.state.mean, trial.state.precision)
-    covariance = block_jackknife_covariance(trial.state, wider)[1]
-    return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(stretch.max()), among)
 
 
 def _rivals(state: SelectionState, trials: Sequence[_Trial], chosen: Sequence[Column], leader: Column) -> list[_Rival]:
@@ -205,9 +214,8 @@ def _told(
     state: SelectionState, rivals: Sequence[_Rival], chosen: Sequence[Column], p: float
 ) -> tuple[Found, tuple[str, ...]]:
     """The term of the most weight, with those of its coefficient, and names of those of others."""
-    first, label = rivals[0], rivals[0].column.component.label
-    coefficient = label.split(" over ")[0]
-    own = [r for r in rivals if r.column.component.label.split(" over ")[0] == coefficient]
+    first = rivals[0]
+    own = [r for r in rivals if _coefficient(r.column) == _coefficient(first.column)]
     elsewhere = tuple(r.column.component.label for r in rivals if r not in own)
     trial = with_components(state, [first.column.component], [c.component for c in chosen], state.folds)
     fit = trial.fit()
