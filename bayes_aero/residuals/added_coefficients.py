@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayes_aero.dynamics.aircraft.effect_system import EffectSystem
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import prepare
 from bayes_aero.dynamics.system import motion
@@ -110,6 +111,8 @@ def _signals(responses: OutputError, theta: Any) -> dict[str, Array]:
     states = responses.states(theta)
 
     def at_sample(x, u):
-        return prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}  # pyright: ignore[reportAttributeAccessIssue]
+        assert isinstance(prepared.system, EffectSystem)
+        signals = prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}
+        return {name: s for name, s in signals.items() if not isinstance(s, tuple) and jnp.ndim(s) == 0}
 
     return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
