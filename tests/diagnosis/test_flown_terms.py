@@ -8,6 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
 from gusty_flight import TRUTH, gusty_flight
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -55,6 +57,22 @@ def test_a_term_that_the_card_has_flies_as_its_parameter(card):
     (slope,) = added.slopes("Cm", np.asarray(added.signals()["elevator"])[None])
     at = np.array([responses.model.names.index("Cmde")])
     known = responses.linearise(theta, at)[1][:, :, 0]
+    np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
+
+
+@pytest.mark.verify
+def test_a_term_of_six_degrees_of_freedom_flies_as_its_parameter(tmp_path):
+    """Cn += Cndr rudder; compilation takes most of a minute."""
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    (tmp_path / "plane.toml").write_text(six.card_text(plane), encoding="utf-8")
+    card = read_card(str(tmp_path / "plane.toml"))
+    flights = join([six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)], card, ())
+    model = Model.from_card(card)
+    responses = OutputError.of(flights, aircraft_dynamics(model, flights))
+    theta = np.array([getattr(plane, p.name) for p in model.free])
+    added = AddedCoefficients(responses, theta)
+    (slope,) = added.slopes("Cn", added.signals()["rudder"][None])
+    known = responses.linearise(theta, np.array([model.names.index("Cndr")]))[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
 
 

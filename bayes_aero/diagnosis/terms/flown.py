@@ -113,8 +113,19 @@ def _sought(state: SelectionState, seed: int) -> tuple[list[Found], list[tuple[s
             break
         found.append(one[0])
         rivals[one[0].column.component.label] = one[1]
-    found = reconsidered(state, found)
+    found = _beyond_doubt(state, reconsidered(state, found))
     return found, [rivals[one.column.component.label] for one in found]
+
+
+def _beyond_doubt(state: SelectionState, found: Sequence[Found]) -> list[Found]:
+    """The terms without those of which, beside the others, nothing sure is left; the least sure goes first."""
+    left = list(found)
+    while left:
+        scores = [abs(one.size[0]) / one.size[1] for one in sized(state, left)]
+        if min(scores) >= state.settings.least_score:
+            break
+        left.pop(scores.index(min(scores)))
+    return left
 
 
 def _next(
