@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import noise_channels
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
-from bayes_aero.diagnosis.terms.library import Term, library
+from bayes_aero.diagnosis.terms.library import Signals, Term, library
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.physics.filters import smooth_joined
 from bayes_aero.residuals.added_coefficients import AddedCoefficients
@@ -75,7 +75,7 @@ def _component(coefficient: str, term: Term, basis: Float[np.ndarray, "m c 1"]) 
     return Component(f"{coefficient} over {term.name}", basis)
 
 
-def _terms(state: SelectionState, signals: Mapping[str, np.ndarray], coefficient: str) -> Sequence[Term]:
+def _terms(state: SelectionState, signals: Signals, coefficient: str) -> Sequence[Term]:
     """Terms that these flights can tell."""
     flights = state.responses.flights
     noise = noise_channels(flights)
