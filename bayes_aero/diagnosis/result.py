@@ -167,7 +167,7 @@ class OutputMiss:
 class Tested:
     """What a diagnosis by trajectories alone has tested: `outputs` are empty where nothing was flown.
 
-    Structure without a name is never sought there.
+    Of structure without a name only terms of the library are sought there.
     """
 
     outputs: Mapping[str, OutputMiss]

@@ -93,7 +93,7 @@ class FilterError(OutputError):
 
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
-        nameless, at = self._nameless, jnp.asarray(theta)
+        nameless, at = self.nameless, jnp.asarray(theta)
         assert isinstance(nameless, FilterError)
         path, known = _path(nameless, at)
 

@@ -49,7 +49,8 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def _nameless(self) -> OutputError:
+    def nameless(self) -> OutputError:
+        """The same without names of the flights; see `Flights.nameless`."""
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property
@@ -84,14 +85,14 @@ class OutputError(ResidualModel, eqx.Module):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals of the windows from their measured initial states."""
-        return _evaluate(self._nameless, jnp.asarray(theta)), {}
+        return _evaluate(self.nameless, jnp.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
         rest = np.zeros((len(directions), len(self.windows.dynamics.start)))
-        residual, slope = _slopes(self._nameless, *map(jnp.asarray, (theta, directions, rest)))
+        residual, slope = _slopes(self.nameless, *map(jnp.asarray, (theta, directions, rest)))
         return np.asarray(residual), -np.asarray(slope)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
@@ -116,12 +117,17 @@ class OutputError(ResidualModel, eqx.Module):
         along = np.zeros((DIRECTIONS_PER_CALL, initial_directions.shape[1]))
         along[: len(initial_directions)] = initial_directions
         arguments = map(jnp.asarray, (theta, np.zeros((DIRECTIONS_PER_CALL, len(theta))), along))
-        return -np.asarray(_slopes(self._nameless, *arguments)[1])[: len(initial_directions)]
+        return -np.asarray(_slopes(self.nameless, *arguments)[1])[: len(initial_directions)]
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
         found = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
         return self._mean(found.residual)
+
+    def states(self, theta: Any) -> Float[Array, "w n s"]:
+        """States of the simulated windows from their measured initial states."""
+        departure = jnp.zeros((len(self.windows.index), len(self.windows.dynamics.start)))
+        return simulate(self.flown, theta, departure).trajectory.states
 
 
 @eqx.filter_jit

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from importlib import resources
 
+import jsonschema
 import numpy as np
 import pytest
 import unlisted_terms
 
+from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.jobs.catalogue.effect_file import write_effects
+from bayes_aero.jobs.diagnose import diagnose_records
+from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.model.own_effects import own_effects
 from bayes_aero.simulate.injection import Beyond, hidden_records
 
 SEED = 107
@@ -55,6 +63,32 @@ def test_the_same_flights_without_it_get_no_term():
     assert found.verdict is Verdict.NO_EFFECT
     assert found.terms == ()
     assert found.sampled == ()
+
+
+@pytest.mark.verify
+def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, monkeypatch):
+    """Of few effects, which compile sooner. The bump of Cm over alpha has a width of 0.03 rad."""
+    few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
+    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    rng = np.random.default_rng([501, 31])
+    noise, (coefficient, name, values) = str(rng.choice(["white", "ar1", "buffet"])), unlisted_terms.draw(rng)
+    assert (noise, coefficient, name) == ("white", "Cm", "exp")
+    beyond = Beyond((unlisted_terms.UNLISTED,), lambda _: values)
+    flown = hidden_records({}, seed=501, noise=noise, seconds=90.0, beyond=beyond)
+    records = [unlisted_terms.without_accelerometers(r) for r in flown]
+    told = diagnose_records(records, read_card("attas"), DiagnoseOptions(), out=tmp_path)
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    schema = resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json")
+    jsonschema.validate(content, json.loads(schema.read_text()))
+    assert content["failures"] == []
+    assert content["verdict"] == "unexplained"
+    assert content["tested"]["rests_on"] == "trajectories"
+    assert "exp(" in content["terms"][0]["term"]
+    assert (tmp_path / "terms.csv").read_text().count("\n") == 1 + len(content["terms"])
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    path = tmp_path / "found.py"
+    assert "effect" in write_effects(told.diagnosis.terms, ["run"], path)
+    assert len(own_effects([path])) == len(content["terms"])
 
 
 @pytest.mark.recovery

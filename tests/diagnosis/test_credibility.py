@@ -202,7 +202,7 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
         assert claim in headline
         assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
         assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
-        assert "structure outside the catalogue was not tested" in headline
+        assert "no term of the library describes structure outside the catalogue" in headline
         assert "(noise 0.30 m/s)" in detail
     none = replace(
         d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.OutputMiss(0.0, 1.0, 1.0)})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, UnexplainedStructure
@@ -11,11 +10,10 @@ from bayes_aero.diagnosis.screening.accuracy import filtered_channels
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.search.stages import Stages, search_in_stages
-from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.residuals import noise_report
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.components import has_chunks
-from bayes_aero.diagnosis.structure.unexplained import Left, unexplained
+from bayes_aero.diagnosis.structure.unexplained import Left, unexplained, withdrawn
 from bayes_aero.diagnosis.terms.forms import Forms, forms_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -59,7 +57,7 @@ def search_coefficients(
         lambda: forms_of(both.aerodynamics, left, seed=seed + 3000),
         Forms((), ()),
     )
-    aerodynamics = _withdrawn(both.aerodynamics, (*left.replaced, *found.replaced))
+    aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced))
     named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
     return SearchResult(
         full,
@@ -79,12 +77,6 @@ def _described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[U
     known = {term.coefficient for term in found.terms}
     first = {u.coefficient: u for u in reversed(unknown)}
     return tuple(u for u in unknown if u.coefficient not in known or u is first[u.coefficient])
-
-
-def _withdrawn(found: Extension, names: Sequence[str]) -> Extension:
-    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
-    causes = tuple(name for name in found.causes if name not in names)
-    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
 
 
 def _filtered(flights: Flights) -> tuple[str, ...]:

@@ -25,11 +25,14 @@ from bayes_aero.diagnosis.selection.forward_selection import (
 )
 from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.structure.unexplained import withdrawn
+from bayes_aero.diagnosis.terms.flown import FlownForms, flown_forms
+from bayes_aero.diagnosis.terms.forms import Forms
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error import fit_cascade
@@ -56,7 +59,8 @@ def search_trajectories(
     """Search in airspeed, alpha, attitude, pitch rate and altitude alone.
 
     Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
-    would be a state of its own: it is tried where something is missing. Structure without a name is not sought.
+    would be a state of its own: it is tried where something is missing. Of structure without a name, terms of the
+    library are sought.
     """
     if why := too_few_windows(records):
         raise InputError(why)
@@ -70,16 +74,33 @@ def search_trajectories(
     found = forward_selection(state, seed=seed, progress=progress)
     if found.state.active:
         found = _with_lag(whole, found, seed, progress) or found
+    left, failures = attempted(
+        "The form of what the catalogue does not explain was not sought",
+        lambda: flown_forms(found, seed=seed + 3000, progress=progress),
+        FlownForms(Forms((), ()), ()),
+    )
+    found = withdrawn(found, left.forms.replaced)
     notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
     if absent := lacking(records, card):
         notes.append(
             f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
-            "trajectories, and structure without a name is not sought."
+            "trajectories. Of structure without a name, terms of the library are sought, and no functions of a channel "
+            "or of time."
         )
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
     stages = ((TRAJECTORIES, found),)
-    return SearchResult(found.state.full, stages, (), noise_of(found, outliers), tuple(notes), testable_now=False)
+    return SearchResult(
+        found.state.full,
+        stages,
+        left.unknown,
+        noise_of(found, outliers),
+        tuple(notes),
+        failures,
+        testable_now=False,
+        terms=left.forms.terms,
+        structures=left.forms.structures,
+    )
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:

@@ -112,6 +112,12 @@ def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[C
     return tuple(dropped)
 
 
+def withdrawn(found: Extension, names: Sequence[str]) -> Extension:
+    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
+    causes = tuple(name for name in found.causes if name not in names)
+    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
+
+
 def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:
     """Deviance of the active effects and the chosen components together, and the number of blocks."""
     wide = with_components(state, (), chosen, state.folds)

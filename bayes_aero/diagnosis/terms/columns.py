@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import noise_channels
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
-from bayes_aero.diagnosis.terms.library import Term, library
+from bayes_aero.diagnosis.terms.library import Signals, Term, library
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.physics.filters import smooth_joined
+from bayes_aero.residuals.added_coefficients import AddedCoefficients
+from bayes_aero.residuals.output_error import OutputError
 
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
 
 
 @dataclass(frozen=True)
 class Column:
-    """A term of one coefficient as these flights show it: `component` has unit root mean square, `scale` is its own."""
+    """A term of one coefficient as these flights show it: `component` is what `scale` times the term adds to the
+    residuals, about as large as these; `spread` is the term's own deviation."""
 
     term: Term
     component: Component
     scale: float
+    spread: float
 
 
 def columns_of(state: SelectionState, coefficient: str) -> list[Column]:
-    """The library's terms in one coefficient, smoothed and averaged over blocks as its residual is."""
+    """The library's terms in one coefficient, as the residuals show them.
+
+    Where these are of coefficients: smoothed and averaged over blocks as the coefficient is, to unit root mean square.
+    Where they are of flights: flown, to first order (see `AddedCoefficients`).
+    """
+    if isinstance(state.responses, OutputError):
+        return _flown(state, coefficient)
     responses = state.responses
     flights, signals = responses.flights, responses.evaluate(state.theta)[1]
-    noise = noise_channels(flights)
-
-    def able(channel: str) -> bool:
-        x = np.asarray(signals[channel]) if channel in signals and channel not in noise else np.zeros(1)
-        return bool(np.ptp(x) > 1e-6 * max(1.0, float(np.abs(x).max())))
-
-    separated = bool(np.min(np.asarray(signals["X"])) < SEPARATES)
-    terms = library(signals, flights.aircraft, able, lateral=coefficient in LATERAL, separated=separated)
+    terms = _terms(state, signals, coefficient)
     ends = tuple(np.asarray(flights.channels[name]) for name in ("first", "last"))
     raw = [smooth_joined(t.evaluate(signals, flights.aircraft), *ends) for t in terms]
     rows = np.asarray(responses.block(np.stack(raw, axis=1)))
@@ -44,5 +49,40 @@ def columns_of(state: SelectionState, coefficient: str) -> list[Column]:
         if size > 0.0:
             basis = np.zeros((len(x), len(state.outputs), 1))
             basis[:, at, 0] = x / size
-            found.append(Column(term, Component(f"{coefficient} over {term.name}", basis), float(size)))
+            found.append(Column(term, _component(coefficient, term, basis), float(size), float(x.std())))
     return found
+
+
+def _flown(state: SelectionState, coefficient: str) -> list[Column]:
+    """Sensitivities of flown residuals, each as large as the residual of the median output, all outputs counted."""
+    assert isinstance(state.responses, OutputError)
+    added = AddedCoefficients(state.responses, state.theta)
+    signals = added.signals()
+    terms = _terms(state, signals, coefficient)
+    series = np.stack([t.evaluate(signals, state.responses.flights.aircraft) for t in terms])
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    slopes = added.slopes(coefficient, series)[:, :, keep]
+    deviation = np.std(state.residual / state.noise_growth, axis=0)
+    scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
+    return [
+        Column(term, _component(coefficient, term, S[:, :, None] / size), float(size), float(x.std()))
+        for term, S, size, x in zip(terms, slopes, scale, series, strict=True)
+        if np.isfinite(size) and size > 0.0
+    ]
+
+
+def _component(coefficient: str, term: Term, basis: Float[np.ndarray, "m c 1"]) -> Component:
+    return Component(f"{coefficient} over {term.name}", basis)
+
+
+def _terms(state: SelectionState, signals: Signals, coefficient: str) -> Sequence[Term]:
+    """Terms that these flights can tell."""
+    flights = state.responses.flights
+    noise = noise_channels(flights)
+
+    def able(channel: str) -> bool:
+        x = np.asarray(signals[channel]) if channel in signals and channel not in noise else np.zeros(1)
+        return bool(np.ptp(x) > 1e-6 * max(1.0, float(np.abs(x).max())))
+
+    separated = bool(np.min(np.asarray(signals["X"])) < SEPARATES)
+    return library(signals, flights.aircraft, able, lateral=coefficient in LATERAL, separated=separated)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, inflation_along
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.structure.components import chance_of, null_shares, share_of, with_components
@@ -36,6 +36,7 @@ class Found:
     inflation: float
     weight: float
     others: tuple[tuple[Term, float], ...]
+    p_value: float
 
 
 def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: int) -> list[Found]:
@@ -56,7 +57,7 @@ def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: i
         if one is None:
             break
         found.append(one)
-    found = _reconsidered(state, found)
+    found = reconsidered(state, found)
     if not found:
         return []
     inflation = max(one.inflation for one in found)
@@ -70,7 +71,7 @@ def gain_of(state: SelectionState, components: Sequence[Component]) -> float:
     return holdout_deviance_gain(wide, wide.columns(), state.columns())
 
 
-def _reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
+def reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
     """The terms that are still worth their place beside all others, with what each gains there."""
     left = list(found)
     for one in found:
@@ -90,7 +91,7 @@ def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Col
     trial = with_components(state, [c.component for c in open_ones], [c.component for c in chosen], state.folds)
     fit = trial.fit()
     order, lost, inflation = _ranked(trial, fit)
-    weights = _weights(lost, [open_ones[j].term.cost for j in order])
+    weights = weights_of(lost, [open_ones[j].term.cost for j in order])
     equal = [i for i in range(len(order)) if lost[i] < settings.ambiguous]
     first = max(equal, key=lambda i: weights[i])
     own = np.concatenate([trial.columns(), trial.component_columns[order[first]]])
@@ -99,11 +100,12 @@ def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Col
         return None
     wider = trial.products.fit(own, trial.mean, trial.precision)
     colour = autocorrelation_of(trial.left(wider), trial.folds)
-    if chance_of(share, null_shares(trial, colour, wider.variance, seed)) > settings.unnamed_false_alarm_rate:
+    p = chance_of(share, null_shares(trial, colour, wider.variance, seed))
+    if p > settings.unnamed_false_alarm_rate:
         return None
     others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
     others.sort(key=lambda other: -other[1])
-    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others))
+    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others), p)
 
 
 def _ranked(trial: SelectionState, fit: Fit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
@@ -127,7 +129,7 @@ def _ranked(trial: SelectionState, fit: Fit) -> tuple[list[int], Float[np.ndarra
     return order, np.array(lost), float(inflation[0])
 
 
-def _weights(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
+def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
     """Posterior probabilities of terms, of which each factor halves the prior one."""
     log = -lost - np.log(2.0) * np.array(costs)
     weights = np.exp(log - log.max())
@@ -139,21 +141,24 @@ def sized(state: SelectionState, found: Sequence[Found]) -> tuple[FoundTerm, ...
     whole = with_components(state, (), [f.column.component for f in found], state.folds)
     fit = whole.fit()
     covariance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))
+    deviation = np.sqrt(np.diag(covariance))[len(fit.columns) - len(found) :]
+    if state.responses.stretch is not None:  # no smaller than the estimates without each stretch scatter
+        between = np.sqrt(np.diag(block_jackknife_covariance(whole, fit)[1]))
+        deviation = np.maximum(deviation, between[len(between) - len(found) :])
     begin, told = len(fit.columns) - len(found), []
     for number, one in enumerate(found):
         at, scale = begin + number, one.column.scale
         coefficient = one.column.component.label.split(" over ")[0]
-        spread = float(np.std(one.column.component.basis[:, state.outputs.index(coefficient), 0])) * scale
         told.append(
             FoundTerm(
                 coefficient=coefficient,
                 term=one.column.term,
-                size=(float(fit.step[at]) / scale, float(np.sqrt(covariance[at, at])) / scale),
+                size=(float(fit.step[at]) / scale, float(deviation[number]) / scale),
                 share=one.share,
                 gain=nats(one.gain, one.inflation),
                 weight=one.weight,
                 others=one.others,
-                least=SWING[coefficient] / max(spread, 1e-12),
+                least=SWING[coefficient] / max(one.column.spread, 1e-12),
             )
         )
     return tuple(told)

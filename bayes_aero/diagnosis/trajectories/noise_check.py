@@ -1,7 +1,7 @@
 """What a diagnosis by trajectories alone has tested: does the simulation miss more than measurement noise?
 
-Structure without a name is not sought along trajectories. Causes that improve the fit explain what the card's model
-gets wrong only as far as nothing is left beside the noise of the sensors, which is an absolute scale.
+Of structure without a name only terms of the library are sought along trajectories. Causes that improve the fit explain
+what the card's model gets wrong only as far as nothing is left beside the noise of the sensors, an absolute scale.
 """
 
 from __future__ import annotations

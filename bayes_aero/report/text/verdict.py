@@ -39,7 +39,7 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
     sought = (
         f"structure outside the catalogue remains{left}"
         if d.unknown
-        else "structure outside the catalogue was not tested"
+        else "no term of the library describes structure outside the catalogue"
     )
     if tested.beyond:
         rest = f"Errors larger than the sensor noise remain ({_remaining(tested)}); {sought}."
