@@ -118,7 +118,7 @@ def _along(
     u = at(inputs, later(inputs, held))  # m w n
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
-    points = _stage_points(system, x, u, h, table)
+    points = stage_points(system, x, u, h, table)[0]
     read = tuple(name for name in outputs if name not in system.state_outputs)
     dynamic, static = eqx.partition(
         system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
@@ -166,10 +166,14 @@ def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
     return jnp.concatenate([jnp.zeros((rows, 0)), *(y.reshape(rows, -1) for y in jax.tree.leaves(tree))], axis=1)
 
 
-def _stage_points(
+def stage_points(
     system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, table: Sequence[Array]
-) -> Float[Array, "m w n s"]:
-    """States at all Runge-Kutta stages, all samples at once."""
+) -> tuple[Float[Array, "m w n s"], Float[Array, "w n s"]]:
+    """States at all Runge-Kutta stages, all samples at once, and those a sample later.
+
+    `u`: inputs at the stages, (m, w, n); `h`: time of a Runge-Kutta step, s; `table`: steps, weights and ends of
+    `stage_table`.
+    """
     slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
 
     def one_stage(carry, stage):
@@ -180,7 +184,8 @@ def _stage_points(
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
         return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
 
-    return jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))[1]
+    (after, *_), points = jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))
+    return points, after
 
 
 def _recurrence(

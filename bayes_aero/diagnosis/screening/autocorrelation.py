@@ -17,7 +17,7 @@ from bayes_aero.inference.variance.autoregression import (
     stationary_series,
 )
 
-TOGETHER = 50  # colours that columns are filtered for at a time
+TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
 
 
 @dataclass(frozen=True)

@@ -238,20 +238,34 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
         return after
 
     theta, (fit, value) = state.theta, _fit_at(state, state.theta, at, folds, (state.residual, state.S[:, :, at]))
-    for _ in range(most):
+    for number in range(most):
+        if number:
+            fit, value = local_fit(state, theta, at, folds)
         if value - fit.deviance < ENOUGH:
             return stepped(1.0)
         for share in (1.0, 0.5, 0.2, 0.05):
             trial = stepped(share)
-            there, lower = local_fit(state, trial, at, folds)
+            lower = _deviance_at(state, trial, at, folds)  # of many trials, few are steps and need derivatives
             if lower < value:
                 break
         else:
             break
-        gained, theta, fit, value = value - lower, trial, there, lower
-        if gained < ENOUGH:
+        theta = trial
+        if value - lower < ENOUGH:
             break
     return theta
+
+
+def _deviance_at(
+    state: SelectionState, theta: Float[np.ndarray, " k"], at: Int[np.ndarray, " a"], folds: Sequence[int]
+) -> float:
+    """The deviance of `local_fit` without its regression, from the residuals alone."""
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    residual = np.asarray(state.responses.evaluate(theta)[0])[:, keep]
+    none = np.arange(0)
+    mean, precision = state.full.prior(at, theta)
+    prior = state.variance_inflation * float(np.sum(precision * mean**2))
+    return _fit_at(state, theta, none, folds, (residual, state.S[:, :, none]))[1] + prior
 
 
 def local_fit(

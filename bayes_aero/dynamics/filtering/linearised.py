@@ -8,8 +8,11 @@ and Filtering Theory*, 1970, ch. 8.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,8 +20,8 @@ from jaxtyping import Array, Float
 from bayes_aero.dynamics.filtering.innovations import Observer, segment_inputs
 from bayes_aero.dynamics.filtering.kalman import discrete_noise, discrete_noise_slopes, outputs_at
 from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
-from bayes_aero.dynamics.system import advance
-from bayes_aero.dynamics.tangent import later
+from bayes_aero.dynamics.system import Row, System
+from bayes_aero.dynamics.tangent import between, later, motion, stage_points, stage_table
 
 
 class Linearised(NamedTuple):
@@ -44,10 +47,13 @@ class Linearised(NamedTuple):
 
 
 class StateDerivatives(NamedTuple):
-    """Derivatives by the state: of the outputs before a correction, and of the next state after it."""
+    """Derivatives by the state: of the outputs before a correction, of the next state after it, and of the motion at
+    the m Runge-Kutta stages between the samples, with the states there."""
 
     matrix: Float[Array, "w n c s"]
     transition: Float[Array, "w n s s"]
+    points: Float[Array, "m w n s"]
+    motion: Float[Array, "m w n s s"]
 
 
 def state_derivatives(
@@ -55,12 +61,16 @@ def state_derivatives(
 ) -> StateDerivatives:
     """Derivatives by the state of all samples at once, at parameters `theta`."""
     prepared = prepare(flown, theta)
-    along = lambda e: jax.jvp(  # noqa: E731
-        lambda *x: _along(flown, prepared, *x),
-        (before, after),
-        tuple(jnp.broadcast_to(e, x.shape) for x in (before, after)),
-    )[1]
-    return StateDerivatives(*jax.vmap(along, out_axes=-1)(jnp.eye(before.shape[-1])))
+    unit = jnp.eye(before.shape[-1])
+    points, now = _stages(flown, prepared, after)[0], _at_stages(flown, prepared.drives)
+
+    def slopes(f):
+        return lambda x, u: jax.vmap(jax.linearize(lambda x: f(prepared.sensed, x, u), x)[1], out_axes=-1)(unit)
+
+    matrix = _each_sample(slopes(partial(outputs_at, names=flown.outputs)))(before, prepared.drives)
+    rates = jax.lax.map(lambda row: _each_sample(slopes(_rate))(*row), (points, now))
+    transition = _moved(flown, rates, jnp.zeros_like(rates), jnp.broadcast_to(unit, rates.shape[1:]))
+    return StateDerivatives(matrix, transition, points, rates)
 
 
 def linearise(
@@ -75,26 +85,45 @@ def linearise(
 
     `known`: the derivatives by the state, where they were computed before.
     """
+    known = known or state_derivatives(flown, theta, before, after)
+    at = prepare(flown, theta)
+    dynamic, static = eqx.partition(at.sensed, eqx.is_inexact_array)
 
     def by_parameters(theta):
         prepared = prepare(flown, theta)
-        *_, true, _ = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
-        outputs, ahead = _along(flown, prepared, before, after)
-        return true - outputs, ahead, prepared.initial_states, prepared.scale
+        *_, true, scale = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
+        own = eqx.filter(prepared.sensed, eqx.is_inexact_array)
+        return true, prepared.initial_states, scale, own, prepared.drives
 
-    matrix, transition = known or state_derivatives(flown, theta, before, after)
-    found, drives = jax.vmap(lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1))(directions)
-    (residual, ahead, begin, scale), (deviation, drive, begin_drive, scale_drive) = found, drives
+    (true, begin, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
+        lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1)
+    )(directions)
+
+    def drives(f):
+        """Derivatives of f at a state in all directions, by the system's numbers and the inputs."""
+
+        def along(x, u, du):
+            slope = jax.linearize(lambda own, u: f(eqx.combine(own, static), x, u), dynamic, u)[1]
+            return jax.vmap(slope, -1, -1)(of_system, du)
+
+        return _each_sample(along)
+
+    outputs = partial(outputs_at, names=flown.outputs)
+    direct = drives(outputs)(before, at.drives, of_drives)
+    stages = (_at_stages(flown, y) for y in (at.drives, of_drives))
+    rates = jax.lax.map(lambda row: drives(_rate)(*row), (known.points, *stages))
+    drive = _moved(flown, known.motion, rates, jnp.zeros(rates.shape[1:]))
+    modelled = _each_sample(partial(outputs, at.sensed))(before, at.drives)
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
     return Linearised(
         before,
         after,
-        ahead,
-        transition,
+        _stages(flown, at, after)[1],
+        known.transition,
         drive,
-        residual,
-        finite(matrix),
-        -finite(deviation),
+        true - modelled,
+        finite(known.matrix),
+        finite(direct - true_drive),
         begin,
         begin_drive,
         scale,
@@ -102,14 +131,39 @@ def linearise(
     )
 
 
-def _along(flown: SegmentTrajectories, prepared: Prepared, before: Array, after: Array) -> tuple[Array, Array]:
-    """Outputs at `before`, and the state a sample after `after`."""
-    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], after.shape[:2])
-    each = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
-    outputs = each(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs))
-    move = each(lambda x, now, then, dt: advance(prepared.sensed, x, now, then, dt, flown.substeps))
-    now = prepared.drives
-    return outputs(before, now), move(after, now, later(now, flown.held), dt)
+def _each_sample(f: Callable[..., Array]) -> Callable[..., Array]:
+    return jax.vmap(jax.vmap(f))
+
+
+def _rate(system: System, x: Array, u: Row) -> Array:
+    return motion(system, x, u)[0]
+
+
+def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str, Array]:
+    """Inputs (w, n, ...) at every Runge-Kutta stage between the samples, (m, w, n, ...)."""
+    first = {name: jnp.moveaxis(x, 1, -1) for name, x in drives.items()}
+    then = {name: jnp.moveaxis(x, -1, 1) for name, x in later(first, flown.held).items()}
+    return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
+
+
+def _stages(flown: SegmentTrajectories, prepared: Prepared, after: Float[Array, "w n s"]) -> tuple[Array, Array]:
+    """States at every Runge-Kutta stage of the way from `after` to the next sample, (m, w, n, s), and there."""
+    table, h = stage_table(flown.substeps), (jnp.asarray(flown.dt) / flown.substeps)[:, None, None]
+    return stage_points(prepared.sensed, after, _at_stages(flown, prepared.drives), h, table[1:])
+
+
+def _moved(
+    flown: SegmentTrajectories, A: Float[Array, "m w n s s"], b: Float[Array, "m w n s d"], dx: Float[Array, "w n s d"]
+) -> Float[Array, "w n s d"]:
+    """A small change of the state one sample later, from the derivatives of the motion at every stage."""
+    h = (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None]
+    slope = lambda i, x: jnp.sum(A[i][..., None] * x[..., None, :, :], axis=-2) + b[i]  # noqa: E731
+    for i in range(0, len(A), 4):
+        k1 = slope(i, dx)
+        k2 = slope(i + 1, dx + 0.5 * h * k1)
+        k3 = slope(i + 2, dx + 0.5 * h * k2)
+        dx = dx + h / 6.0 * (k1 + 2.0 * (k2 + k3) + slope(i + 3, dx + h * k3))
+    return dx
 
 
 def observer_derivatives(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
