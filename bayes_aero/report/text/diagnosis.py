@@ -153,12 +153,14 @@ def _minor(d: Diagnosis) -> list[str]:
 
 
 def _unknown(d: Diagnosis) -> list[str]:
+    """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
+    none = "explains this" if d.tested is None else "passes its own test along the trajectories"
     return [
         f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
         f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
         if u.rivals
         else f"Unexplained: {u.coefficient} still depends on {u.channel} ({u.share:.0%} of the remaining variance), "
-        "and no effect of the catalogue explains this."
+        f"and no effect of the catalogue {none}."
         for u in d.unknown
     ]
 
