@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.filtering.linearised import Disturbances, Linearised, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.filtering.linear_innovations import Disturbances, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.filtering.linearised import Linearised
 
 W, N, S, C, M = 2, 40, 3, 4, 5  # segments, samples, states, outputs, directions
 DT = jnp.array([0.04, 0.05])

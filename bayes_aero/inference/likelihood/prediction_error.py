@@ -21,12 +21,8 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.dynamics.filtering.innovations import filter_segments
 from bayes_aero.dynamics.filtering.kalman import Filtered, log_likelihood
-from bayes_aero.dynamics.filtering.linearised import (
-    disturbances_along,
-    linear_innovations,
-    linearise,
-    noise_derivatives,
-)
+from bayes_aero.dynamics.filtering.linear_innovations import disturbances_along, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.filtering.linearised import linearise
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.signals import quantum
 from bayes_aero.inference.likelihood.fisher_scoring import Evaluation, covariance_of, minimise
