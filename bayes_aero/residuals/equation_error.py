@@ -67,8 +67,10 @@ class EquationError(Blockwise, eqx.Module):
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        linearised = _linearise if np.any(directions[:, list(self.measuring)]) else _linearise_flow
-        residual, slope = linearised(self._nameless, jnp.asarray(theta), jnp.asarray(directions))
+        measuring = np.any(directions[:, list(self.measuring)])
+        nothing = np.zeros_like(directions)
+        both = (directions, nothing) if measuring else (nothing, directions)
+        residual, slope = _linearise(self._nameless, jnp.asarray(theta), *map(jnp.asarray, both))
         return np.asarray(residual), np.asarray(slope)
 
     def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
@@ -148,14 +150,13 @@ _evaluate = eqx.filter_jit(_residuals)
 
 
 @eqx.filter_jit
-def _linearise(responses: EquationError, theta, directions):
+def _linearise(responses: EquationError, theta, measuring, flowing):
+    """Slopes in directions that change the measured coefficients, plus those in directions that do not.
+
+    One program for both: most of it is the same, and directions of zeros cost nothing.
+    """
     residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
-    return residual, _along(lambda d: -slope(d), directions)
-
-
-@eqx.filter_jit
-def _linearise_flow(responses: EquationError, theta, directions):
-    """As `_linearise`, in directions that do not change the measured coefficients."""
+    whole = _along(lambda d: -slope(d), measuring)
     f, model = responses.flights, responses.model
     values = model.values(theta)
     signals, aircraft = _corrected_signals(responses, values, f.channels)
@@ -165,14 +166,10 @@ def _linearise_flow(responses: EquationError, theta, directions):
     def flow(t):
         return _modelled(responses, model.values(t), signals, aircraft)[0] * factors
 
-    def blocks(coefficients):
-        return responses.block(f.smoothed(coefficients))
-
-    _, slope = jax.linearize(flow, theta)
-    coefficients_alone = _along(lambda d: blocks(slope(d)), directions)
-    residual = _residuals(responses, theta)[0]
+    _, change = jax.linearize(flow, theta)
+    coefficients = _along(lambda d: responses.block(f.smoothed(change(d))), flowing)
     others = residual.shape[1] - len(model.coefficients)
-    return residual, jnp.pad(coefficients_alone, ((0, 0), (0, 0), (0, others)))
+    return residual, whole + jnp.pad(coefficients, ((0, 0), (0, 0), (0, others)))
 
 
 def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.in_band.fit import band_of, causes_in_band
+from bayes_aero.diagnosis.in_band.fit import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.report.design.in_band import in_band_sentences
 from bayes_aero.simulate.injection import flyable
 
@@ -55,6 +55,17 @@ def test_a_size_that_is_not_in_the_band_is_told(hidden):
     assert one.apart > 3.0
     shown = causes_in_band(replace(found, causes=(replace(cause, parameters={"Cmadot": off}),)))
     assert "a drift or a slow model error has a part in it" in in_band_sentences(shown)[0]
+
+
+def test_an_error_of_a_sensor_that_was_found_before_keeps_its_value(hidden):
+    """It is no candidate of the coefficients, and the model in the band has it all the same."""
+    state = hidden[1].aerodynamics.state
+    theta = state.theta.copy()
+    theta[state.full.columns(["accel_z_bias"])] = 0.3
+    model, start = with_sensor_errors_held(replace(state, theta=theta))
+    assert model.values(start)["accel_z_bias"] == 0.3
+    assert "accel_z_bias" not in model.names
+    assert set(model.names) == {p for n in (*state.full.base, *state.active) for p in state.full.parameters_of(n)}
 
 
 def test_without_causes_there_is_nothing_to_fit(hidden):

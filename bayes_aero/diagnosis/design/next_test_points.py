@@ -17,7 +17,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.design.information import Information, Noise, Signals, noise_of, signals_of
 from bayes_aero.diagnosis.design.separating import NOT_BY_HAND, candidates_of, worth_of
-from bayes_aero.diagnosis.design.standard import Linearised, Standard, flights_of, on_record, standard
+from bayes_aero.diagnosis.design.standard import Linearised, Standard, of_records, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.effect import Effect
@@ -137,8 +137,7 @@ def next_test_points(
     flown = state if theta is None else replace(state, theta=theta)
     variants = variants_of(flown, names, envelope)
     noise = noise_of(state)
-    own = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
-    records = on_record(state, variants[0].model, flights_of(state), own, chosen, noise)
+    records = of_records(state, chosen, noise)
     questions = tuple(_ambiguity(records, members, sizes, state.active) for members, sizes in sets.items())
     possible = possible_points(state, variants, chosen, noise, envelope)
     present = records.information()

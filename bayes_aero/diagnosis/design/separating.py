@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from bayes_aero.diagnosis.design.information import Information, Pair, columns_of, noise_of, signals_of
-from bayes_aero.diagnosis.design.standard import Standard, flights_of, on_record, standard
+from bayes_aero.diagnosis.design.standard import Standard, of_records, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.effect import Effect
@@ -81,8 +81,7 @@ def separating(
     if flights is None:
         flights = standard(state, names, amplitude=amplitude)
     noise, worth = noise_of(state), worth_of(chosen, sizes)
-    theta = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
-    records = on_record(state, flights.model, flights_of(state), theta, chosen, noise)
+    records = of_records(state, chosen, noise)
     present, own = records.information(), signals_of(records.state, chosen, worth)
     found = []
     for name, record in flights.flown.items():

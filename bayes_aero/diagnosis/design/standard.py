@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.design.information import Information, Noise, information_of
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
@@ -22,6 +23,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.physics.atmosphere import altitude_of_density
 from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import flight_path
 
 BEGINNING = 2.0  # s of the record whose means are the flight condition
 
@@ -144,6 +146,14 @@ class Linearised:
         return information_of(self.state, self.noise, self.chosen, blocks)
 
 
+def of_records(state: SelectionState, chosen: Sequence[Effect], noise: Noise) -> Linearised:
+    """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
+    flights_of(state)
+    full = replace(state.full, candidates=tuple(chosen))
+    known = state if state.outputs == noise.outputs else None
+    return _linearised(replace(state, full=full), state.theta, noise, known)
+
+
 def on_record(
     state: SelectionState,
     model: Model,
@@ -153,11 +163,21 @@ def on_record(
     noise: Noise,
 ) -> Linearised:
     """The problem linearised on a record at `theta`, in which the `chosen` effects are candidates."""
-    active = tuple(e for e in state.active if e not in {c.name for c in chosen})
+    path = tuple(name for name in noise.outputs if name not in model.coefficients)
+    responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
+    seen = noise.of((*model.coefficients, *flight_path(flights)))  # with wings level: nothing of sideslip and bank
     full = replace(state.full, model=model, candidates=tuple(chosen))
-    at = np.array([theta[name] for name in model.names])
-    responses = EquationError.of(flights, model)
-    noise = noise.of(responses.outputs)  # a manoeuvre with wings level says nothing of sideslip and bank
-    there = linearised(full, responses, noise.outputs, at, active, variance_inflation=state.variance_inflation)
-    X = np.asarray(there.responses.block(there.responses.evaluate(jnp.asarray(at))[1]["X"]))
-    return Linearised(replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, tuple(chosen))
+    there = replace(state, full=full, responses=responses)
+    return _linearised(there, np.array([theta[name] for name in model.names]), seen)
+
+
+def _linearised(
+    state: SelectionState, theta: Float[np.ndarray, " k"], noise: Noise, known: SelectionState | None = None
+) -> Linearised:
+    """Model, candidates and record of `state` at `theta`; what is `known` there is not computed again."""
+    full, responses = state.full, state.responses
+    active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
+    inflation = state.variance_inflation
+    there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
+    X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
+    return Linearised(replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates)

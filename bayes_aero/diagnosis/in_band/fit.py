@@ -6,6 +6,7 @@ their values. An effect that only a drift or a slow model error has made is smal
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,11 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.design.standard import flights_of, narrowed
 from bayes_aero.diagnosis.in_band.result import CausesInBand, SizeInBand
 from bayes_aero.diagnosis.result import COEFFICIENTS, Diagnosis
-from bayes_aero.diagnosis.selection.cross_validation import truncated
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.frequency.fit import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
 from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.frequency_error import Band, FrequencyError, sampling_times
 
 PERIODS = 2.0  # of the lowest frequency in the shortest manoeuvre
@@ -37,20 +37,16 @@ def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | Non
     wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None
-    state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
+    state = diagnosis.aerodynamics.state
     wanted = {p: c for p, c in wanted.items() if c.name in state.active}
-    values = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
-    model = narrowed(state, ())
-    free = {p for name in state.full.base for p in state.full.parameters_of(name)} | set(wanted)
-    held = {p.name: values[p.name] for p in model.free if p.name not in free}
-    model = replace(model, fixed=(*model.fixed, *held.items()))
+    model, start = with_sensor_errors_held(state)
     flights = flights_of(state)
     band = band_of(flights)
-    responses, start = FrequencyError.in_band(flights, model, band), np.array([values[n] for n in model.names])
+    responses = FrequencyError.in_band(flights, model, band)
     fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free, seed=seed)
     if not fit.converged:
         return CausesInBand(band, (), tuple(wanted), converged=False)
-    shared = _shared(fit, flights, model, start)
+    shared = _shared(fit, state, model.names)
     sizes = []
     for name, cause in wanted.items():
         if name in fit.names:
@@ -62,6 +58,17 @@ def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | Non
     return CausesInBand(band, tuple(sizes), tuple(n for n in wanted if n not in fit.names), converged=True)
 
 
+def with_sensor_errors_held(state: SelectionState) -> tuple[Model, Float[np.ndarray, " k"]]:
+    """The model of the coefficients, and the values of its free parameters (k,). Sensor errors keep their values."""
+    values = dict(zip(state.full.model.names, map(float, state.theta), strict=True))
+    free = {p for name in (*state.full.base, *state.active) for p in state.full.parameters_of(name)}
+    away = {name for name, by in zip(values, state.departure, strict=True) if by != 0.0}
+    model = narrowed(state, [e.name for e in state.full.model.effects if any(p.name in away for p in e.parameters)])
+    held = {p.name: values[p.name] for p in model.free if p.name not in free}
+    model = replace(model, fixed=(*model.fixed, *held.items()))
+    return model, np.array([values[name] for name in model.names])
+
+
 def _sd_of_difference(time: float, band: float, shared: float) -> float:
     """Of an estimate and one that rests on a part of its data, as `beside_time_domain` has it.
 
@@ -71,14 +78,14 @@ def _sd_of_difference(time: float, band: float, shared: float) -> float:
     return float(np.sqrt(max(time**2 + band**2 - 2.0 * shared, least)))
 
 
-def _shared(fit: FrequencyFit, flights: Flights, model: Model, theta: Float[np.ndarray, " k"]) -> np.ndarray:
-    """Covariance of each estimate with that of the whole record, (k,)."""
-    whole = EquationError(flights, model, (), ())
-    residual, S = whole.linearise(theta)
+def _shared(fit: FrequencyFit, state: SelectionState, names: Sequence[str]) -> np.ndarray:
+    """Covariance of each estimate with that of the whole record, in which the parameters `names` are free; (k,)."""
+    outputs = [state.outputs.index(name) for name in fit.inner]
+    residual, S = state.residual[:, outputs], state.S[:, outputs][:, :, state.full.columns(names)]
     R = np.mean(np.square(residual), axis=0)
     _, D = cramer_rao(S, R)
-    blocks = sum(flights.lengths) / len(residual)
-    place = [model.names.index(name) for name in fit.names]
+    blocks = sum(state.responses.flights.lengths) / len(residual)
+    place = [names.index(name) for name in fit.names]
     inner = sum(of / r for of, r in zip(fit.inner.values(), R, strict=True)) / blocks
     return np.nan_to_num(np.diag(D[np.ix_(place, place)] @ inner @ fit.corrected))
 

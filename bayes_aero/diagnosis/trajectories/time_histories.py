@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.selection.residuals import theil_parts
 from bayes_aero.diagnosis.trajectories.results import Error, Path
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
-from bayes_aero.inference.likelihood.output_error import trajectories
+from bayes_aero.inference.likelihood.output_error import one_by_one, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.threads import cores
 from bayes_aero.model.joined_channels import Flights
@@ -62,15 +62,12 @@ def simulated(
     draws: Float[np.ndarray, "m k"] | None = None,
 ) -> list[Path]:
     """The same with given parameters; with `draws` of them, too, the chance to stay inside the tolerances."""
-    shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
-    wide, theta = replace(flown, outputs=shown), jnp.asarray(estimate)
+    shown, every = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure))
     paths = []
-    for row in map(int, np.flatnonzero(flown.inside.any(axis=1))):
-        alone = wide.part([row])
-        found = trajectories(alone, theta, jnp.asarray(departure[[row]]))
+    for row, found in every.items():
         keep = flown.inside[row]
         measured, residual = np.asarray(found.measured[0])[keep], np.asarray(found.residual[0])[keep]
-        chance = {} if draws is None else _probabilities(alone, draws, tolerances)
+        chance = {} if draws is None else _probabilities(replace(flown, outputs=shown).part([row]), draws, tolerances)
         errors = {
             name: _error(measured[:, c], residual[:, c], tolerances.get(name), chance.get(name))
             for c, name in enumerate(shown)

@@ -36,6 +36,19 @@ def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departur
     return _simulate(flown.nameless, theta, departure)
 
 
+def one_by_one(
+    flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]
+) -> tuple[tuple[str, ...], dict[int, Simulated]]:
+    """Names of all recorded outputs, and `trajectories` with them of each segment that has samples.
+
+    One program serves any number of segments and any choice of outputs.
+    """
+    shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
+    wide = replace(flown, outputs=shown)
+    rows = map(int, np.flatnonzero(flown.inside.any(axis=1)))
+    return shown, {row: trajectories(wide.part([row]), theta, departure[row : row + 1]) for row in rows}
+
+
 def fit_output_error(
     flown: SegmentTrajectories,
     *,

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
 
-from bayes_aero.inference.likelihood.output_error import trajectories
+from bayes_aero.inference.likelihood.output_error import one_by_one
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 
 MAX_GROWTH = 30.0  # noise added at full separation, in units of the noise of attached flow; our choice
@@ -34,13 +34,17 @@ class SeparatedFlow:
         if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
             return None
         flown = fit.flown
-        found = trajectories(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
-        if "X" not in found.trajectory.outputs:
+        shown, found = one_by_one(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
+        if not all("X" in one.trajectory.outputs for one in found.values()):
             return None
-        separated = np.clip(1.0 - np.asarray(found.trajectory.outputs["X"]), 0.0, 1.0)
+        residual, separated = np.zeros((*flown.inside.shape, len(flown.outputs))), np.zeros(flown.inside.shape)
+        at = [shown.index(name) for name in flown.outputs]
+        for row, one in found.items():
+            residual[row] = np.asarray(one.residual[0])[:, at]
+            separated[row] = np.clip(1.0 - np.asarray(one.trajectory.outputs["X"][0]), 0.0, 1.0)
         if np.ptp(separated[flown.inside]) < MIN_X_RANGE:
             return None
-        return cls(np.asarray(found.residual), separated, flown.inside)
+        return cls(residual, separated, flown.inside)
 
     def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
         """b of every output, (c,), from all segments or from all but one."""
