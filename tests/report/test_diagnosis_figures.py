@@ -162,6 +162,19 @@ def test_a_cause_of_two_parameters_has_a_row_for_each_in_a_file_and_one_for_peop
     assert row[2].split("; ")[1] == f"other {size_text(3.0 * size.mean, size.sd, size.unit)}"
 
 
+def test_of_six_coefficients_a_terminal_shows_the_three_that_change_most(diagnosed):
+    cause = diagnosed.view.diagnosis.causes[0]
+    score = next(iter(cause.gain.before.values()))
+    change = {"CL": 0.01, "CD": 0.3, "Cm": 0.0, "CY": -0.2, "Cl": float("nan"), "Cn": 0.1}
+    before = {name: replace(score, r2=0.5) for name in change}
+    after = {name: replace(score, r2=0.5 + by) for name, by in change.items()}
+    six = replace(cause, gain=replace(cause.gain, before=before, after=after))
+    table = causes_table(replace(diagnosed.view.diagnosis, causes=(six,)))
+    heads = [str(column.header) for column in table.terminal().columns]
+    assert [h for h in heads if h.startswith("R²")] == ["R² CD", "R² CY", "R² Cn"]
+    assert {f"{name}_r2_after" for name in change} <= set(table.frame())
+
+
 def test_without_a_cause_sentences_say_so(nothing):
     assert causes_table(nothing.diagnosis).frame().empty
     assert sentences(nothing)[0].startswith("No significant model error")

@@ -56,6 +56,8 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
         misses == "Removing thrust_moment and thrust_lift degrades the prediction of hold-out trajectories (least for "
         "thrust_lift, by 91 ± 21 nats)."
     )
+    (alone,) = cause_sentences(replace(simulated, asked=Confirmation(("thrust_lift",), {"thrust_lift": (91.0, 20.7)})))
+    assert alone.endswith("degrades the prediction of hold-out trajectories (by 91 ± 21 nats).")
     assert "the extended model (without thrust_scale) changes the RMS error" in simulation_gain(asked)
     lagged = replace(asked, lag=LagTest("separation_lag", 25.4, True, (62.1, 15.5)))
     both_told = "the extended model (with separation_lag and without thrust_scale) changes the RMS error"

@@ -144,7 +144,7 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
             page_table(causes_table(d)),
         ]
     else:
-        blocks.append(Text("No cause is named. The leading candidates:"))
+        blocks.append(Text("No cause is named."))
     if d.minor:
         verb = "were" if len(d.minor) > 1 else "was"
         text = f"{several(d.minor)} {verb} in the model during the selection"

@@ -17,6 +17,7 @@ SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
     "block": "each block of the manoeuvre predicted from the others",
 }
+ON_A_TERMINAL = 3  # coefficients whose R² fit in 80 columns: those that change most
 NAMED_IF = (
     "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
     "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
@@ -32,13 +33,18 @@ def causes_table(d: Diagnosis) -> Table:
 
     def score(name: str, kind: str) -> Column:
         files = tuple(f"{name}_{kind}_{when}" for when in ("before", "after"))
-        head = f"R² {name}" if d.by_coefficients and kind == "r2" else None
+        head = f"R² {name}" if kind == "r2" and name in shown else None
         return column(lambda c: _change(c, name, kind), files, None, head, ".2f")
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
+    shown = (
+        sorted(names, key=lambda name: -_largest_change(d.causes, name))[:ON_A_TERMINAL] if d.by_coefficients else ()
+    )
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
     rivals = None if d.by_coefficients else "rivals"
     terminal_title, terminal_note = _on_a_terminal(d)
+    if 0 < len(shown) < len(names):
+        terminal_note = f"R² of the {len(shown)} coefficients that change most. {terminal_note}"
     return Table(
         [
             Column(range(1, len(d.causes) + 1), "order"),
@@ -114,6 +120,12 @@ def _change(c: Cause, name: str, kind: str) -> Change | None:
     if name not in c.gain.before:
         return None
     return Change(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
+
+
+def _largest_change(causes: Sequence[Cause], name: str) -> float:
+    """Of R² of a coefficient on hold-out data, by any of the causes."""
+    pairs = [(x.before, x.after) for x in (_change(c, name, "r2") for c in causes) if x is not None]
+    return max((float(np.nan_to_num(abs(b - a))) for a, b in pairs if a is not None and b is not None), default=0.0)
 
 
 def changes_table(d: Diagnosis) -> Table:

@@ -133,7 +133,8 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     if kept:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
-        listed = f" (least for {least}, by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        least_of = f"least for {least}, " if len(kept) > 1 else ""
+        listed = f" ({least_of}by {missed[least][0]:.0f} ± {missed[least][1]:.0f} nats)" if least else ""
         sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
     return sentences
 
