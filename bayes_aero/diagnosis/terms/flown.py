@@ -146,9 +146,7 @@ def _next(
     return None
 
 
-def _screened(
-    state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], noise: SharedNoise
-) -> _Trial:
+def _screened(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], noise: SharedNoise) -> _Trial:
     left = [c for c in columns if c not in chosen]
     trial = with_components(state, [c.component for c in left], [c.component for c in chosen], state.folds)
     fit = trial.fit()
