@@ -7,8 +7,8 @@ q c/V, elevator and thrust coefficient, such a product times 1 - X, or a break o
 With `--silent` nothing is hidden. With `--without-accelerometers` the records have none, and the diagnosis is by
 trajectories; in the set are then also terms of other coefficients that fly as well. With `--gusts` (their deviation,
 m/s) the flights are two minutes of an HFB 320 by a simulator that shares no code (`tests/gusty_flight.py`), the flow
-attached, thrust constant, derivatives drawn within 10 %; the diagnosis is by innovations, without hold-out gains. The
-sampled sets of terms are counted beside the forward selection. One line of OUT/terms.jsonl each; goes on where it
+attached, thrust constant, derivatives drawn within 10 %; the term is a product with q c/V or elevator in it; the
+diagnosis is by innovations, without hold-out gains. The sampled sets of terms are counted beside the forward selection. One line of OUT/terms.jsonl each; goes on where it
 stopped.
 """
 
@@ -124,9 +124,11 @@ def gusty_case(seed: int, silent: bool, gusts: float) -> dict[str, Any]:
     """Draw, fly in gusts and diagnose by innovations."""
     rng = np.random.default_rng([seed, 37])
     truth = {name: x * (1.0 + rng.uniform(-0.1, 0.1)) for name, x in TRUTH.items()}
-    while True:
+    while True:  # of alpha alone the catalogue bends lift, drag and moment itself
         coefficient, name, values = draw(rng)
-        if "unlisted_separated" not in values and not values.get("unlisted_power_CT"):
+        powers = {power: values.get(power, 0.0) for power in POWERS}
+        still = "unlisted_separated" in values or powers["unlisted_power_CT"] > 0.0
+        if not still and powers["unlisted_power_qhat"] + powers["unlisted_power_elevator"] > 0.0:
             break
     given = {"gust": {"w": gusts, "u": gusts}, "truth": truth, "beyond": added({} if silent else values)}
     flights = [gusty_flight(int(own), **given) for own in rng.integers(0, 2**31, 2)]

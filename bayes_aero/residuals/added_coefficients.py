@@ -26,7 +26,6 @@ from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.residuals.base import DIRECTIONS_PER_CALL
 from bayes_aero.residuals.output_error import OutputError
 
-
 Signals = Mapping[str, np.ndarray]
 Made = Callable[[Signals], Float[np.ndarray, "d n"]]
 """Functions of the flight: d series of one value for every sample, from its signals."""

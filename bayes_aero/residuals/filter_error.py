@@ -28,7 +28,6 @@ from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.residuals.output_error import OutputError
 
-
 PART = 5.0  # s; our choice: some twenty neighbouring innovations and more, and a minute has a dozen parts
 
 
@@ -118,6 +117,7 @@ class FilterError(OutputError):
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
         nameless, at = self.nameless, jnp.asarray(theta)
+        assert isinstance(nameless, FilterError)
         path, known = self.path_at(theta)
 
         def slopes(directions):
@@ -128,7 +128,9 @@ class FilterError(OutputError):
 
     def path_at(self, theta: Float[np.ndarray, " k"]) -> tuple[Observed, StateDerivatives]:
         """The path of the observer at these parameters, and derivatives by the state along it."""
-        return _path(self.nameless, jnp.asarray(theta))
+        nameless = self.nameless
+        assert isinstance(nameless, FilterError)
+        return _path(nameless, jnp.asarray(theta))
 
     def whitened(self, theta: Any, e: Float[Array, "w n c d"]) -> Float[Array, "m c d"]:
         """Changes of the innovations as they change the residuals."""
