@@ -8,8 +8,8 @@ With `--silent` nothing is hidden. With `--without-accelerometers` the records h
 trajectories; in the set are then also terms of other coefficients that fly as well. With `--gusts` (their deviation,
 m/s) the flights are two minutes of an HFB 320 by a simulator that shares no code (`tests/gusty_flight.py`), the flow
 attached, thrust constant, derivatives drawn within 10 %; the term is a product with q c/V or elevator in it; the
-diagnosis is by innovations, without hold-out gains. The sampled sets of terms are counted beside the forward selection. One line of OUT/terms.jsonl each; goes on where it
-stopped.
+diagnosis is by innovations, without hold-out gains. The sampled sets of terms are counted beside the forward selection.
+One line of OUT/terms.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -122,6 +122,14 @@ def added(values: dict[str, float]) -> Added:
 
 def gusty_case(seed: int, silent: bool, gusts: float) -> dict[str, Any]:
     """Draw, fly in gusts and diagnose by innovations."""
+    hidden, records = in_gusts(seed, silent, gusts)
+    began = time.perf_counter()
+    found = diagnose(records, read_card("hfb320"), seed=seed, process_noise=True, gains_wanted=False)
+    return row(found, seed, "gusts", None if silent else hidden, began)
+
+
+def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[tuple[str, str, dict[str, float]], list[FlightRecord]]:
+    """A term as of `draw`, and two flights in gusts with it or (`silent`) without."""
     rng = np.random.default_rng([seed, 37])
     truth = {name: x * (1.0 + rng.uniform(-0.1, 0.1)) for name, x in TRUTH.items()}
     while True:  # of alpha alone the catalogue bends lift, drag and moment itself
@@ -132,10 +140,7 @@ def gusty_case(seed: int, silent: bool, gusts: float) -> dict[str, Any]:
             break
     given = {"gust": {"w": gusts, "u": gusts}, "truth": truth, "beyond": added({} if silent else values)}
     flights = [gusty_flight(int(own), **given) for own in rng.integers(0, 2**31, 2)]
-    records = [replace(flight, name=f"run{k}") for k, flight in enumerate(flights, 1)]
-    began = time.perf_counter()
-    found = diagnose(records, read_card("hfb320"), seed=seed, process_noise=True, gains_wanted=False)
-    return row(found, seed, "gusts", None if silent else (coefficient, name, values), began)
+    return (coefficient, name, values), [replace(flight, name=f"run{k}") for k, flight in enumerate(flights, 1)]
 
 
 def case(seed: int, silent: bool, bare: bool) -> dict[str, Any]:
