@@ -28,7 +28,7 @@ import numpy as np
 from resumed import resumed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from gusty_flight import CHORD, TRUTH, gusty_flight
+from gusty_flight import CHORD, TRUTH, V0, gusty_flight
 from gusty_flight import Beyond as Added
 
 from bayes_aero.diagnosis.diagnose import diagnose
@@ -105,12 +105,13 @@ def without_accelerometers(record: FlightRecord) -> FlightRecord:
 
 
 def added(values: dict[str, float]) -> Added:
-    """What a term of `UNLISTED` without separation or thrust adds to CL, CD and Cm, by plain arithmetic."""
+    """What a term of `UNLISTED` without separation or thrust adds to CL, CD and Cm, by plain arithmetic; the rate is
+    q c/(2 V0), as on the card of the HFB 320."""
     v = dict.fromkeys(_OWN, 0.0) | values
 
-    def beyond(V: float, alpha: float, q: float, elevator: float, _: float) -> tuple[float, float, float]:
+    def beyond(_V: float, alpha: float, q: float, elevator: float, _: float) -> tuple[float, float, float]:
         x = v["unlisted_product"]
-        for factor, power in zip((alpha, q * CHORD / V, elevator), POWERS, strict=False):
+        for factor, power in zip((alpha, q * CHORD / (2.0 * V0), elevator), POWERS, strict=False):
             x = x * factor ** v[power]
         x += v["unlisted_break"] * max(alpha - v["unlisted_at"], 0.0)
         x += v["unlisted_bump"] * np.exp(-0.5 * ((alpha - v["unlisted_at"]) / 0.03) ** 2)

@@ -5,12 +5,15 @@ The filter stands at the truth of the simulator (`gusty_flight`, which shares no
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
 from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -43,19 +46,24 @@ def card():
     return read_card("hfb320")
 
 
+def followed(card, records, known, noise) -> tuple[FilterError, np.ndarray]:
+    """The innovations of records, at `known` parameters and deviations of the sensors' `noise`."""
+    flights = join(records, card, FLIGHT)
+    flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
+    theta = np.array([known.get(p.name, p.start) for p in flown.dynamics.free])
+    R = np.array([noise[name] for name in flown.outputs]) ** 2
+    sd = np.array([noise[name] if name in FLIGHT else 0.0 for name in flown.dynamics.states])
+    found = eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, MOVED * sd, R)
+    return FilterError.after(flown, theta, R, found, flown.dynamics), theta
+
+
 def in_gusts(card, truth=None, seconds=60.0, seeds=TWO) -> tuple[FilterError, np.ndarray]:
     """The innovations of flights, at the values of the simulator without `truth`."""
     records = [gusty_flight(seed, gust=GUST, truth=truth, seconds=seconds) for seed in seeds]
     records = [replace(r, name=f"run{k}") for k, r in enumerate(records)]
-    flights = join(records, card, FLIGHT)
-    flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
     known = TRUTH | {"vertical_gust": GUST["w"], "longitudinal_gust": GUST["u"]}
     known |= {f"{name}_gust_length": LENGTH for name in ("vertical", "longitudinal")}
-    theta = np.array([known.get(p.name, p.start) for p in flown.dynamics.free])
-    R = np.array([NOISE[name] for name in flown.outputs]) ** 2
-    sd = np.array([NOISE.get(name, 0.0) for name in flown.dynamics.states])
-    found = eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, MOVED * sd, R)
-    return FilterError.after(flown, theta, R, found, flown.dynamics), theta
+    return followed(card, records, known, NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +76,29 @@ def test_a_term_that_the_card_has_is_foreseen_as_its_parameter(short):
     responses, theta = short
     (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: signals["elevator"][None])
     known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
-    np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())
+    np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())  # the card's tail arm is 1e9 m
+
+
+@pytest.mark.verify
+def test_a_term_of_six_degrees_of_freedom_is_foreseen_as_its_parameter(tmp_path):
+    """Cn += Cndr rudder; compilation takes most of a minute."""
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    (tmp_path / "plane.toml").write_text(six.card_text(plane), encoding="utf-8")
+    card = read_card(str(tmp_path / "plane.toml"))
+    records = [six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)]
+    known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
+    responses, theta = followed(card, records, known, defaultdict(lambda: 0.01))
+    (slope,) = AddedToFilter(responses, theta).slopes("Cn", lambda signals: signals["rudder"][None])
+    at = np.array([responses.model.names.index("Cndr")])
+    wanted = responses.linearise(theta, at)[1][:, :, 0]
+    np.testing.assert_allclose(slope, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_parts_of_the_jackknife_lie_within_a_manoeuvre_and_have_some_seconds(short):
+    responses, _ = short
+    parts, manoeuvre = responses.jackknife_blocks, responses.manoeuvre
+    assert set(np.bincount(parts) * responses.seconds) == {5.0}
+    assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == 3
 
 
 def test_a_term_changes_innovations_as_the_effect_that_a_file_states(short, tmp_path):
