@@ -7,7 +7,7 @@ the sensitivities to all terms.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -26,11 +26,15 @@ from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.residuals.base import DIRECTIONS_PER_CALL
 from bayes_aero.residuals.output_error import OutputError
 
+Signals = Mapping[str, np.ndarray]
+Made = Callable[[Signals], Float[np.ndarray, "d n"]]
+"""Functions of the flight: d series of one value for every sample, from its signals."""
+
 
 @cache
 def _adding(coefficient: str) -> Effect:
     """The effect that adds an input to a coefficient; always the same object, for models are hashed."""
-    channel = _channel(coefficient)
+    channel = channel_of(coefficient)
     return Effect(
         name=channel,
         kind=Kind.AERODYNAMICS,
@@ -44,7 +48,8 @@ def _adding(coefficient: str) -> Effect:
     )
 
 
-def _channel(coefficient: str) -> str:
+def channel_of(coefficient: str) -> str:
+    """The input that is added to a coefficient."""
     return f"added_{coefficient}"
 
 
@@ -54,7 +59,7 @@ class AddedCoefficients:
     def __init__(self, responses: OutputError, theta: Float[np.ndarray, " k"]) -> None:
         model = responses.model.extended(*map(_adding, responses.model.coefficients))
         nothing = jnp.zeros(responses.flights.n)
-        self.zeros = {_channel(name): nothing for name in model.coefficients}
+        self.zeros = {channel_of(name): nothing for name in model.coefficients}
         flights = replace(responses.flights, channels={**responses.flights.channels, **self.zeros})
         dynamics = responses.windows.dynamics
         assert isinstance(dynamics, AircraftDynamics)
@@ -65,8 +70,12 @@ class AddedCoefficients:
 
     def signals(self) -> dict[str, np.ndarray]:
         """Signals of the flow, X and the marks along the simulated flight, each (n,); samples of no window repeat."""
+        return self.along(_states(self.responses, self.theta))
+
+    def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
+        """The same along any path of the windows."""
         windows, flights = self.responses.windows, self.responses.flights
-        found = _signals(self.responses, self.theta)
+        found = _signals(self.responses, self.theta, states)
         real = np.asarray(windows.inside)
         place, n = np.asarray(windows.index)[real], flights.n
         latest = np.full(n, -1)
@@ -76,19 +85,20 @@ class AddedCoefficients:
         marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
         return {name: x for name, x in laid.items() if name not in self.zeros} | marks
 
-    def slopes(self, coefficient: str, series: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "d m c"]:
+    def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the residuals by the factors of series that are added to a coefficient.
 
         Args:
             coefficient: to which they are added.
-            series: one value of each for every sample of the flights, (d, n).
+            made: the series from the signals of the flight.
         """
+        series = made(self.signals())
         size, found = DIRECTIONS_PER_CALL, []
         for begin in range(0, len(series), size):
             part = series[begin : begin + size]
             wide = jnp.zeros((size, series.shape[1])).at[: len(part)].set(part)
             rest = jnp.zeros_like(wide)
-            directions = {name: wide if name == _channel(coefficient) else rest for name in self.zeros}
+            directions = {name: wide if name == channel_of(coefficient) else rest for name in self.zeros}
             found.append(-np.asarray(_slopes(self.responses, self.theta, self.zeros, directions))[: len(part)])
         return np.concatenate(found)
 
@@ -105,10 +115,13 @@ def _slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], dire
 
 
 @eqx.filter_jit
-def _signals(responses: OutputError, theta: Any) -> dict[str, Array]:
-    flown = responses.flown
-    prepared = prepare(flown, theta)
-    states = responses.states(theta)
+def _states(responses: OutputError, theta: Any) -> Array:
+    return responses.states(theta)
+
+
+@eqx.filter_jit
+def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
+    prepared = prepare(responses.flown, theta)
 
     def at_sample(x, u):
         assert isinstance(prepared.system, EffectSystem)

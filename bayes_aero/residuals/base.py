@@ -51,6 +51,17 @@ class ResidualModel(ABC):
         """The stretch of each block, where residuals start again in every stretch and are not stationary; else None."""
         return None
 
+    @property
+    def jackknife_blocks(self) -> Int[np.ndarray, " m"] | None:
+        """The part of the flights of each block, where terms are judged by how far they move when a part is left out;
+        None where the residual's colour tells."""
+        return self.stretch
+
+    @property
+    def averaged(self) -> int:
+        """Samples of which each residual is the mean."""
+        return FILTER_STEP
+
     @abstractmethod
     def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
         """Means over blocks of anything sampled at the recorded rate."""

@@ -16,12 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.dynamics.filtering.innovations import Observer, observer_of, run_observer
+from bayes_aero.dynamics.filtering.innovations import Observed, Observer, observer_of, run_observer
 from bayes_aero.dynamics.filtering.kalman import Filtered
-from bayes_aero.dynamics.filtering.linearised import linearise, observer_derivatives, state_derivatives
+from bayes_aero.dynamics.filtering.linearised import (
+    StateDerivatives,
+    linearise,
+    observer_derivatives,
+    state_derivatives,
+)
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.residuals.output_error import OutputError
+
+PART = 5.0  # s; our choice: some twenty neighbouring innovations and more, and a minute has a dozen parts
 
 
 class FilterError(OutputError):
@@ -75,6 +82,22 @@ class FilterError(OutputError):
         """None: innovations are stationary."""
         return
 
+    @property
+    def averaged(self) -> int:
+        """Each is of one sample."""
+        return 1
+
+    @property
+    def jackknife_blocks(self) -> Int[np.ndarray, " m"]:
+        """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
+        manoeuvre, begin, found = self.manoeuvre, 0, np.zeros(len(self.place), int)
+        for k in range(int(manoeuvre[-1]) + 1):
+            own = np.flatnonzero(manoeuvre == k)
+            count = max(round(len(own) * self.seconds / PART), 1)
+            found[own] = begin + np.arange(len(own)) * count // len(own)
+            begin += count
+        return found
+
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
         """Whitened innovations at these parameters."""
         flown = self.flown
@@ -95,13 +118,23 @@ class FilterError(OutputError):
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
         nameless, at = self.nameless, jnp.asarray(theta)
         assert isinstance(nameless, FilterError)
-        path, known = _path(nameless, at)
+        path, known = self.path_at(theta)
 
         def slopes(directions):
             residual, slope = _slopes(nameless, at, path, known, jnp.asarray(directions))
             return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
 
         return slopes
+
+    def path_at(self, theta: Float[np.ndarray, " k"]) -> tuple[Observed, StateDerivatives]:
+        """The path of the observer at these parameters, and derivatives by the state along it."""
+        nameless = self.nameless
+        assert isinstance(nameless, FilterError)
+        return _path(nameless, jnp.asarray(theta))
+
+    def whitened(self, theta: Any, e: Float[Array, "w n c d"]) -> Float[Array, "m c d"]:
+        """Changes of the innovations as they change the residuals."""
+        return self._whitened(e, prepare(self.flown, theta).scale)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
         """None: the filter estimates the initial state."""

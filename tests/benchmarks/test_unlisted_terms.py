@@ -91,6 +91,31 @@ def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, 
     assert len(own_effects([path])) == len(content["terms"])
 
 
+@pytest.mark.verify
+def test_in_gusts_a_product_is_found_and_weighed(tmp_path, monkeypatch):
+    """Of few effects, which compile sooner; gusts of 1 m/s."""
+    few = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias", "vertical_gust", "longitudinal_gust")
+    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    (coefficient, name, values), records = unlisted_terms.in_gusts(3001, False, 1.0)
+    options = DiagnoseOptions(process_noise=True, trajectories=False)
+    told = diagnose_records(records, read_card("hfb320"), options, out=tmp_path).diagnosis
+    assert told.failures == ()
+    assert told.verdict is Verdict.UNEXPLAINED
+    (term,) = told.terms
+    assert (term.coefficient, term.term.name) == (coefficient, name)
+    assert abs(term.size[0] - values["unlisted_product"]) < 1.96 * term.size[1]
+    (sampled,) = told.sampled
+    assert sampled.reliable
+    assert sampled.found[name][0] > 0.5
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    schema = resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json")
+    jsonschema.validate(content, json.loads(schema.read_text()))
+    assert [u["coefficient"] for u in content["unexplained"]] == [coefficient]
+    path = tmp_path / "found.py"
+    write_effects(told.terms, ["run1", "run2"], path)
+    assert len(own_effects([path])) == 1
+
+
 @pytest.mark.recovery
 def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
     """Simulations are longer than what is kept; filters had spread what was no number there over all channels."""

@@ -54,7 +54,7 @@ def test_a_term_that_the_card_has_flies_as_its_parameter(card):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
     responses, theta = flown(card, Model.from_card(card), [gusty_flight(5, seconds=20.0)])
     added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cm", np.asarray(added.signals()["elevator"])[None])
+    (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
     at = np.array([responses.model.names.index("Cmde")])
     known = responses.linearise(theta, at)[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
@@ -71,7 +71,7 @@ def test_a_term_of_six_degrees_of_freedom_flies_as_its_parameter(tmp_path):
     responses = OutputError.of(flights, aircraft_dynamics(model, flights))
     theta = np.array([getattr(plane, p.name) for p in model.free])
     added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cn", added.signals()["rudder"][None])
+    (slope,) = added.slopes("Cn", lambda signals: signals["rudder"][None])
     known = responses.linearise(theta, np.array([model.names.index("Cndr")]))[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
 
@@ -86,7 +86,7 @@ def test_a_term_flies_to_first_order_as_the_effect_that_a_file_states(card, tmp_
     responses, theta = flown(card, model, records)
     wider, _ = flown(card, model.extended(*own_effects([path]).values()), records)
     added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cm", term.evaluate(added.signals(), responses.flights.aircraft)[None])
+    (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
     still = jnp.zeros(len(wider.windows.dynamics.start))
     residual = eqx.filter_jit(lambda size: wider.residual(jnp.append(jnp.asarray(theta), size), still))
     known = np.asarray(residual(-step) - residual(step)) / (2.0 * step)

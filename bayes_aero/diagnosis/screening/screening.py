@@ -246,12 +246,12 @@ def uncertainty(state: SelectionState, fit: Fit, colour: Autocorrelation) -> Flo
 def block_jackknife_covariance(
     state: SelectionState, fit: Fit
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Active columns that are no offsets, and the covariance of their estimates from how far these move when a stretch
-    is left out.
+    """Active columns that are no offsets, and the covariance of their estimates from how far these move when a part of
+    the flights is left out.
 
     See `jackknife_covariance`.
     """
-    stretch = state.responses.stretch
+    stretch = state.responses.jackknife_blocks
     assert stretch is not None
     columns = fit.columns[~np.isin(fit.columns, state.offsets)]
     parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]

@@ -2,7 +2,8 @@
 
 Gusts, noise of the states and of the sensors are estimated with the card's model. Their filter then follows each flight
 sample by sample, and what it does not foresee is compared with every candidate of the catalogue, errors of sensors
-beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor does.
+beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor does. In what is left
+then, terms of the library are sought.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.search.search_trajectories import FIRST, noise_of, without_lags
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Selected, Step, selected, sized
 from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.structure.unexplained import withdrawn
+from bayes_aero.diagnosis.terms.flown import FlownForms, flown_forms
+from bayes_aero.diagnosis.terms.forms import Forms
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.disturbed import fit_disturbed
@@ -64,13 +68,31 @@ def search_innovations(
     full = without_lags(candidate_model(model, flights, extra, settings))
     known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
     found, status = _searched(_Flown(full, flights, base, fit.R), known, seed, progress)
-    notes = ["Structure that no effect of the catalogue describes is not sought in innovations."]
+    left, failures = attempted(
+        "The form of what the catalogue does not explain was not sought",
+        lambda: flown_forms(found, seed=seed + 3000, progress=progress),
+        FlownForms(Forms((), ()), ()),
+    )
+    found = withdrawn(found, left.forms.replaced)
+    notes = [
+        "Of structure without a name, terms of the library are sought in innovations, and no functions of a channel or "
+        "of time."
+    ]
     if status is not PredictionErrorStatus.CONVERGED:
         notes.append(f"Process noise: {status.value}.")
     if still := taken_as_zero(flights):
         notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
     noise = replace(noise_of(found, outliers), of_innovations=True)
-    return SearchResult(found.state.full, ((INNOVATIONS, found),), (), noise, tuple(notes))
+    return SearchResult(
+        found.state.full,
+        ((INNOVATIONS, found),),
+        left.unknown,
+        noise,
+        tuple(notes),
+        failures,
+        terms=left.forms.terms,
+        structures=left.forms.structures,
+    )
 
 
 class _Flown(NamedTuple):

@@ -14,6 +14,8 @@ from bayes_aero.diagnosis.terms.library import Signals, Term, library
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.physics.filters import smooth_joined
 from bayes_aero.residuals.added_coefficients import AddedCoefficients
+from bayes_aero.residuals.added_to_filter import AddedToFilter
+from bayes_aero.residuals.filter_error import FilterError
 from bayes_aero.residuals.output_error import OutputError
 
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
@@ -34,7 +36,7 @@ def columns_of(state: SelectionState, coefficient: str) -> list[Column]:
     """The library's terms in one coefficient, as the residuals show them.
 
     Where these are of coefficients: smoothed and averaged over blocks as the coefficient is, to unit root mean square.
-    Where they are of flights: flown, to first order (see `AddedCoefficients`).
+    Where they are of flights: flown, to first order (see `AddedCoefficients`, `AddedToFilter`).
     """
     if isinstance(state.responses, OutputError):
         return _flown(state, coefficient)
@@ -55,13 +57,18 @@ def columns_of(state: SelectionState, coefficient: str) -> list[Column]:
 
 def _flown(state: SelectionState, coefficient: str) -> list[Column]:
     """Sensitivities of flown residuals, each as large as the residual of the median output, all outputs counted."""
-    assert isinstance(state.responses, OutputError)
-    added = AddedCoefficients(state.responses, state.theta)
+    responses = state.responses
+    assert isinstance(responses, OutputError)
+    of = AddedToFilter if isinstance(responses, FilterError) else AddedCoefficients
+    added = of(responses, state.theta)  # pyright: ignore[reportArgumentType]
     signals = added.signals()
     terms = _terms(state, signals, coefficient)
-    series = np.stack([t.evaluate(signals, state.responses.flights.aircraft) for t in terms])
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
-    slopes = added.slopes(coefficient, series)[:, :, keep]
+
+    def made(signals: Signals) -> Float[np.ndarray, "d n"]:
+        return np.stack([t.evaluate(signals, responses.flights.aircraft) for t in terms])
+
+    series, keep = made(signals), [responses.outputs.index(name) for name in state.outputs]
+    slopes = added.slopes(coefficient, made)[:, :, keep]
     deviation = np.std(state.residual / state.noise_growth, axis=0)
     scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
     return [

@@ -1,18 +1,16 @@
 """Terms that nobody listed where a model meets the record in flight: screened by what they make of the residuals.
 
 The protocol is that of the catalogue's candidates, to first order. A term must gain on left-out folds and be beyond
-chance: by noise-only replicates over the whole library; or, in windows, whose residuals have no stationary colour, by
-how far the term moves when a window is left out.
+chance over the whole library, by how far it moves when a part of the flights is left out: a window of trajectories, or
+some seconds of innovations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import UnexplainedStructure
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
@@ -22,13 +20,12 @@ from bayes_aero.diagnosis.screening.screening import (
     CandidateScore,
     ScreeningResult,
     block_jackknife_covariance,
-    null_scores,
     screen,
 )
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import chance_of, share_of, with_components
+from bayes_aero.diagnosis.structure.components import least_share, share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.forms import Forms, Structure
@@ -68,7 +65,7 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
 
     Args:
         extension: by the catalogue, of a model that meets the record in trajectories or innovations.
-        seed: of the noise-only replicates.
+        seed: of the noise that corrects autocorrelations.
         progress: told that it begins.
     """
     if progress:
@@ -134,27 +131,26 @@ def _next(
     """The best term beside those chosen and its rivals in other coefficients; None where none is beyond chance, large
     enough and useful."""
     noise = SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    trials = [_screened(state, columns, chosen, noise, seed) for columns in library]
+    trials = [_screened(state, columns, chosen, noise) for columns in library]
     leaders = [
         (trial, standing)
         for trial in trials
         for standing in trial.screening.candidate_scores[: state.settings.candidates_tried]
     ]
     leaders.sort(key=lambda leader: -leader[1].score)
-    chance = _chance(trials, noise)
     for trial, standing in leaders:
-        if _useful(trial, standing) and (p := chance(trial, standing)) <= state.settings.unnamed_false_alarm_rate:
+        if not _useful(trial, standing):
+            continue
+        if (p := _chance(trials, trial, standing)) <= state.settings.unnamed_false_alarm_rate:
             return _told(state, _rivals(state, trials, chosen, trial.column(standing)), chosen, p)
     return None
 
 
-def _screened(
-    state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], noise: SharedNoise, seed: int
-) -> _Trial:
+def _screened(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], noise: SharedNoise) -> _Trial:
     left = [c for c in columns if c not in chosen]
     trial = with_components(state, [c.component for c in left], [c.component for c in chosen], state.folds)
     fit = trial.fit()
-    return _Trial(left, trial, fit, screen(trial, fit, seed=seed, nulls=False, noise=noise))
+    return _Trial(left, trial, fit, screen(trial, fit, seed=0, nulls=False, noise=noise))
 
 
 def _useful(trial: _Trial, standing: CandidateScore) -> bool:
@@ -162,40 +158,26 @@ def _useful(trial: _Trial, standing: CandidateScore) -> bool:
     state, own = trial.state, np.array(standing.columns, int)
     settings = state.settings
     alone = len(state.responses.flights.lengths) == 1
-    least = settings.single_share if alone else settings.unnamed_share
+    least = least_share(state, settings.single_share if alone else settings.unnamed_share)
     if share_of(state, own) < least or standing.log_bayes <= 0.0:
         return False
     gain = holdout_deviance_gain(state, np.concatenate([state.columns(), own]))
     return nats(gain, standing.variance_inflation) >= settings.ambiguous
 
 
-def _chance(trials: Sequence[_Trial], noise: SharedNoise) -> Callable[[_Trial, CandidateScore], float]:
+def _chance(trials: Sequence[_Trial], trial: _Trial, standing: CandidateScore) -> float:
     """The chance that noise alone lets some term of the library look as good as one does.
 
-    Replicates of the colour tell it of innovations. In windows no stationary colour holds, with a term in or out: there
-    it is how far the estimate moves without each window, Bonferroni over the library.
+    No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise of
+    the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
+    library.
     """
-    stretch, among = trials[0].state.responses.stretch, sum(len(t.columns) for t in trials)
-
-    @cache
-    def nulls() -> Float[np.ndarray, " r"]:
-        return np.max([_null_scores(t, noise) for t in trials], axis=0)
-
-    def of(trial: _Trial, standing: CandidateScore) -> float:
-        if stretch is None:
-            return chance_of(standing.score, nulls())
-        own = np.concatenate([trial.state.columns(), np.array(standing.columns, int)])
-        wider = trial.state.products.fit(own, trial.state.mean, trial.state.precision)
-        covariance = block_jackknife_covariance(trial.state, wider)[1]
-        return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(stretch.max()), among)
-
-    return of
-
-
-def _null_scores(trial: _Trial, noise: SharedNoise) -> Float[np.ndarray, " r"]:
-    """The largest score of any term in each noise-only replicate of the colour."""
-    projected = PartialledRegression(trial.state, trial.fit, trial.state.component_columns)
-    return null_scores(trial.state, trial.fit, projected, trial.screening.colour, noise)
+    blocks, among = trial.state.responses.jackknife_blocks, sum(len(t.columns) for t in trials)
+    assert blocks is not None
+    own = np.concatenate([trial.state.columns(), np.array(standing.columns, int)])
+    wider = trial.state.products.fit(own, trial.state.mean, trial.state.precision)
+    covariance = block_jackknife_covariance(trial.state, wider)[1]
+    return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(blocks.max()), among)
 
 
 def _rivals(state: SelectionState, trials: Sequence[_Trial], chosen: Sequence[Column], leader: Column) -> list[_Rival]:
@@ -213,7 +195,7 @@ def _rivals(state: SelectionState, trials: Sequence[_Trial], chosen: Sequence[Co
     projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
     right = projected.right(residual)
     estimates = [bread @ right[place] for bread, place in zip(projected.bread, projected.place, strict=True)]
-    apart = projected.apart(residual, estimates, 0, colour, trial.responses.stretch)
+    apart = projected.apart(residual, estimates, 0, colour, trial.responses.jackknife_blocks)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
     weights = weights_of(lost - lost.min(), [c.term.cost for c, _ in near])
     close = np.flatnonzero(lost - lost.min() < state.settings.ambiguous)

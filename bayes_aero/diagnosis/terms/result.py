@@ -18,8 +18,8 @@ class FoundTerm:
         coefficient: to which it adds size times the term.
         term: the product.
         size: estimate and standard error of its factor.
-        share: of the coefficient's variance that was left without it; by trajectories, of the output of which it takes
-            the largest share.
+        share: of the coefficient's variance that was left without it; by trajectories and innovations, of the output
+            of which it takes the largest share.
         gain: log density of left-out folds, divided by the variance inflation, that it gains.
         weight: posterior probability of this term among itself and the `others`.
         others: terms of about the same gain that these records do not tell from it, with the weight of each.

@@ -14,7 +14,13 @@ from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
-from bayes_aero.diagnosis.structure.components import chance_of, null_shares, share_of, with_components
+from bayes_aero.diagnosis.structure.components import (
+    chance_of,
+    least_share,
+    null_shares,
+    share_of,
+    with_components,
+)
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.library import Term
 from bayes_aero.diagnosis.terms.result import FoundTerm
@@ -80,7 +86,7 @@ def reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
         own = np.concatenate([trial.columns(), trial.component_columns[0]])
         share, gain = share_of(trial, own[-1:]), holdout_deviance_gain(trial, own)
         at = left.index(one)
-        worth = share >= state.settings.unnamed_share and gain > 0.0
+        worth = share >= least_share(state, state.settings.unnamed_share) and gain > 0.0
         left[at : at + 1] = [replace(one, share=share, gain=gain)] if worth else []
     return left
 
@@ -142,7 +148,7 @@ def sized(state: SelectionState, found: Sequence[Found]) -> tuple[FoundTerm, ...
     fit = whole.fit()
     covariance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))
     deviation = np.sqrt(np.diag(covariance))[len(fit.columns) - len(found) :]
-    if state.responses.stretch is not None:  # no smaller than the estimates without each stretch scatter
+    if state.responses.jackknife_blocks is not None:  # no smaller than the estimates without each part scatter
         between = np.sqrt(np.diag(block_jackknife_covariance(whole, fit)[1]))
         deviation = np.maximum(deviation, between[len(between) - len(found) :])
     begin, told = len(fit.columns) - len(found), []

@@ -168,14 +168,75 @@ def _moved(
 
 def observer_derivatives(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
     """Derivatives of the innovations of an observer in the d directions of `lin`, linearised along its path."""
+    rows = (lin.transition, lin.drive, lin.matrix, lin.direct, jnp.isfinite(lin.residual), by.gain)
+    return jax.vmap(_observed)(lin.begin_drive, *rows)
 
-    def one(begin, *rows):
-        def one_sample(dx, row):
-            Phi, drive, C, direct, used, K = row
-            de = jnp.where(used[:, None], -direct - C @ dx, 0.0)
-            return Phi @ (dx + K @ de) + drive, de
 
-        return jax.lax.scan(one_sample, begin, rows)[1]
+def _observed(begin, *rows):
+    """The same in one segment, from the change of its initial state and rows of all samples."""
 
-    used = jnp.isfinite(lin.residual)
-    return jax.vmap(one)(lin.begin_drive, lin.transition, lin.drive, lin.matrix, lin.direct, used, by.gain)
+    def one_sample(dx, row):
+        Phi, drive, C, direct, used, K = row
+        de = jnp.where(used[:, None], -direct - C @ dx, 0.0)
+        return Phi @ (dx + K @ de) + drive, de
+
+    return jax.lax.scan(one_sample, begin, rows)[1]
+
+
+class InputDerivatives(NamedTuple):
+    """Derivatives by one input: of the next state by its value at the sample and at the next one (the last axis), of
+    the outputs."""
+
+    ahead: Float[Array, "w n s 2"]
+    direct: Float[Array, "w n c"]
+
+
+def derivatives_by_input(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    before: Float[Array, "w n s"],
+    known: StateDerivatives,
+    name: str,
+) -> InputDerivatives:
+    """Derivatives by the input `name`, linear between samples, at parameters `theta`.
+
+    `before`: states before each correction, where the outputs are; the motion is that of `known`.
+    """
+    prepared = prepare(flown, theta)
+    now = _at_stages(flown, prepared.drives)
+
+    def slope(f):
+        def of_input(x, u):
+            return jax.jvp(lambda given: f(prepared.sensed, x, u | {name: given}), (u[name],), (jnp.ones(()),))[1]
+
+        return _each_sample(of_input)
+
+    direct = slope(partial(outputs_at, names=flown.outputs))(before, prepared.drives)
+    rates = jax.lax.map(lambda row: slope(_rate)(*row), (known.points, now))
+    share = stage_table(flown.substeps)[0] * (not flown.held)
+    both = jnp.stack([1.0 - share, share], axis=-1)[:, None, None, None]
+    ahead = _moved(flown, known.motion, rates[..., None] * both, jnp.zeros((*before.shape, 2)))
+    return InputDerivatives(ahead, jnp.where(jnp.isfinite(direct), direct, 0.0))
+
+
+def input_innovations(
+    flown: SegmentTrajectories,
+    theta: Float[Array, " k"],
+    known: StateDerivatives,
+    own: InputDerivatives,
+    by: Observer,
+    before: Float[Array, "w n d"],
+    after: Float[Array, "w n d"],
+) -> Float[Array, "w n c d"]:
+    """Changes of the innovations of an observer by d histories of an input, linearised along its path.
+
+    `before`, `after`: the histories at the states before and after each correction. The former act on the outputs; the
+    motion to the next sample goes from the latter to the former.
+    """
+    then = jnp.concatenate([before[:, 1:], before[:, -1:]], axis=1)
+    drive = own.ahead[..., :1] * after[:, :, None] + own.ahead[..., 1:] * then[:, :, None]
+    direct = own.direct[..., None] * before[:, :, None]
+    matrix = jnp.where(jnp.isfinite(known.matrix), known.matrix, 0.0)
+    *_, true, _ = segment_inputs(flown, prepare(flown, theta), jnp.zeros((len(flown.index), 1)))
+    begin = jnp.zeros((len(flown.index), known.matrix.shape[-1], before.shape[-1]))
+    return jax.vmap(_observed)(begin, known.transition, drive, matrix, direct, jnp.isfinite(true), by.gain)
