@@ -26,7 +26,8 @@ from rival_networks import Guess, Order, Problem, one_step, perceptron, radial_b
 from seed_rivals_table import spread, table
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.selection_state import moved, optimum
+from bayes_aero.diagnosis.screening.parameter_fit import optimum
+from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.selection.cross_validation import measured_blocks, truncated
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_records

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.screening.selection_state import linearised, refitted
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.backward_elimination import confirmation
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.effects import CATALOGUE

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.parameter_fit import local_fit
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, local_fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.model.joined_records import Recorded
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.result import TRAJECTORIES
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, refitted
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.selection.forward_selection import (
     Extension,

@@ -15,15 +15,9 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors
+from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, refitted
 from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import (
-    SelectionState,
-    linearised,
-    local_fit,
-    moved,
-    optimum,
-    refitted,
-)
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
 from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
 from bayes_aero.inference.variance.variance_inflation import nats

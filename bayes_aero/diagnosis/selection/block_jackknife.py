@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.screening.accuracy import sizes
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.partialled_regression import largest_p_value
 from bayes_aero.diagnosis.screening.regression import Fit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Step, removed, worth
 from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 

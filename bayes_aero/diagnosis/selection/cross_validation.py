@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.diagnosis.folds import blocks_of
+from bayes_aero.diagnosis.screening.parameter_fit import optimum
 from bayes_aero.diagnosis.screening.regression import Products, inverse
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, optimum
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
 
 

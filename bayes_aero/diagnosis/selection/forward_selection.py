@@ -12,6 +12,7 @@ import numpy as np
 from bayes_aero.diagnosis.screening.accuracy import Size, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
 from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, largest_p_value
 from bayes_aero.diagnosis.screening.refit_screening import RefitScore
 from bayes_aero.diagnosis.screening.regression import Fit
@@ -25,7 +26,7 @@ from bayes_aero.diagnosis.screening.screening import (
     screen,
     uncertainty,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import median_inflation, nats

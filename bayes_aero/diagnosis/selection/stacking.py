@@ -19,8 +19,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import LinearConstraint, minimize
 
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.selection.forward_selection import Extension, added, removed
 

@@ -20,9 +20,10 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     autocorrelations_of,
     unbiased,
 )
+from bayes_aero.diagnosis.screening.parameter_fit import optimum
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import without_active
-from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved, optimum
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
 from bayes_aero.diagnosis.structure.components import parts_of, share_of, with_components

@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved, refitted
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.selection.residuals import Profile, details, profiles, theil_parts
 from bayes_aero.diagnosis.view.covariance import covariance_of, joint_covariance
