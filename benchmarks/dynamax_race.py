@@ -184,8 +184,8 @@ def main() -> None:
         ess = np.sort([m.ess_bulk for m in found.marginals.values()])
         print(
             f"{name}, {engine}: bulk ESS least {ess[0]:.0f}, median {np.median(ess):.0f} in {seconds:.0f} s: "
-            f"{ess[0] / seconds:.3g} and {np.median(ess) / seconds:.3g} a second; R-hat "
-            f"{max(m.rhat for m in found.marginals.values()):.3f}; {found.status.name.lower()}"
+            f"{ess[0] / seconds:.3g} and {np.median(ess) / seconds:.3g} a second"
+            + (f"; R-hat {max(m.rhat for m in found.marginals.values()):.3f}" if size[0] > 1 else "")
         )
         steps = found.tree["sample_stats"].dataset
         if engine == "NUTS":

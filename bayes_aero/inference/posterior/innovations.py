@@ -123,7 +123,7 @@ SHORT = WarmUp(100, acceptance=0.8, metric=False)  # on a scale that the mode gi
 class PosteriorLength(NamedTuple):
     """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
 
-    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=3)
+    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=5)
     emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
 
 
