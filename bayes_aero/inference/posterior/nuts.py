@@ -77,7 +77,7 @@ def _start_chain(target: tuple[LogDensity, Array, Array], warmup: WarmUp, key: A
         setting |= {"dense_mass": True}
     else:
         setting |= {"adapt_step_size": False, "adapt_mass_matrix": False, "step_size": FIRST_STEP}
-    first, _ = dual_averaging()
+    first: Any = dual_averaging()[0]
     return Chain(begin(v, warmup.steps, **setting), first(jnp.log(FIRST_STEP)))
 
 
