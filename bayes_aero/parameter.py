@@ -154,7 +154,8 @@ class Parameter:
     and prior are stated, and on which they depend (see `per_length`). `role`: see `Role`. `sign` and `limits` are None
     where an estimate may have either sign or any size. Tables list parameters by `place` (drag from 10, lift from 20,
     pitching moment from 30, separation from 40, side force from 50, rolling moment from 60, yawing moment from 70),
-    those without one behind.
+    those without one behind. `knee`: how far above its lower bound the coordinate of samplers turns from the logarithm
+    to the parameter itself; infinite: nowhere.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Parameter:
     sign: Sign | None = None
     limits: Limits | None = None
     place: int | None = None
+    knee: float = math.inf
 
     def __post_init__(self) -> None:
         lower, upper = self.bounds
@@ -228,10 +230,15 @@ def departure(value: float, neutral: float) -> float:
 
 
 def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Map the open interval of `parameter.bounds` onto the real line (identity, log or logit)."""
+    """Map the open interval of `parameter.bounds` onto the real line (identity, log or logit; see `knee`)."""
     import jax.numpy as jnp
 
     lower, upper = parameter.bounds
+    if math.isfinite(lower) and parameter.knee < upper - lower:
+        distance = (x - lower) / parameter.knee
+        if math.isfinite(upper):
+            distance = -jnp.log1p((lower - x) / (upper - lower)) * (upper - lower) / parameter.knee
+        return distance + jnp.log(-jnp.expm1(-distance))
     if math.isinf(lower) and math.isinf(upper):
         return x
     if math.isinf(upper):
@@ -248,6 +255,13 @@ def from_unbounded(
     import jax.numpy as jnp
 
     lower, upper = parameter.bounds
+    if math.isfinite(lower) and parameter.knee < upper - lower:
+        distance = parameter.knee * jnp.logaddexp(0.0, u)
+        log_slope = math.log(parameter.knee) - jnp.logaddexp(0.0, -u)
+        if math.isinf(upper):
+            return lower + distance, log_slope
+        share = distance / (upper - lower)
+        return lower - (upper - lower) * jnp.expm1(-share), log_slope - share
     if math.isinf(lower) and math.isinf(upper):
         return u, jnp.zeros_like(u)
     if math.isinf(upper):

@@ -5,8 +5,11 @@ from contextlib import contextmanager
 import numpy as np
 
 
-def jet_model(xp, aircraft, gravity, states, parameters):
-    """aeroid's model; `xp` is NumPy for its differences, jax.numpy for its exact gradient. SI."""
+def jet_model(xp, aircraft, gravity, states, parameters, rates=()):
+    """aeroid's model; `xp` is NumPy for its differences, jax.numpy for its exact gradient. SI.
+
+    `rates`, () or ("q_dot",), are measured after the states.
+    """
     import aeroid
 
     a, half = aircraft, 0.5 * 0.792 * aircraft.wing_area
@@ -32,11 +35,11 @@ def jet_model(xp, aircraft, gravity, states, parameters):
         return xp.array([V_dot, alpha_dot, q, q_dot])
 
     def measured(t, x, u, v):  # noqa: ARG001
-        ax, az, _ = forces(x, u, v)
-        return xp.array([x[0], x[1], x[2], x[3], ax, az])
+        ax, az, q_dot = forces(x, u, v)
+        return xp.array([x[0], x[1], x[2], x[3], *[q_dot for _ in rates], ax, az])
 
     names = [f"x_{name}" for name in states]
-    return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, (*states, "ax", "az"), measured)
+    return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, (*states, *rates, "ax", "az"), measured)
 
 
 class KeptRollout:

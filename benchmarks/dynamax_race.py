@@ -1,12 +1,13 @@
 """The posterior of HFB-320 with process noise: this package's filter against dynamax's, by one sampler.
 
-    python benchmarks/dynamax_race.py /path/to/hfb320_1_10.asc [--warmup 200] [--blocks 1] [--chains 2]
+    python benchmarks/dynamax_race.py /path/to/hfb320_1_10.asc [--warmup 100] [--blocks 1] [--chains 1]
 
 needs dynamax (`pip install dynamax "fastprogress<1.1" tfp-nightly`), which no extra installs. Both sides have the
 states airspeed, alpha, theta and q, seven outputs, the measured initial state with its deviation, 11 parameters,
 process noise of four states and seven measurement noises, all free, with the same priors. Motion and outputs are the
 package's functions on both sides, so what is compared is `innovations_density` and `extended_kalman_filter`, each with
-its gradient. NUTS is NumPyro's on coordinates whitened at the same mode, chain by chain on the same cores.
+its gradient. NUTS is NumPyro's on coordinates whitened at the same mode, with the settings of `fly --posterior` on both
+sides. Times are processor time of this process, of sampling with compilation and warm-up.
 
 dynamax has no process noise that depends on the state: the share of the noise that the transition gathers within a
 sample is computed along the path of the fit there, at the parameters asked for. So values are the same at the fit, and
@@ -38,7 +39,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.likelihood.disturbed import FIRST_F, FIRST_R
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.innovations import InnovationsDensity, innovations_posterior
+from bayes_aero.inference.posterior.innovations import SHORT, InnovationsDensity, innovations_posterior
 from bayes_aero.inference.posterior.laplace import find_mode
 from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
 from bayes_aero.jobs.options import FlyOptions
@@ -89,11 +90,11 @@ class DynamaxDensity(InnovationsDensity):
 
 @dataclass(frozen=True)
 class Race:
-    """Both densities, the fit, and the point from which both look for their optimum."""
+    """Both densities, our fit, and its start: parameters (k,), process noise and variances of the measurement noise."""
 
-    densities: dict[str, LogDensity]
+    densities: dict[str, Any]
     fit: PredictionErrorResult
-    start: np.ndarray
+    start: tuple[np.ndarray, np.ndarray, np.ndarray]
     seconds: float  # of the fit
 
 
@@ -107,13 +108,13 @@ def race_of(path: str) -> Race:
     output_error = fit_trajectories(flights, dynamics, units, setting=setting).fit
     sd = np.sqrt(output_error.R)
     F = np.array([FIRST_F * sd[output_error.flown.outputs.index(name)] for name in dynamics.states])
-    began = time.perf_counter()
-    fit = fit_prediction_error(output_error.flown, F, FIRST_R * output_error.R, start=output_error.estimate)
-    seconds = time.perf_counter() - began
+    start = np.asarray(output_error.estimate), F, FIRST_R * output_error.R
+    began = time.process_time()
+    fit = fit_prediction_error(output_error.flown, *start[1:], start=start[0])
+    seconds = time.process_time() - began
     ours = innovations_posterior(output_error.flown, output_error.R)
     shared = {name: getattr(ours, name) for name in ("flown", "deviation", "levels")}
     theirs = DynamaxDensity(**shared, path=np.asarray(fit.found.state[0]), sd=np.sqrt(fit.R))
-    start = np.array([*output_error.estimate, *F, *np.sqrt(FIRST_R * output_error.R)])
     return Race({"bayes_aero": ours, "dynamax": theirs}, fit, start, seconds)
 
 
@@ -123,14 +124,14 @@ def timed(density: LogDensity, u: np.ndarray) -> tuple[dict[str, float], np.ndar
     one = eqx.filter_jit(lambda d, u: d(u))
     told: dict[str, float] = {}
     for name, f in (("density", one), ("with gradient", both)):
-        began = time.perf_counter()
+        began = time.process_time()
         found = jax.block_until_ready(f(density, u))
-        told[f"{name}, first, s"] = time.perf_counter() - began
+        told[f"{name}, first, s"] = time.process_time() - began
         each = []
         for _ in range(CALLS):
-            began = time.perf_counter()
+            began = time.process_time()
             jax.block_until_ready(f(density, u))
-            each.append(time.perf_counter() - began)
+            each.append(time.process_time() - began)
         told[f"{name}, ms"] = 1e3 * float(np.median(each))
     return told, np.asarray(found[1])
 
@@ -139,10 +140,10 @@ def main() -> None:
     """Agreement, time of a call, optimum, and effective samples a second."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("record")
-    parser.add_argument("--chains", type=int, default=2)
-    parser.add_argument("--warmup", type=int, default=200)
+    parser.add_argument("--chains", type=int, default=1)
+    parser.add_argument("--warmup", type=int, default=100)
     parser.add_argument("--blocks", type=int, default=1, help="of 300 draws a chain, at most; 0: no sampling")
-    parser.add_argument("--steps", type=int, default=1000, help="of our ensembles; 0: none")
+    parser.add_argument("--steps", type=int, default=0, help="of our ensembles; 0: none")
     asked = parser.parse_args()
     try:
         import dynamax  # noqa: F401
@@ -167,24 +168,29 @@ def main() -> None:
         return
     mode = None
     for name, density in race.densities.items():
-        began = time.perf_counter()
-        found = find_mode(density, race.start)
-        seconds = time.perf_counter() - began
+        began = time.process_time()
+        found = find_mode(density, ours.start(race.fit))
+        seconds = time.process_time() - began
         mode = mode or found
         print(f"{name}: mode {found.log_density:.4f} ({found.status.name.lower()}) in {seconds:.1f} s", flush=True)
-    length = NutsLength(asked.chains, asked.warmup, asked.blocks)
+    length = NutsLength(asked.chains, SHORT._replace(steps=asked.warmup), asked.blocks)
     runs = [(name, "NUTS", density, sample_nuts, length) for name, density in race.densities.items()]
     if asked.steps:
         runs.append(("bayes_aero", "emcee", ours, sample_ensemble, EnsembleLength(asked.chains, asked.steps)))
     for name, engine, density, sample, size in runs:
+        began = time.process_time()
         found = sample(density, mode, seed=1, predictive=False, length=size)
-        least = min(m.ess_bulk for m in found.marginals.values())
-        worst = max(m.rhat for m in found.marginals.values())
+        seconds = time.process_time() - began
+        ess = np.sort([m.ess_bulk for m in found.marginals.values()])
         print(
-            f"{name}, {engine}: {least:.0f} effective samples in {found.seconds:.1f} s, {least / found.seconds:.3g} a "
-            f"second; R-hat {worst:.3f}; {found.status.name.lower()}",
-            flush=True,
+            f"{name}, {engine}: bulk ESS least {ess[0]:.0f}, median {np.median(ess):.0f} in {seconds:.0f} s: "
+            f"{ess[0] / seconds:.3g} and {np.median(ess) / seconds:.3g} a second"
+            + (f"; R-hat {max(m.rhat for m in found.marginals.values()):.3f}" if size[0] > 1 else "")
         )
+        steps = found.tree["sample_stats"].dataset
+        if engine == "NUTS":
+            mean = {key: float(steps[key].mean()) for key in ("n_steps", "acceptance_rate", "diverging")}
+            print("   ", ", ".join(f"{key} {value:.3g}" for key, value in mean.items()), "a draw", flush=True)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.posterior.laplace import find_mode
-from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
+from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
 from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, pool
 from bayes_aero.inference.posterior.pooled.normal_estimates import normal_estimates
 from bayes_aero.model.density import Density
@@ -28,7 +28,7 @@ FREE = ("CLa", "Cmde", "Cma", "alpha_star", "a1")
 SIGMA = {"CL": 0.05, "CD": 0.02, "Cm": 0.02}
 SCATTERS = 0.2  # of the priors' standard deviations, with which the manoeuvres are flown
 THIN = 10  # one sample in so many: 4 s with the whole stall
-LONG = NutsLength(chains=12, warmup=1000, max_blocks=4)
+LONG = NutsLength(chains=12, warmup=WarmUp(1000), max_blocks=4)
 
 
 class FullHierarchy(LogDensity):

@@ -25,12 +25,12 @@ from hierarchy_density import compare
 from hierarchy_flights import fly_again
 from ranks import band_of, rank
 
-from bayes_aero.inference.posterior.nuts import NutsLength
+from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp
 from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, pool
 
 NAMES = ("first", "second", "third")
 WIDTHS = (0.5, 0.9, 0.95)
-LENGTH = NutsLength(warmup=300, max_blocks=2)
+LENGTH = NutsLength(warmup=WarmUp(300), max_blocks=2)
 
 
 def drawn(rng: np.random.Generator, manoeuvres: int) -> tuple[dict[str, np.ndarray], Hierarchy]:

@@ -29,7 +29,7 @@ from bayes_aero.inference.posterior.innovations import (
     innovations_posterior,
     sample_innovations,
 )
-from bayes_aero.inference.posterior.nuts import NutsLength
+from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.parameter import Parameter, Prior
@@ -79,7 +79,9 @@ def test_the_density_is_the_likelihood_of_the_fit_and_the_priors(scalar, fitted)
     for value, median in zip(x[1:], (0.3 * R[0] ** 0.5, (0.1 * R[0]) ** 0.5), strict=True):
         priors += stats.lognorm.logpdf(value, SPREAD, scale=median)
     u = density.unconstrain(jnp.asarray(x))
-    whole = fitted.log_likelihood + priors + np.log(x[1:]).sum()  # of log F and log sigma
+    knee = np.array([0.5 * 0.3 * R[0] ** 0.5, 0.03 * (0.1 * R[0]) ** 0.5])
+    slope = knee * (1.0 - np.exp(-x[1:] / knee))  # of knee log(1 + exp(u)) by u
+    whole = fitted.log_likelihood + priors + np.log(slope).sum()
     assert float(density(u)) == pytest.approx(whole, rel=1e-8)
 
 
@@ -112,7 +114,7 @@ def test_both_samplers_find_the_posterior_by_quadrature(scalar, fitted):
 
 def test_short_chains_say_so(scalar, fitted):
     """One ensemble of a hundred steps misses the effective sample size."""
-    length = PosteriorLength(NutsLength(2, 200, 1), EnsembleLength(1, 100))
+    length = PosteriorLength(NutsLength(2, WarmUp(200), 1), EnsembleLength(1, 100))
     found = sample_innovations(scalar[0], fitted, np.array([3e-4]), seed=1, length=length)["emcee"]
     assert found.tree.attrs["steps"] == 100
     assert min(m.ess for m in found.marginals.values()) < 400.0

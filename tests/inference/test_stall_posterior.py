@@ -11,7 +11,7 @@ import xarray as xr
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode
-from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -58,8 +58,14 @@ def linear(thinned):
 
 MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
 
+STEP_ALONE = partial(sample_nuts, length=NutsLength(4, WarmUp(100, acceptance=0.8, metric=False)))
 
-@pytest.mark.parametrize("engine", [sample_ensemble, sample_nuts, MANY], ids=["emcee", "nuts", "many walkers"])
+
+@pytest.mark.parametrize(
+    "engine",
+    [sample_ensemble, sample_nuts, MANY, STEP_ALONE],
+    ids=["emcee", "nuts", "many walkers", "nuts, step size alone"],
+)
 def test_engines_give_the_closed_form(linear, engine):
     """The noise deviations are sampled too; at n = 1126 that widens the normal by less than 0.2 %."""
     model, data, mean, covariance = linear
@@ -75,6 +81,8 @@ def test_engines_give_the_closed_form(linear, engine):
         assert m.sd == pytest.approx(sd[i], rel=0.12)
     draws = posterior.draws()[:, : len(mean)]
     np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.12)
+    if engine is STEP_ALONE:
+        assert float(posterior.tree["sample_stats"]["n_steps"].mean()) <= 7.0  # a normal posterior, whitened
 
 
 def test_maximum_likelihood_is_least_squares_on_a_linear_model(linear):

@@ -3,6 +3,9 @@
 The density is that of `likelihood.prediction_error`, with the parameters' priors instead of their normal
 approximations, and weak lognormal priors of the noise, so that the posterior is proper where a process noise is not
 distinguishable from zero.
+
+A noise or gust of hardly any size has a posterior that is flat in its logarithm below what the record can tell, and
+falls off steeply above. Samplers therefore work on the logarithm of small and on the size of large ones (`knee`).
 """
 
 from __future__ import annotations
@@ -22,13 +25,15 @@ from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import find_mode, inside
-from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
+from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 
 ENGINES = ("emcee", "nuts")  # the faster one first
+KNEE_OF_PROCESS, KNEE_OF_MEASUREMENT = 0.5, 0.03  # of the median, see `Parameter.knee`
+KNEE_OF_INTENSITY = 0.05  # of the prior's width
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
@@ -67,15 +72,24 @@ class InnovationsDensity(LogDensity):
         """Of the dynamics, of the process noise, of the measurement noise."""
         states, outputs = self.flown.dynamics.states, self.flown.outputs
         process = [
-            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", level)
+            _noise(
+                f"F_{name}", f"process noise of {name}, in its unit per square root of a second", level, KNEE_OF_PROCESS
+            )
             for name, level in zip(states, self.levels.process, strict=True)
             if level > 0.0
         ]
         measurement = [
-            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", level)
+            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", level, KNEE_OF_MEASUREMENT)
             for name, level in zip(outputs, self.levels.measurement, strict=True)
         ]
-        return (*self.flown.dynamics.free, *process, *measurement)
+        return (*map(self._with_knee, self.flown.dynamics.free), *process, *measurement)
+
+    def _with_knee(self, parameter: Parameter) -> Parameter:
+        """An intensity, whose posterior may reach zero, with a knee; any other parameter as it is."""
+        prior = parameter.prior
+        if parameter.name not in self.flown.dynamics.disturbance_parameters or prior.family != "halfnormal":
+            return parameter
+        return parameter.changed(knee=KNEE_OF_INTENSITY * prior.scale)
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
@@ -98,15 +112,18 @@ class InnovationsDensity(LogDensity):
         return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
 
 
-def _noise(name: str, text: str, median: float) -> Parameter:
-    source = "weak, about output error's residuals; our choice"
-    return Parameter(name, "SI", 0.0, median, text, Prior("lognormal", median, SPREAD, source), (0.0, np.inf))
+def _noise(name: str, text: str, median: float, knee: float) -> Parameter:
+    prior = Prior("lognormal", median, SPREAD, "weak, about output error's residuals; our choice")
+    return Parameter(name, "SI", 0.0, median, text, prior, (0.0, np.inf), knee=knee * median)
+
+
+SHORT = WarmUp(100, acceptance=0.8, metric=False)  # on a scale that the mode gives well
 
 
 class PosteriorLength(NamedTuple):
     """Chains of both samplers for densities that take milliseconds: two each, one for each core of a small machine."""
 
-    nuts: NutsLength = NutsLength(chains=2, warmup=100, max_blocks=2)
+    nuts: NutsLength = NutsLength(chains=2, warmup=SHORT, max_blocks=5)
     emcee: EnsembleLength = EnsembleLength(ensembles=2, max_steps=600)
 
 
