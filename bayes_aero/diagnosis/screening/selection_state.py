@@ -15,6 +15,7 @@ from bayes_aero.diagnosis.folds import blocks_of, folds_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.parameter import departure
+from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import ResidualModel
 
 LARGEST = 1e100  # of a sensitivity: a simulation that has diverged says nothing, and its square has no number
@@ -68,6 +69,11 @@ class SelectionState:
     def settings(self) -> DiagnosisSettings:
         """Thresholds of the diagnosis."""
         return self.full.settings
+
+    def least_share(self, share: float) -> float:
+        """A least share of the variance of means over `FILTER_STEP` samples, as it is of these residuals: noise
+        averages out, what a model lacks does not."""
+        return share * self.responses.averaged / FILTER_STEP
 
     @property
     def departure(self) -> Float[np.ndarray, " k"]:

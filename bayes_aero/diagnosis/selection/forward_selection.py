@@ -158,7 +158,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
         seen.add(standing.effect)
         if len(seen) > settings.candidates_tried:
             break
-        if explained(state, standing) < settings.least_share or mixes_noise(state, standing):
+        if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
             continue
         gain = addition_gain(state, columns_of(state, standing))
         if not gain > 0.0:
@@ -243,12 +243,13 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
 
 def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
+    least = state.least_share(state.settings.least_share)
     for effect in state.active[:-1]:
         ranking = screen(state, fit, seed=0, nulls=False, without=effect)
         own = ranking.of(effect)
         best = next((s for s in ranking.candidate_scores if not mixes_noise(state, s)), ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
-        if own is None or faint or explained(state, own) < state.settings.least_share or mixes_noise(state, own):
+        if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
         elif best.effect != effect:
             more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain

@@ -15,7 +15,6 @@ from bayes_aero.diagnosis.screening.screening import explained_shares
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.terms.columns import columns_of
 from bayes_aero.inference.variance.autoregression import ORDER
-from bayes_aero.physics.filters import FILTER_STEP
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 _OVER_TIME = " over time, period "
@@ -153,12 +152,6 @@ def share_of(state: SelectionState, own: np.ndarray) -> float:
     before = state.fit()
     after = state.products.fit(np.concatenate([before.columns, own]), state.mean, state.precision)
     return float(np.max(1.0 - after.variance / before.variance))
-
-
-def least_share(state: SelectionState, share: float) -> float:
-    """A least share of the variance of means over `FILTER_STEP` samples, as it is of these residuals: noise averages
-    out in a mean, structure does not."""
-    return share * state.responses.averaged / FILTER_STEP
 
 
 def null_shares(

@@ -28,7 +28,6 @@ from bayes_aero.diagnosis.structure.components import (
     chance_of,
     families,
     in_batches,
-    least_share,
     null_shares,
     parts_of,
     share_of,
@@ -105,7 +104,7 @@ def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
     deviance, count = _with(state, chosen)
-    least, dropped = least_share(state, state.settings.unnamed_share), []
+    least, dropped = state.least_share(state.settings.unnamed_share), []
     for name in causes:
         rest, _ = _with(removed(state, name), chosen)
         if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:

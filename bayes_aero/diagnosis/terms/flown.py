@@ -25,7 +25,7 @@ from bayes_aero.diagnosis.screening.screening import (
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import least_share, share_of, with_components
+from bayes_aero.diagnosis.structure.components import share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.forms import Forms, Structure
@@ -158,7 +158,7 @@ def _useful(trial: _Trial, standing: CandidateScore) -> bool:
     state, own = trial.state, np.array(standing.columns, int)
     settings = state.settings
     alone = len(state.responses.flights.lengths) == 1
-    least = least_share(state, settings.single_share if alone else settings.unnamed_share)
+    least = state.least_share(settings.single_share if alone else settings.unnamed_share)
     if share_of(state, own) < least or standing.log_bayes <= 0.0:
         return False
     gain = holdout_deviance_gain(state, np.concatenate([state.columns(), own]))

@@ -16,7 +16,6 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.structure.components import (
     chance_of,
-    least_share,
     null_shares,
     share_of,
     with_components,
@@ -86,7 +85,7 @@ def reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
         own = np.concatenate([trial.columns(), trial.component_columns[0]])
         share, gain = share_of(trial, own[-1:]), holdout_deviance_gain(trial, own)
         at = left.index(one)
-        worth = share >= least_share(state, state.settings.unnamed_share) and gain > 0.0
+        worth = share >= state.least_share(state.settings.unnamed_share) and gain > 0.0
         left[at : at + 1] = [replace(one, share=share, gain=gain)] if worth else []
     return left
 
