@@ -94,10 +94,7 @@ def forward_selection(
 def selected(
     state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
 ) -> Selected:
-    """Add at most `most` effects (default: the settings').
-
-    Each election's p-value is family-wise over all candidates.
-    """
+    """Add at most `most` effects (default: the settings'). p-values are family-wise over all candidates."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
     noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
