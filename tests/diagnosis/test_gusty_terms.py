@@ -121,6 +121,16 @@ def test_a_term_changes_innovations_as_the_effect_that_a_file_states(short, tmp_
     np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
 
 
+def test_the_least_share_of_a_single_sample_is_a_fifth_of_that_of_a_mean_over_five(short):
+    """A constant in white noise: the share of the variance that it takes, by numpy."""
+    responses, theta = short
+    full = CandidateModel(responses.model, tuple(e.name for e in responses.model.effects), (), {})
+    state = linearised(full, responses, responses.outputs, theta)
+    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
+    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
+    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
+
+
 def searched(card, truth):
     """What the library finds in two flights in gusts, no catalogue beside it."""
     responses, theta = in_gusts(card, truth)

@@ -10,7 +10,7 @@ import pytest
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design.information import Information, noise_of
 from bayes_aero.diagnosis.design.next_test_points import next_test_points
-from bayes_aero.diagnosis.design.standard import on_record
+from bayes_aero.diagnosis.design.standard import of_records, on_record
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.effects import CATALOGUE
@@ -77,6 +77,9 @@ def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(sta
             S = S if name in NAMES else S - S.mean(axis=0)
             expected += S.T @ S / flown.noise.variance[c]
     np.testing.assert_allclose(told.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    present = of_records(state, effects, noise).information()  # what the state knows already
+    assert present.labels == told.labels
+    np.testing.assert_allclose(present.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
     first = flown.information(float(np.sum(manoeuvre == 0)) * flown.state.responses.seconds)
     assert np.all(np.diag(first.matrix) <= np.diag(told.matrix) * (1.0 + 1e-9))
 
