@@ -15,6 +15,7 @@ from bayes_aero.model.joined_channels import response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
 from bayes_aero.physics.coefficients import coefficients
+from bayes_aero.physics.flightpath import path_rates
 
 N, DT = 400, 0.04
 
@@ -115,7 +116,10 @@ def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size
 def test_every_effect_on_the_record_has_its_sign_tested():
     shown = [e for e in CATALOGUE.values() if e.disturbance is None]
     measured = {e.name for e in shown if e.kind in ("measurement", "environment")}
-    places = {"vane_position", "pitot_position", "sideslip_vane_position", "sideslip_vane_height"}
+    places = {
+        "vane_position", "pitot_position", "sideslip_vane_position", "sideslip_vane_height",
+        "accel_y_position", "accel_y_height", "accelerometer_position", "accelerometer_height",
+    }  # fmt: skip
     assert measured == {row[0] for row in RECORDED} | places
 
 
@@ -161,6 +165,37 @@ def test_a_sideslip_vane_away_from_the_cg_reads_the_flow_of_its_own_place(card, 
     moved = np.abs(there - beta).max()
     assert moved > 0.001
     np.testing.assert_allclose(true, beta, atol=0.02 * moved)  # the airspeed is taken as that of the CG
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "all_three"),
+    [
+        ("accel_y_position", (3.0, 0.0, 0.0), False),
+        ("accel_y_height", (0.0, 0.0, -1.5), False),
+        ("accelerometer_position", (-2.0, 0.0, 0.0), True),
+        ("accelerometer_height", (0.0, 0.0, 1.0), True),
+    ],
+)
+def test_accelerometers_elsewhere_read_the_acceleration_of_their_own_place(card, name, place, all_three):
+    """That of a rigid body: omega_dot x d + omega x (omega x d) more; the flight path is then that of the centre."""
+    t, axes = np.arange(N) * DT, ("ax", "ay", "az")
+    rates = np.stack([0.3 * np.sin(0.8 * t), 0.2 * np.sin(0.5 * t), 0.1 * np.cos(0.7 * t)], axis=1)
+    turning = np.stack([0.24 * np.cos(0.8 * t), 0.1 * np.cos(0.5 * t), -0.07 * np.sin(0.7 * t)], axis=1)
+    more = np.cross(turning, place) + np.cross(rates, np.cross(rates, place))
+    true = {n: wave(t + k) for k, n in enumerate(axes)} | {"airspeed": 80.0 + wave(t)}
+    true |= {n: wave(t + 5.0 + k) / 5.0 for k, n in enumerate(("alpha", "beta", "phi", "theta"))}
+    true |= dict(zip("pqr", rates.T, strict=True))
+    recorded = true | {n: true[n] + more[:, k] for k, n in enumerate(axes) if all_three or n == "ay"}
+    size = place[0] - place[2]  # ahead, or up
+    model = Model.of([name], axes=BOTH)
+    corrected = model.corrected({name: size}, marks(N, DT) | recorded, card.aircraft)
+    aircraft = model.actual_aircraft({name: size}, card.aircraft)
+    slopes = dict(zip(("p_dot", "q_dot", "r_dot"), turning.T, strict=True))
+    found, expected = (path_rates(s | slopes, a) for s, a in ((corrected, aircraft), (true, card.aircraft)))
+    moved = path_rates(recorded | slopes, card.aircraft)["beta"] - expected["beta"]
+    assert np.abs(moved).max() > 1e-3
+    for state, rate in expected.items():
+        np.testing.assert_allclose(found[state][5:-5], rate[5:-5], atol=1e-6)
 
 
 def test_a_pitot_tube_ahead_of_the_cg_reads_the_speed_of_its_own_place(card):

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array, namespace
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.joined_records import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
@@ -152,7 +153,7 @@ class FlightPathError(Blockwise):
     def _evaluate(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
         f, values = self.flights, self.model.values(theta)
         present = tuple(e for e in self._on_record if not e.absent_in(values))
-        model = Model(present, tuple(p for e in present for p in e.parameters))
+        model = Model(present, tuple(p for e in present for p in e.parameters), axes=tuple(Axis))
         signals = _as_numpy(model.corrected(values, f.channels, f.aircraft))
         ends = [f.channels[name] for name in ("dt", "first", "last")]
         for name in RATES:

@@ -19,7 +19,7 @@ def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_reco
     stand_ins = {name for name, e in CATALOGUE.items() if not e.candidate and e.disturbance is None}
     assert stand_ins == {
         "alpha_drag", "speed_drag", "speed_lift", "speed_moment", "stabilizer_lift", "stabilizer_drag",
-        "heading_delay", "sideslip_delay", "pitot_position",
+        "heading_delay", "pitot_position",
     }  # fmt: skip
     full = candidate_model(model, flights)
     assert len(full.candidates) > 20

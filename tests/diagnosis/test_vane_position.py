@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+import six_axes
+from stranger_six import drawn, fly
 
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
@@ -22,6 +25,42 @@ def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
     size = found.sizes[name]
     assert abs(size.mean - true) < 3.0 * size.sd
     assert 1.96 * size.sd < 0.15 * true
+
+
+AT = 3.0  # m from where the card says
+BESIDE = {  # what a lateral sensor adds that is elsewhere or late, of a flight's channels and its angular accelerations
+    "sideslip_vane_position": (6.0, lambda f, _: {"beta": f["beta"] + 6.0 * f["r"] / f["airspeed"]}),
+    "sideslip_vane_height": (2.0, lambda f, _: {"beta": f["beta"] + 2.0 * f["p"] / f["airspeed"]}),
+    "sideslip_delay": (0.1, lambda f, _: {"beta": np.interp(f["time"] - 0.1, f["time"], f["beta"])}),
+    "sideslip_scale": (0.15, lambda f, _: {"beta": 1.15 * f["beta"]}),
+    "accel_y_position": (AT, lambda f, dot: {"ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"])}),
+    "accelerometer_position": (AT, lambda f, dot: {
+        "ax": f["ax"] - AT * (f["q"] ** 2 + f["r"] ** 2),
+        "ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"]),
+        "az": f["az"] + AT * (f["p"] * f["r"] - dot["q"]),
+    }),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [None, *BESIDE])
+def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
+    """By kinematics, in flights of a simulator that shares no code: velocities and accelerations of a rigid body."""
+    rng = np.random.default_rng(41)
+    plane = drawn(rng, **six_axes.ATTACHED)
+    path = tmp_path / "another.toml"
+    path.write_text(six_axes.card_text(plane), encoding="utf-8")
+    records = []
+    for kind in ("aileron", "rudder", "elevator"):
+        flight = fly(plane, kind, rng)
+        dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
+        flight |= BESIDE[name][1](flight, dot) if name else {}
+        records.append(six_axes.record(kind, flight, rng))
+    found = screen_sensor_errors(records, read_card(str(path)))
+    assert found.causes == (() if name is None else (name,))
+    if name is not None:
+        size = found.sizes[name]
+        assert abs(size.mean - BESIDE[name][0]) < 3.0 * size.sd
+        assert size.sd < 0.1 * BESIDE[name][0]
 
 
 def test_a_card_that_states_the_boom_has_the_coefficients_of_the_cg(card, model, clean_records):

@@ -35,8 +35,8 @@ from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
 
 @dataclass(frozen=True)
 class KnownErrors:
-    """Errors of the record that were found: effects of stage CHANNEL, and plain data of each (see `Consistency`);
-    and those that the flight path cannot decide on."""
+    """Errors of the record that were found: effects on it or on where its sensors are, and plain data of each (see
+    `Consistency`); and those that the flight path cannot decide on."""
 
     effects: tuple[Effect, ...]
     errors: Mapping[str, Mapping[str, Any]]
@@ -132,7 +132,8 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[st
 
 
 def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
-    """`path_check` of each manoeuvre."""
+    """`path_check` of each manoeuvre, with the sensors where `flights` say that they are."""
+    card = replace(card, aircraft=flights.aircraft)
     return tuple(path_check(name, time, channels, card, seed) for name, time, channels in _manoeuvres(flights))
 
 

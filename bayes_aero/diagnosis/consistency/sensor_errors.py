@@ -57,9 +57,9 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
     if why := no_flight_path(records, card):
         raise InputError(why)
     flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
-    whole = candidate_model(Model((), ()), flights, tuple(own_effects(card.effect_files).values()))
+    whole = candidate_model(Model((), (), axes=tuple(Axis)), flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
-    model = Model(sensors, tuple(p for e in sensors for p in e.parameters))
+    model = Model(sensors, tuple(p for e in sensors for p in e.parameters), axes=tuple(Axis))
     full = CandidateModel(model, (), sensors, {})
     return check_sensors(full, FlightPathError.of(flights, model), full.neutral_vector, seed=seed)
 
@@ -95,6 +95,7 @@ def as_the_card_states(flights: Joined, card: Card) -> Joined:
 
 
 def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:
-    """Flights as a model of errors of the record makes them true."""
+    """Flights as a model of errors of the record, and of where its sensors are, makes them true."""
     true = model.corrected(values, flights.channels, flights.aircraft)
-    return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels})
+    aircraft = model.actual_aircraft(values, flights.aircraft)
+    return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels}, aircraft=aircraft)

@@ -15,8 +15,8 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 
 COMMON = (
-    "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_scale", "sideslip_bias", "airspeed_scale",
-    "pitch_attitude_bias", "bank_angle_bias",
+    "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_vane_position", "sideslip_vane_height",
+    "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "pitch_attitude_bias", "bank_angle_bias",
 )  # fmt: skip
 """Errors of an installation, equal in all manoeuvres."""
 OWN = (
@@ -24,8 +24,10 @@ OWN = (
     "vertical_wind",
 )  # fmt: skip
 """Errors that drift from one manoeuvre to the next, and the wind."""
-SHOWN_BY = {"sideslip_scale": "beta", "sideslip_bias": "beta", "accel_y_bias": "beta", "yaw_rate_bias": "beta",
-            "bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
+SHOWN_BY = dict.fromkeys(
+    ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
+     "accel_y_bias", "yaw_rate_bias"), "beta"
+) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
 """For errors of lateral sensors, the state that depends on them."""
 MARKS = {"dt", "start", "first", "last", "elapsed"}
 

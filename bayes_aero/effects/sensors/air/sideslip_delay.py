@@ -2,6 +2,7 @@
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.axes import Axis
 from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics.filters import advance
 
@@ -39,5 +40,5 @@ EFFECT = Effect(
     ),
     source="definition of a delay; cubic convolution between samples, Keys 1981",
     sizes={"sideslip_delay": (0.02, 0.5)},
-    candidate=False,
+    axis=Axis.LATERAL,
 )
