@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,7 +174,7 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
         return form(value)
     if isinstance(value, Estimate):
         return estimate(value.centre, value.sd)
-    return number(value, form) if isinstance(form, int) else format(value, form)
+    return number(value, form) if isinstance(form, int) else format(value, re.sub(r"^(\+?)(?=\.)", r"\1z", form))
 
 
 def in_brackets(e: Estimate) -> str:
