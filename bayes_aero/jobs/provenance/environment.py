@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import bayes_aero
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.provenance.package_snapshot import package_wheel, wheel_name
-from bayes_aero.jobs.provenance.provenance import write_bytes, write_json, write_text
+from bayes_aero.jobs.provenance.provenance import write_json
 
 OWN = "bayes-aero"
 
@@ -80,8 +81,8 @@ def write_environment(out: Path) -> Path:
             lines.append(f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)")
         else:
             lines.append(f"./{wheel_name()}")
-            write_bytes(wheel, folder / wheel_name())
-        write_text("\n".join(lines) + "\n", folder / "requirements.txt")
+            write_whole(wheel, folder / wheel_name())
+        write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder
 

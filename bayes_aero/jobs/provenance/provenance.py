@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 
@@ -67,19 +68,7 @@ def _version(name: str) -> str:
 
 def write_json(content: dict[str, Any], path: Path) -> None:
     """Write whole or not at all; a number that does not exist (NaN, infinity) becomes null."""
-    write_text(as_json(content), path)
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write whole or not at all."""
-    write_bytes(text.encode(), path)
-
-
-def write_bytes(content: bytes, path: Path) -> None:
-    """The same of what is no text."""
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(content)
-    os.replace(partial, path)
+    write_whole(as_json(content), path)
 
 
 def as_json(content: dict[str, Any]) -> str:

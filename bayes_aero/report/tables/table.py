@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from rich import table as rich
 from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.report.text.phrases import bracket, concise, number, plain_unit, plus_minus
 
 if TYPE_CHECKING:  # check shows tables, and does not wait for pandas
@@ -201,10 +201,4 @@ def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column
 
 def write_csv(table: Table, path: Path) -> Path:
     """Write a table, whole or not at all; floats keep every digit."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        table.frame().to_csv(partial, lineterminator="\n")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+    return write_whole(table.frame().to_csv(lineterminator="\n"), path)
