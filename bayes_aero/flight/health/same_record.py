@@ -11,7 +11,8 @@ from bayes_aero.flight.health.finding import HealthFinding, found
 from bayes_aero.flight.health.signals import quantum
 from bayes_aero.flight.record import FlightRecord
 
-COMPARED = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
+FIRST = ("q", "alpha", "az", "theta", "airspeed", "elevator", "p", "ax", "phi", "altitude", "r", "beta", "ay")
+"""Channels that tell flights apart best; those of a card's own names come after them."""
 FEWEST = 40  # samples in common
 NEAR = 0.5  # correlation of sample-to-sample differences from which a shift of time is looked at closely
 ALIKE = 0.999  # the same, noise included, that two flights never have
@@ -42,7 +43,8 @@ def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, in
     every = [round(slow / record.dt) for record in (one, two)]
     if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):
         return None
-    names = [n for n in COMPARED if one.has(n) and two.has(n) and np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
+    names = [n for n in FIRST if n in one.channels] + [n for n in one.channels if n not in FIRST]
+    names = [n for n in names if n in two.channels and np.ptp(one[n]) > 0.0 and np.ptp(two[n]) > 0.0]
     if len(names) < CHANNELS:
         return None
     for begin in product(*map(range, every)):

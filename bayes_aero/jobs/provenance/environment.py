@@ -41,9 +41,8 @@ def environment() -> dict[str, Any]:
 
 def rests_on(source: Mapping[str, Any], records: Sequence[FlightRecord]) -> dict[str, Any]:
     """All that a run's numbers rest on but its settings, from its provenance: what may go on where it stopped."""
-    same = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
-    samples = [(r.source, r.n, r.dt) for r in records]  # one file may be resampled to several rates
-    return same | {"samples": samples, "environment": environment()}
+    same = {key: source[key] for key in ("seed", "effect_files")} | {"card": source["card"]["sha256"]}
+    return same | {"records": [(r.name, r.content) for r in records], "environment": environment()}
 
 
 def environment_id() -> str:
