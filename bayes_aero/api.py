@@ -21,14 +21,13 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from bayes_aero.api_results import Diagnosed, Fit, plot
-from bayes_aero.diagnosis.consistency.consistency import consistency
+from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.checks import check_arrays
 from bayes_aero.flight.reading.plausible import without_bad_options
 from bayes_aero.flight.reading.read_record import read_records
@@ -45,6 +44,7 @@ from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.steps.pooled_manoeuvres import pooled_manoeuvres
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -135,6 +135,7 @@ def fit(
     in_band = None
     if frequency is not None:
         in_band = coefficients_in_band(without_spikes, card, model, joint, frequency, seed=seed)
+    checks = record_checks(records, card, seed, seek=False)
     found = Identification(
         card,
         model,
@@ -145,8 +146,9 @@ def fit(
         alone,
         {},
         notes=(*left_out, *spikes),
-        health=channel_health(records, card),
-        consistency=consistency(records, card, seed=seed, seek=False),
+        failures=checks.failures,
+        health=checks.health,
+        consistency=checks.consistency,
         forming=forming,
         frequency=in_band,
     )
@@ -258,7 +260,8 @@ def diagnose(
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
-    This does not compare predictors, simulate trajectories or write files; `bayes-aero diagnose` does.
+    This does not compare predictors, simulate trajectories or write files; `bayes-aero diagnose` does. The health of
+    channels and the agreement of sensors are checked: see `Diagnosed.doubts`.
 
     Args:
         records: one per manoeuvre.
@@ -285,7 +288,8 @@ def diagnose(
         own, _ = on_recorded_axes(own, records)
     asked = {"settings": settings, "seed": seed, "process_noise": process_noise}
     found = run_diagnosis(records, own, model=model, extra=candidates, **asked)
-    return Diagnosed(view_of(found), own)
+    known = errors_of_diagnosis(found) if found.by_coefficients else None
+    return Diagnosed(view_of(found), own, record_checks(records, own, seed, known=known, seek=False))
 
 
 def _sound(records: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:

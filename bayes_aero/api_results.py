@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -12,11 +12,14 @@ from matplotlib.figure import Figure
 from bayes_aero.diagnosis.view.holdout import holdout_scores
 from bayes_aero.diagnosis.view.results import DiagnosisView, View
 from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.steps.post_diagnosis import predictors
+from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pooled.next_flight import next_flight_table
 from bayes_aero.report.structure.tables import sampled_table, weights_table
@@ -60,10 +63,7 @@ class Fit:
     @property
     def doubts(self) -> list[str]:
         """Faulty channels and disagreement of the sensors along the flight path; empty for sound records."""
-        agreement = self.run.consistency
-        disagree = agreement is not None and agreement.disagrees
-        answer = consistency_sentences(agreement, corrects=False)[:1] if agreement is not None and disagree else []
-        return [*(finding.sentence for finding in self.run.health), *answer]
+        return _doubts(self.run.health, self.run.consistency, corrects=False)
 
     def table(self) -> pd.DataFrame:
         """Parameters in SI and radians.
@@ -118,6 +118,13 @@ class Diagnosed:
 
     view: DiagnosisView
     card: Card
+    checks: RecordChecks | None = None
+
+    @property
+    def doubts(self) -> list[str]:
+        """Faulty channels, a record that was given twice, and disagreement of the sensors; empty for sound records."""
+        corrects = self.view.diagnosis.by_coefficients
+        return [] if self.checks is None else _doubts(self.checks.health, self.checks.consistency, corrects=corrects)
 
     @property
     def verdict(self) -> str:
@@ -131,8 +138,9 @@ class Diagnosed:
 
     @property
     def sentences(self) -> list[str]:
-        """The verdict, one sentence or two per cause, unexplained structure, what is not testable, notes."""
-        return sentences(self.view)
+        """Doubts about the records, then the verdict, one sentence or two per cause, unexplained structure, what is not
+        testable, notes."""
+        return [*self.doubts, *sentences(self.view)]
 
     def table(self) -> pd.DataFrame:
         """Causes in SI and radians.
@@ -245,6 +253,12 @@ def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | N
         own, height = drawn.get_size_inches()
         drawn.set_size_inches(width, height * width / own)
     return drawn
+
+
+def _doubts(health: Sequence[HealthFinding], agreement: Consistency | None, *, corrects: bool) -> list[str]:
+    disagree = agreement is not None and agreement.disagrees
+    answer = consistency_sentences(agreement, corrects=corrects)[:1] if agreement is not None and disagree else []
+    return [*(finding.sentence for finding in health), *answer]
 
 
 def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:

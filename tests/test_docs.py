@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -137,3 +138,13 @@ def test_the_effect_of_the_how_to_works_out_its_own_example(tmp_path):
     example, aircraft = effect.example, type("Wing", (), {"wing_area": 60.0})()
     found = effect.increments(example.parameters, example.signals, aircraft, {})
     assert found == pytest.approx(dict(example.increments))
+
+
+def test_no_part_of_a_sentence_stands_outside_its_parentheses():
+    """A string that is a statement by itself is a docstring, or the lost end of another string."""
+    for path in sorted(Path(ba.__file__).parent.rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        alone = [n.value for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Expr)]
+        texts = [x for x in alone if isinstance(x, ast.JoinedStr) or isinstance(getattr(x, "value", None), str)]
+        lost = [x.lineno for x in texts if not (ast.get_source_segment(source, x) or "").startswith(('"""', 'r"""'))]
+        assert not lost, f"{path}: {lost}"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.cli.terminal import (
     SUFFIXES,
     JsonOption,
@@ -46,14 +46,10 @@ def card(
         from bayes_aero.jobs.card.card_template import starter_card
 
     starter = starter_card(record)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        partial.write_text(starter.text, encoding="utf-8")
-        os.replace(partial, target)
+        write_whole(starter.text, target)
     except OSError as reason:
         raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
-    finally:
-        partial.unlink(missing_ok=True)
     report = None
     failures: tuple[str, ...] = ()
     if page:

@@ -57,17 +57,15 @@ def check(
         from bayes_aero.jobs.check import check_records, check_results, write_check
 
     card = read_card(model)
-    failures: tuple[str, ...] = ()
     with interruptible(lambda: "nothing was written; give the same command again"), bar("reading") as tell:
         report = check_records(records, card, resample=resample, split=split, sensors=sensors, seed=seed, progress=tell)
-        if out is not None:
-            failures = write_check(report, out, seed)
+        failures = report.failures + (() if out is None else write_check(report, out, seed))
     if json:
         print_json(check_results(report))
     else:
         _tell(teller(), report)
+        print_failures(teller(), failures)
         if out is not None:
-            print_failures(teller(), failures)
             teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(FAILED)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,6 +16,8 @@ from pathlib import Path
 
 from rich.progress import ProgressColumn, Task
 from rich.text import Text
+
+from bayes_aero.atomic_write import write_whole
 
 FILE = "durations.json"
 SHORT = 2.0  # s; nobody asks how much is left of less
@@ -84,11 +85,9 @@ class Durations:
         """All stages have ended; a file that cannot be written costs nothing but these numbers."""
         self._end()
         held = {name: s for name, s in self._last.items() if name not in self._new} | self._new
-        partial = self._path.with_name(f".{FILE}.{os.getpid()}.part")
         with suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            partial.write_text(json.dumps(dict([*held.items()][-MOST:])), encoding="utf-8")
-            os.replace(partial, self._path)
+            write_whole(json.dumps(dict([*held.items()][-MOST:])), self._path)
 
     def _end(self) -> None:
         if self._stage:

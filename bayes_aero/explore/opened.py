@@ -11,14 +11,16 @@ from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.explore.choice import addable
 from bayes_aero.explore.linear import LIMITS, linear_groups
-from bayes_aero.explore.records import records_of
 from bayes_aero.explore.sliders import Group, groups_of
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.handover.fitted_records import fitted_records
 from bayes_aero.jobs.handover.identified_card import card_of
 from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
 from bayes_aero.jobs.handover.identified_result import read_finished, with_process_noise
 from bayes_aero.jobs.handover.result_file import read_result, result_file
+from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks
+from bayes_aero.report.text.consistency import consistency_sentences
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Opened:
         errors: standard errors by parameter, where the result has them.
         departures: by manoeuvre and state, what was fitted to its measured value at the first sample; empty: the
             initial states are the measured ones.
+        checks: of the records.
     """
 
     folder: Path
@@ -45,6 +48,14 @@ class Opened:
     told: Mapping[str, Any]
     errors: Mapping[str, float]
     departures: Mapping[str, Mapping[str, float]]
+    checks: RecordChecks
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What makes the records doubtful, a sentence each; empty for sound ones."""
+        answer = consistency_sentences(self.checks.consistency, corrects=False)
+        disagree = answer[:1] if self.checks.consistency.disagrees else []
+        return (*self.checks.failures, *(f"{f.sentence}." for f in self.checks.health if f.grave), *disagree)
 
     @property
     def title(self) -> str:
@@ -58,8 +69,8 @@ class Opened:
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """A sentence on each thing that the model, or the fit, has and the page does not show."""
-        said = [LIMITS] if self.linear else []
+        """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
+        said = [*self.doubts, *([LIMITS] if self.linear else [])]
         if self.command == "fly" and with_process_noise(self.told):
             drifts = ", drifts of parameters" if self.told["process_noise"].get("drift") else ""
             said.append(
@@ -104,13 +115,14 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     whose = card_of(told["provenance"], file, card)
     command = COMMANDS[told["schema"].split("/")[1]]
     try:
-        records = records_of(told["provenance"], file, whose, folders)
+        records = fitted_records(told["provenance"], file, whose, folders=folders)
         known = _errors(told, command), _departures(told, command)
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
             raise
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
-    return Opened(folder, command, identified, whose, records, told, *known)
+    checks = record_checks(records, whose, seed=0, seek=False)
+    return Opened(folder, command, identified, whose, records, told, *known, checks)
 
 
 def _errors(told: Mapping[str, Any], command: str) -> dict[str, float]:

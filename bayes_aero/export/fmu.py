@@ -9,6 +9,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import DefectError, InputError
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.python_source import python_source
@@ -104,14 +105,14 @@ def write_fmu(found: Identified, folder: Path) -> Path:
         function, slave = Path(there) / f"{name}_function.py", Path(there) / f"{name}_slave.py"
         function.write_text(python_source(found), encoding="utf-8")
         slave.write_text(_slave(found, name, function.stem), encoding="utf-8")
-        words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", str(folder), str(function)]
+        words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there, str(function)]
         # a process of its own: pythonfmu imports the slave by its name, and keeps that module
         done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
-    made = folder / f"{name}.fmu"
-    if done.returncode or not made.is_file():
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise DefectError(f"pythonfmu did not build the FMU ({last})", "export --to python")
-    return made
+        made = Path(there) / f"{name}.fmu"
+        if done.returncode or not made.is_file():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise DefectError(f"pythonfmu did not build the FMU ({last})", "export --to python")
+        return write_whole(made.read_bytes(), folder / made.name)
 
 
 def _slave(found: Identified, name: str, module: str) -> str:

@@ -16,6 +16,7 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.effect import Example, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -97,10 +98,10 @@ def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:
     sets = {table.name: _dataset(found, table) for table in made}
     root = xr.Dataset(attrs={"about": "\n".join(about(found)), "sum": "a coefficient is the sum of its tables"})
     tree = xr.DataTree.from_dict({"/": root, **sets})
-    tree.to_netcdf(folder / "tables.nc", engine="h5netcdf")
+    write_whole(tree.to_netcdf(engine="h5netcdf"), folder / "tables.nc")
     for table in made:
         file = f"{table.name}.csv"
-        _frame(table).to_csv(folder / file, index=False, float_format="%.12g")
+        write_whole(_frame(table).to_csv(index=False, float_format="%.12g"), folder / file)
         files.append(file)
     return ("tables.nc", *files)
 

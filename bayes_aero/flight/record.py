@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
@@ -44,6 +44,8 @@ class FlightRecord:
         sha256: SHA-256 of the file's bytes; of the arrays' bytes for a record made in memory.
         dropped: channel -> reason why it was omitted when the file was read.
         remarks: how the file was read if there are several ways, one sentence each.
+        read: how the file is read to this record: its path, `part` (as behind FILE@), `resample` (s), `windows` cut out
+            after that (s), and whether gaps `split` it. Empty for a record made in memory.
     """
 
     name: str
@@ -53,6 +55,7 @@ class FlightRecord:
     sha256: str
     dropped: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    read: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         time = _frozen(self.time, f"record {self.name}: channel time")
@@ -81,10 +84,15 @@ class FlightRecord:
             InputError: an array is not numeric or has another length.
         """
         record = cls(name, time, channels, source, "")
-        digest = hashlib.sha256(record.time.tobytes())
-        for key in sorted(record.channels):
-            digest.update(key.encode() + b"\0" + record.channels[key].tobytes())
-        return cls(name, record.time, record.channels, source, digest.hexdigest())
+        return replace(record, sha256=record.content)
+
+    @cached_property
+    def content(self) -> str:
+        """SHA-256 of the samples: the same for the same channels, whatever file they come from."""
+        digest = hashlib.sha256(self.time.tobytes())
+        for key in sorted(self.channels):
+            digest.update(key.encode() + b"\0" + self.channels[key].tobytes())
+        return digest.hexdigest()
 
     @property
     def n(self) -> int:
@@ -142,8 +150,11 @@ class FlightRecord:
             source=f"{self.source}, {instant(t0)} s to {instant(t1)} s",
             sha256=self.sha256,
             dropped=self.dropped,
+            remarks=self.remarks,
+            read={**self.read, "windows": [*self.read["windows"], [float(t0), float(t1)]]} if self.read else {},
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and records are sent to worker processes.
-        return FlightRecord, (self.name, self.time, dict(self.channels), self.source, self.sha256, dict(self.dropped))
+        told = self.source, self.sha256, dict(self.dropped), self.remarks, dict(self.read)
+        return FlightRecord, (self.name, self.time, dict(self.channels), *told)

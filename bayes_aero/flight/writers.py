@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
@@ -44,17 +45,13 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
         values = from_si(record[channel.name], channel.unit, channel.name, standard.unit if standard else None)
         columns.append((channel, channel.sign * values))
     try:
-        content = writer(columns)
-        partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
-            partial.write_bytes(content)
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
+        write_whole(writer(columns), target)
     except InputError as reason:
         raise InputError(f"{target}: {reason}") from reason
     except OSError as reason:
-        raise InputError(f"{target}: it cannot be written ({reason}); check the folder and its permissions") from reason
+        raise InputError(
+            f"{target}: it cannot be written ({reason.strerror}); check the folder and its permissions"
+        ) from reason
 
 
 def _asc(columns: Columns) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,11 @@ import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
-from bayes_aero.diagnosis.consistency.consistency import as_recorded, errors_of_path, with_known_errors
+from bayes_aero.diagnosis.consistency.consistency import KnownErrors, errors_of_path
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Agreement, Consistency
+from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading.read_record import manoeuvres
 from bayes_aero.flight.record import FlightRecord
@@ -25,6 +23,7 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.jobs.steps.usable_for import available, usable_for
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import joined
@@ -60,9 +59,11 @@ def check_records(
     why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
     if not why and progress:
         progress("do the sensors agree?", 0.5)
-    agreement, checked = (Consistency(why), SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
+    known, sought, sensors_found = (None, "", SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
+    checks = record_checks(sound, card, seed, known=known, seek=False, left_out=why)
+    agreement = replace(checks.consistency, unsought=sought)
     return CheckReport(
-        card, tuple(looked), uses, not_testable, checked, agreement, channel_health(sound, card), left_out
+        card, tuple(looked), uses, not_testable, sensors_found, agreement, checks.health, left_out, checks.failures
     )
 
 
@@ -85,20 +86,17 @@ def _not_testable(records: Sequence[FlightRecord], card: Card) -> dict[str, str]
     return dict(candidate_model(Model.from_card(card), joined(records, card, ()), own).not_testable)
 
 
-def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Consistency, SensorCheck]:
-    """Agreement in absolute terms, and the errors that an election along the flight path names; side by side."""
-    with ThreadPoolExecutor(1) as beside:
-        recorded = beside.submit(as_recorded, records, card, seed)
-        try:
-            found = screen_sensor_errors(list(records), card, seed=seed)
-        except InputError as reason:
-            return replace(recorded.result(), unsought=str(reason)), SensorCheck(str(reason), {}, {})
+def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[KnownErrors | None, str, SensorCheck]:
+    """The errors that a selection along the flight path names, or why it could not look for them."""
+    try:
+        found = screen_sensor_errors(list(records), card, seed=seed)
+    except InputError as reason:
+        return None, str(reason), SensorCheck(str(reason), {}, {})
     known = errors_of_path(found)
-    agreement = with_known_errors(recorded.result(), records, card, known, seed)
     before = np.sqrt(np.mean((found.base.left(found.base_fit) * found.base.noise_growth) ** 2, axis=0))
     after = np.sqrt(np.mean((found.state.left(found.fit) * found.state.noise_growth) ** 2, axis=0))
     rms = {n: (float(a), float(b)) for n, a, b in zip(found.state.outputs, before, after, strict=True)}
-    return agreement, SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
+    return known, "", SensorCheck("", {n: dict(error) for n, error in known.errors.items()}, rms)
 
 
 def check_results(report: CheckReport) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
@@ -35,7 +34,7 @@ from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.background import in_background
 from bayes_aero.jobs.steps.post_diagnosis import predictors, simulations
 from bayes_aero.jobs.steps.post_processing import drawings, follow
-from bayes_aero.jobs.steps.sensors_first import sensors_agree
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.model import Model
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
@@ -92,7 +91,7 @@ def diagnose_records(
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
-    source = provenance(card, records, options.seed, _told(options))
+    source = provenance(card, records, options.seed, _told(options), options)
     source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
     unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
@@ -102,10 +101,11 @@ def diagnose_records(
     alone = not found.by_coefficients
     options = replace(options, predictors=options.predictors and not alone)
     known = None if alone else errors_of_diagnosis(found)
-    agreement, failed = sensors_agree(records, card, options.seed, out, known=known)
+    checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(found)
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
-    outcome = Outcome(view, hidden, named, (), channel_health(records, card), agreement, (*failed, *found.failures))
+    failed = (*checks.failures, *found.failures)
+    outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     earlier = unfinished.earlier(
         card, view.diagnosis.causes, predictors=options.predictors, trajectories=options.trajectories and not alone
     )

@@ -17,7 +17,6 @@ from bayes_aero.dynamics.flight import DERIVED
 from bayes_aero.dynamics.output_channels import OF_AXIS
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import linear_in_band
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
@@ -28,7 +27,7 @@ from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
 from bayes_aero.jobs.steps.flight_fits import coefficient_fit, output_error_fit, starts_of
 from bayes_aero.jobs.steps.flown_dynamics import flown_dynamics
-from bayes_aero.jobs.steps.sensors_first import sensors_agree
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.jobs.steps.usable_for import usable_for
 from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
@@ -132,9 +131,9 @@ def fly_records(
         writable(out)
     if progress:
         progress("do the sensors agree?", 0.0)
-    agreement, failures = sensors_agree(records, card, seed, out)
+    checks = record_checks(records, card, seed, out)
     asked = options.process_noise is None and not options.filtered
-    gusts = in_gusts(records, card, seed) if asked and agreement.recorded else {}
+    gusts = in_gusts(records, card, seed) if asked and checks.consistency.recorded else {}
     if gusts:
         options = replace(options, process_noise=True)
     coefficients, failed = attempted(
@@ -153,7 +152,7 @@ def fly_records(
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
     options = replace(options, process_noise=options.filtered or disputed)
-    source = provenance(card, records, seed, _told(options, setting))
+    source = provenance(card, records, seed, _told(options, setting), options)
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     if options.filtered and not flown.converged:
         notes.append("Process noise was not fitted, because output error did not converge.")
@@ -163,9 +162,8 @@ def fly_records(
     decided = settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed)
     filtered = (*gust_sentences(gusts, beside), *decided, *_filtered(beside, flown))
     said = (*filtered, *plain, *disagreement_sentences(apart, hindered), *motion_sentences(moves))
-    health = channel_health(records, card)
-    failed = (*failures, *failed, *more, *unmoved)
-    found = Flight(flown, said, tuple(notes), health, agreement, failed, apart, beside, motion=moves)
+    failed = (*checks.failures, *failed, *more, *unmoved)
+    found = Flight(flown, said, tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
 
     def put(found: Flight) -> None:
         if out is not None:

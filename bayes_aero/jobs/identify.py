@@ -14,7 +14,6 @@ from typing import Any
 from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.common_rate import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import coefficients_in_band
@@ -38,7 +37,7 @@ from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
 from bayes_aero.jobs.steps.pooled_manoeuvres import left_out_of_many, pooled_manoeuvres
-from bayes_aero.jobs.steps.sensors_first import sensors_agree
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.jobs.steps.spike_repair import repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
@@ -110,7 +109,7 @@ class _Job:
         self.repaired, self.spikes = repaired(records)
         self.observations = observe(self.repaired, card, self.model, options.forming)
         self.seconds: dict[str, float] = {}
-        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told))
+        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told, options))
         self.chains = None if out is None else out / CHAINS
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any) -> tuple[Any, tuple[str, ...]]:
@@ -137,7 +136,8 @@ class _Job:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
         model, observations, seed, forming = self.model, self.observations, self.options.seed, self.options.forming
         with self.timed("do the sensors agree?"):
-            agreement, failures = sensors_agree(self.records, self.card, seed, self.out)
+            checks = record_checks(self.records, self.card, seed, self.out)
+            failures = checks.failures
         matched = forming is Forming.MATCHED
         with self.timed("mle"):
             mle = raw = fit_mle(model, observations, seed=seed)
@@ -165,9 +165,9 @@ class _Job:
             {},
             notes=(*self.left_out, *self.spikes, *rates, *left_out_of_many(len(self.records))),
             failures=failures,
-            health=channel_health(self.records, self.card),
+            health=checks.health,
             preparation=preparation,
-            consistency=agreement,
+            consistency=checks.consistency,
             truth=truth,
             seconds=self.seconds,
             forming=forming,

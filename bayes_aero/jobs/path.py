@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs.fly import fly_records
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.jobs.io.output_folder import safe_name
 from bayes_aero.jobs.options import FREE, FlyOptions
+from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.progress import Progress
 
 WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start
 CORRECTED = "corrected"
+WRITTEN, SCHEMA = "written.json", "bayes_aero/corrected/1"  # the files of the folder, with their hashes
 UNSAFE = r"[^\w.@+-]"  # in the name of a file
 
 
@@ -76,15 +83,52 @@ def path_records(
     progress: Progress | None = None,
 ) -> Flight:
     """`flight_path` with its options in one."""
+    targets = [] if out is None else corrected_files(records, out / CORRECTED)
     found = fly_records(records, card, options, out=out, progress=progress)
     if out is not None and found.flown.converged:
         folder = out / CORRECTED
         folder.mkdir(exist_ok=True)
-        for left in folder.glob("*.csv"):  # of an earlier run
+        for left in written_before(folder):
             left.unlink()
-        for record in corrected_records(records, found.flown):
-            write_record(record, folder / f"{safe_name(re.sub(UNSAFE, '_', record.name))}.csv", card.channels)
+        for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
+            write_record(record, target, card.channels)
+            files = {path.name: _hash(path) for path in targets if path.is_file()}
+            write_json({"schema": SCHEMA, "files": files}, folder / WRITTEN)
     return found
+
+
+def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]:
+    """Where the corrected records go, a file each.
+
+    Raises:
+        InputError: such a file is there that this command did not write, or that has changed since.
+    """
+    own, found = written_before(folder), []
+    for record in records:
+        name = safe_name(re.sub(UNSAFE, "_", record.name))
+        endings = chain([""], (f"_{k}" for k in count(2)))
+        path = next(p for p in (folder / f"{name}{k}.csv" for k in endings) if p not in found)
+        if path.exists() and path not in own:
+            raise InputError(
+                f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another folder "
+                "with --out"
+            )
+        found.append(path)
+    return found
+
+
+def written_before(folder: Path) -> list[Path]:
+    """The files of an earlier run that are as it wrote them; all others are the user's."""
+    try:
+        files = dict(json.loads((folder / WRITTEN).read_text(encoding="utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    there = {folder / Path(name).name: sha256 for name, sha256 in files.items()}
+    return [path for path, sha256 in there.items() if is_file(path) and _hash(path) == sha256]
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> list[FlightRecord]:

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.design.next_test_points import TestPoint
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.health import HealthFinding
 
 PASSES_FROM, FAILS_TO = 0.95, 0.05
 """Probabilities from which a tolerance passes, and to which it fails; our choice."""
@@ -176,6 +178,8 @@ class Qualification:
         origins: where parameters, structure, gusts and the scatter between manoeuvres come from, a sentence each.
         notes: remarks.
         further: flights that would decide what is undecided; None where nothing is.
+        health: faults of the channels of all records, fitted and new.
+        consistency: whether their sensors agree; None: not asked.
     """
 
     tests: tuple[Test, ...]
@@ -188,6 +192,8 @@ class Qualification:
     origins: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     further: Further | None = None
+    health: tuple[HealthFinding, ...] = ()
+    consistency: Consistency | None = None
 
     def of(self, output: str) -> tuple[Test, ...]:
         """The tests of one output."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.inference.identification import Identification
 
 DPI = 150
@@ -119,14 +120,12 @@ def column_width(columns: int) -> float:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG whole or not at all, and close the figure."""
-    partial = path.with_name(path.name + ".part")
+    drawn = io.BytesIO()
     try:
-        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": "bayes_aero"})
-        os.replace(partial, path)
+        figure.savefig(drawn, format="png", dpi=DPI, metadata={"Software": "bayes_aero"})
     finally:
-        partial.unlink(missing_ok=True)
         close(figure)
-    return path
+    return write_whole(drawn.getvalue(), path)
 
 
 def close(figure: Figure) -> None:

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import bayes_aero
+from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.card.toml_tables import is_file
-from bayes_aero.jobs.io.atomic_write import beside, put_folder
 from bayes_aero.jobs.provenance.environment import environment_id
-from bayes_aero.jobs.provenance.provenance import provenance, write_json, write_text
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
 from bayes_aero.progress import Progress
 from bayes_aero.study.study import Unit, card_of
 
@@ -110,7 +110,7 @@ def fail_unit(given: Mapping[str, Any], folder: str, error: str) -> dict[str, An
     """Record the failure of a unit that could not do so itself, as one that ended its process."""
 
     def written(_: Unit, out: Path) -> str:
-        write_text(f"{error}\n", out / ERROR)
+        write_whole(f"{error}\n", out / ERROR)
         return error
 
     return _write_unit(Unit.of_json(given), Path(folder), written)
@@ -187,12 +187,12 @@ def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> st
     except InputError as reason:
         if no_space(reason):
             raise
-        write_text(f"{reason}\n", out / ERROR)
+        write_whole(f"{reason}\n", out / ERROR)
         return str(reason)
     except Exception as reason:  # the study continues; the unit's folder has the traceback
         if no_space(reason):
             raise
-        write_text(traceback.format_exc(), out / ERROR)
+        write_whole(traceback.format_exc(), out / ERROR)
         return f"{type(reason).__name__}: {reason}"
     return ""
 

@@ -21,8 +21,8 @@ from dask.utils import format_bytes, parse_bytes
 from distributed import Client, Future, KilledWorker, LocalCluster, get_worker
 from distributed.system import MEMORY_LIMIT
 
+from bayes_aero.atomic_write import sweep
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.io.atomic_write import sweep
 from bayes_aero.study.case import fail_unit
 from bayes_aero.study.run import StoppedError, UnitRunner
 from bayes_aero.study.worker import Driver, variables, work

@@ -9,11 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.atomic_write import sweep, write_whole
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.io.atomic_write import sweep
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.environment import write_environment
-from bayes_aero.jobs.provenance.provenance import write_text
 from bayes_aero.study.case import CaseState, run_unit, state_of
 from bayes_aero.study.study import Study, Unit
 from bayes_aero.study.summary import write_summary
@@ -94,7 +93,7 @@ def prepare(study: Study, out: Path) -> None:
         text = study.path.read_text(encoding="utf-8")
         copy = out / COPY
         if not copy.is_file() or copy.read_text(encoding="utf-8") != text:
-            write_text(text, copy)
+            write_whole(text, copy)
         write_environment(out)
     except OSError as error:
         raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from bayes_aero.jobs.io.atomic_write import sync
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.study.case import MANIFEST
 from bayes_aero.study.study import Unit
 
@@ -152,14 +151,9 @@ def _causes(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _write(table: pd.DataFrame, path: Path) -> None:
-    partial = path.with_name(path.name + ".part")
-    try:
-        if path.suffix == ".csv":
-            table.to_csv(partial, index=False, lineterminator="\n")
-        else:
-            text = [c for c in table.columns if c not in NUMBERS]
-            table.astype(dict.fromkeys(text, "string")).to_parquet(partial, index=False)
-        sync(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    if path.suffix == ".csv":
+        content: str | bytes = table.to_csv(index=False, lineterminator="\n")
+    else:
+        text = [c for c in table.columns if c not in NUMBERS]
+        content = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
+    write_whole(content, path, flush=True)

@@ -16,7 +16,7 @@ from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.tables.filtered import gust_table
 from bayes_aero.report.tables.fly import error_table
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
-from bayes_aero.report.text.phrases import plus_minus
+from bayes_aero.report.text.phrases import number, plus_minus, size_text
 
 
 def printed(table: Table, width: int = 80) -> str:
@@ -109,10 +109,41 @@ def test_a_terminal_shows_the_units_of_outputs():
 
 @pytest.mark.parametrize(
     ("value", "sd", "text"),
-    [(-0.39102, 0.0159, "-0.391 ± 0.016"), (23.716, 1.5, "23.7 ± 1.5"), (1.5, np.nan, "1.5"), (1.5, 0.0, "1.5")],
+    [
+        (-0.39102, 0.0159, "-0.391 ± 0.016"),
+        (23.716, 1.5, "23.7 ± 1.5"),
+        (1.5, np.nan, "1.5"),
+        (1.5, 0.0, "1.5"),
+        (-0.03, 5.7, "0.0 ± 5.7"),
+        (12345.6, 0.0, "12346"),
+    ],
 )
 def test_numbers_with_standard_errors(value, sd, text):
     assert plus_minus(value, sd) == text
+    assert size_text(value, sd, "1") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (999.7, 3, "1000"),
+        (999.4, 3, "999"),
+        (99.97, 3, "100"),
+        (-1234.6, 3, "-1235"),
+        (0.00012346, 3, "0.000123"),
+        (9.9996e-5, 3, "0.0001"),
+        (2.5e-7, 2, "2.5e-07"),
+        (4.2e7, 3, "4.20e+07"),
+        (-0.0, 3, "0"),
+    ],
+)
+def test_numbers_have_no_exponent_where_people_read_them(value, digits, text):
+    assert number(value, digits) == text
+
+
+@pytest.mark.parametrize(("form", "text"), [(".1f", "0.0"), ("+.1f", "+0.0"), (".0%", "0%"), (3, "-0.03")])
+def test_what_is_rounded_to_zero_has_no_minus(form, text):
+    assert cell_text(-0.0300 if form != ".0%" else -0.0003, form) == text
 
 
 def test_gusts_of_all_manoeuvres_stand_in_one_file(tmp_path):

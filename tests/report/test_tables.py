@@ -13,6 +13,7 @@ from rich.console import Console
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
@@ -20,7 +21,7 @@ from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.tables.comparison import ordered, scatter
 from bayes_aero.report.tables.models import holdout_table
-from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table
+from bayes_aero.report.tables.run_tables import PAPER_RECORDS, paper_table, parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.phrases import concise
 
@@ -112,16 +113,17 @@ def test_validation_table(full):
     assert both["gpr_rmse"] == pytest.approx(np.sqrt(np.mean(errors**2)))
 
 
-def test_the_papers_numbers_stand_beside_ours_on_its_card_only(full, make):
-    from dataclasses import replace
-
-    table = paper_table(full).frame()
+def test_the_papers_numbers_stand_beside_ours_for_its_records_and_card_only(full, make):
+    theirs = [replace(r, sha256=known) for r, known in zip(full.records, sorted(PAPER_RECORDS), strict=True)]
+    paper = replace(full, card=read_card("attas"), records=tuple(theirs))
+    table = paper_table(paper).frame()
     assert table.loc["Cm", "gpr_r_paper"] == 0.902741
     assert table.loc["CD", "mle_rmse_paper"] == 0.009290
     v = full.gp.splits["random"][0]["CL"]
     assert table.loc["CL", "gpr_r_ours"] == pytest.approx(v.gp_scores.r)
-    other = paper_table(replace(full, card=replace(full.card, name="other"))).frame()
-    assert list(other.columns) == ["mle_r_ours", "mle_rmse_ours", "gpr_r_ours", "gpr_rmse_ours"]
+    another = replace(paper.card, sha256="0" * 64)  # a card of the same name
+    for run in (replace(paper, card=another), replace(paper, records=full.records)):
+        assert list(paper_table(run).frame().columns) == ["mle_r_ours", "mle_rmse_ours", "gpr_r_ours", "gpr_rmse_ours"]
     assert paper_table(make(gp=False)).frame().empty
     assert validation_table(make(gp=False)).frame().empty
 

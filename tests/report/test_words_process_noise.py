@@ -19,11 +19,11 @@ def said(**more):
 
 def test_gusts_and_buffet_are_told_in_their_own_units():
     told = said()
-    assert "Estimated gusts, standard deviation: vertical 1.50 ± 0.1 m/s (scale length 200 ± 30 m)." in told
+    assert "Estimated gusts, standard deviation: vertical 1.50 ± 0.10 m/s (scale length 200 ± 30 m)." in told
     assert "No longitudinal gusts are distinguishable from noise of the states." in told
     assert (
-        "Buffet: the lift coefficient of fully separated flow fluctuates by 0.05 ± 0.01 (standard deviation; "
-        "correlated over 3 ± 0.5 chords)."
+        "Buffet: the lift coefficient of fully separated flow fluctuates by 0.050 ± 0.010 (standard deviation; "
+        "correlated over 3.00 ± 0.50 chords)."
     ) in told
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from bayes_aero import atomic_write as durable
+from bayes_aero.atomic_write import beside, put_folder, sweep
 from bayes_aero.errors import InputError, no_space
-from bayes_aero.jobs.io import atomic_write as durable
-from bayes_aero.jobs.io.atomic_write import beside, put_folder, sweep
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study.case import ERROR, MANIFEST, fail_unit, run_unit
 

@@ -45,6 +45,8 @@ def open(
         server = PageServer(page_of(simulator), port)
         tell("compiling", 0.5)
         simulator.result(0)
+    for sentence in simulator.opened.doubts:
+        teller().print(f"! {sentence}", soft_wrap=True)
     told = f"{simulator.opened.title} is open at {server.url} - Ctrl-C ends it."
     teller().print(told, soft_wrap=True)
     server.serve(browser=browser)

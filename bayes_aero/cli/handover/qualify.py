@@ -13,9 +13,11 @@ from bayes_aero.cli.terminal import (
     SeedOption,
     bar,
     exit_if_failed,
+    exit_in_doubt,
     interruptible,
     kept_stages,
     loading,
+    print_doubts,
     print_failures,
     teller,
 )
@@ -48,7 +50,7 @@ def qualify(
     """How probably the simulation passes each tolerance of the card: in the manoeuvres flown, and in the next flight.
 
     Parameters, errors of the model's structure and gusts are counted. Writes a page for an evaluator to sign. Exit code
-    0, whatever the verdict.
+    0, whatever the verdict; 3: the records are in doubt.
 
     Example: bayes-aero qualify trajectories --out qualification
     """
@@ -74,6 +76,7 @@ def qualify(
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, failures)
+    print_doubts(console, found.consistency, found.health, corrects=False)
     console.print(verdict_sentence(found), soft_wrap=True)
     console.print(verdict_table(found).terminal())
     for sentence in (
@@ -84,3 +87,4 @@ def qualify(
         console.print(f"• {sentence}", highlight=False)
     console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
     exit_if_failed(failures)
+    exit_in_doubt(found.consistency, found.health, corrects=False)

@@ -36,6 +36,7 @@ class CheckReport:
     consistency: Consistency
     health: tuple[HealthFinding, ...] = ()
     left_out: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # of checks that went wrong themselves
 
     @property
     def cautions(self) -> tuple[str, ...]:

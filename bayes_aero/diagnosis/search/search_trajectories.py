@@ -73,9 +73,11 @@ def search_trajectories(
     whole = candidate_model(model, flights, extra, settings)
     state = _state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
     found = forward_selection(state, seed=seed, progress=progress)
-    if found.state.active:
-        found = _with_lag(whole, found, seed, progress) or found
-    left, failures = attempted(
+    lagged, failures = attempted(
+        "Whether the separation point lags was not tested", lambda: _with_lag(whole, found, seed, progress), None
+    )
+    found = lagged or found
+    left, failed = attempted(
         "The form of what the catalogue does not explain was not sought",
         lambda: flown_forms(found, seed=seed + 3000, progress=progress),
         FlownForms(Forms((), ()), ()),
@@ -97,7 +99,7 @@ def search_trajectories(
         left.unknown,
         noise_of(found, outliers),
         tuple(notes),
-        failures,
+        (*failures, *failed),
         testable_now=False,
         terms=left.forms.terms,
         structures=left.forms.structures,
@@ -133,16 +135,8 @@ def _state(
 
 def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
-    try:
-        with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return _lagged(whole, found, seed, progress)
-    except (FloatingPointError, np.linalg.LinAlgError):
-        return None  # the lag fell to none on the way: the state is its static value, and nothing depends on it
-
-
-def _lagged(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
     lag = lag_of(whole)
-    if lag is None:
+    if lag is None or not found.state.active:
         return None
     if progress:
         progress("lag of the separation point", 0.0)

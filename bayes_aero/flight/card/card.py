@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,7 @@ class Card:
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # parts of files by name: "12.5:40"
     fly: FlyCard = field(default_factory=FlyCard)
     envelope: Envelope = field(default_factory=Envelope)  # of proposed flight tests
+    path: str = ""  # of the file, as it was given; empty for a shipped card
 
 
 def shipped_cards() -> dict[str, Path]:
@@ -108,7 +109,8 @@ def read_card(name_or_path: str | Path) -> Card:
             f"there is no card {str(name_or_path)[:200]!r}: give a .toml file or one of {', '.join(cards) or 'none'}"
         )
     raw, table = read_table(path, "card")
-    return parse_card(table, path.stem, str(path), hashlib.sha256(raw).hexdigest())
+    card = parse_card(table, path.stem, str(path), hashlib.sha256(raw).hexdigest())
+    return card if str(name_or_path) in cards else replace(card, path=str(path))
 
 
 def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = "") -> Card:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,7 @@ __all__ = [
     "in_si",
     "manoeuvres",
     "present",
+    "read_again",
     "read_record",
     "read_records",
     "unit_in_file",
@@ -90,8 +92,30 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
         source=os.fspath(path),
         sha256=hashlib.sha256(data).hexdigest(),
         remarks=tuple(opened.remarks),
+        read={
+            "path": os.fspath(path).removesuffix(f"@{segment.words}") if segment.words else os.fspath(path),
+            "part": segment.words,
+            "resample": None,
+            "windows": [],
+            "split": False,
+        },
     )
     return without_repeats(record)
+
+
+def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel]) -> FlightRecord:
+    """The record that was read before, from `file`, where it is now.
+
+    Args:
+        read: how (`FlightRecord.read`).
+        file: the whole file.
+        channels: what the card maps.
+    """
+    part = f"@{read['part']}" if read["part"] else ""
+    record = read_record(f"{file}{part}", channels, resample=read["resample"])
+    for begin, end in read["windows"]:
+        record = record.window(begin, end)
+    return replace(record, read={**record.read, "split": read["split"]})
 
 
 def read_records(
@@ -112,7 +136,8 @@ def read_records(
         split: whether gaps in time divide a file into manoeuvres.
     """
     parts = manoeuvres(paths, channels, segments=segments, split=split)
-    return [read_record(path, channels, resample=resample) for path in parts]
+    records = [read_record(path, channels, resample=resample) for path in parts]
+    return [replace(record, read={**record.read, "split": split}) for record in records]
 
 
 def manoeuvres(

@@ -68,6 +68,7 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
         sha256=record.sha256,
         dropped=record.dropped,
         remarks=(*record.remarks, *_told(record, knots, median, dt)),
+        read={**record.read, "resample": dt} if record.read else {},
     )
 
 

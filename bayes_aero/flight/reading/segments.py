@@ -34,12 +34,14 @@ class Segment:
         begin: first time, s; None from the beginning.
         end: last time, s; None to the end.
         part: number of the part between gaps, counted from 1, instead of times.
+        words: the part as it was written behind "@"; empty for the whole file.
     """
 
     file: Path
     begin: float | None = None
     end: float | None = None
     part: int | None = None
+    words: str = ""
 
     @property
     def whole(self) -> bool:
@@ -69,7 +71,8 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
             f"{text}: the part from {instant(begin)} to {instant(end)} s holds nothing; write FILE@FROM:TO, "
             "FROM before TO"
         )
-    return Segment(Path(match["file"]), begin, end, None if match["part"] is None else int(match["part"]))
+    part, words = match["part"], text[len(match["file"]) + 1 :]
+    return Segment(Path(match["file"]), begin, end, None if part is None else int(part), words)
 
 
 def _is_file(path: Path) -> bool:

@@ -21,8 +21,7 @@ class MleStatus(Enum):
     """How the fit ended; the value is the text for the user."""
 
     CONVERGED = "converged"
-    AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix the "
-    "parameter"
+    AT_BOUND = "converged with a parameter at its bound: its interval is not reliable; widen the bound or fix it"
     NOT_CONVERGED = "stopped before the optimum: start nearer, add priors or fix parameters; do not use the numbers"
     SINGULAR = "the information matrix is singular: the record does not identify every parameter; fix or add data"
     STALL_NOT_IDENTIFIED = (

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
 
 DESCRIPTION, BURN_IN, STEPS = "about.json", "burn_in.npz", "steps_{:08d}.npz"
@@ -124,17 +124,10 @@ class Checkpoint:
 
 def _write(path: Path, content: bytes | BurnIn | Stretch) -> None:
     """Write a file whole or not at all."""
-    partial = path.with_name(path.name + ".part")
-    with partial.open("wb") as handle:
-        if isinstance(content, bytes):
-            handle.write(content)
-        else:
-            np.savez(
-                handle, allow_pickle=False, **{f.name: np.asarray(getattr(content, f.name)) for f in fields(content)}
-            )
-        handle.flush()
-        os.fsync(handle.fileno())
-    os.replace(partial, path)
+    packed = io.BytesIO(content if isinstance(content, bytes) else b"")
+    if not isinstance(content, bytes):
+        np.savez(packed, allow_pickle=False, **{f.name: np.asarray(getattr(content, f.name)) for f in fields(content)})
+    write_whole(packed.getvalue(), path, flush=True)
 
 
 def _read(path: Path, kind: type[Part]) -> Part | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -10,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+
+from bayes_aero.atomic_write import write_whole
 
 
 class PosteriorStatus(Enum):
@@ -79,11 +80,9 @@ class Posterior:
 
     def save(self, path: Path) -> None:
         """Write `tree` to `path` as NetCDF, whole or not at all."""
-        partial = path.with_name(path.name + ".part")
         encoding = {
             f"/{group}": {name: {"zlib": True, "complevel": 4} for name in node.data_vars}
             for group, node in self.tree.children.items()
             if group in ("log_likelihood", "posterior_predictive", "prior_predictive")
         }
-        self.tree.to_netcdf(partial, engine="h5netcdf", encoding=encoding)
-        os.replace(partial, path)
+        write_whole(self.tree.to_netcdf(engine="h5netcdf", encoding=encoding), path)

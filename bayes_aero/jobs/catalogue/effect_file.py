@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.errors import InputError
 
@@ -69,7 +70,7 @@ def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path
     if not stated:
         return f"No term was found that an effect file can state, so {path} was not written."
     try:
-        path.write_text(effect_file(stated, records), encoding="utf-8")
+        write_whole(effect_file(stated, records), path)
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}); give --write-effect another name") from None
     return f"{path} has {len(stated)} effect{'s' * (len(stated) > 1)}; name it under [model] effect_files of the card."

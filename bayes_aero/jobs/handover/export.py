@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 import shutil
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import InputError
 from bayes_aero.export.fmu import write_fmu
 from bayes_aero.export.identified import Identified
@@ -19,9 +21,8 @@ from bayes_aero.export.tables import write_tables
 from bayes_aero.export.text import about, validity, version, wrapped
 from bayes_aero.jobs.handover.identified_result import read_identified
 from bayes_aero.jobs.handover.posterior_draws import drawn, exported
-from bayes_aero.jobs.io.atomic_write import beside, put_folder
 from bayes_aero.jobs.io.output_folder import safe_name
-from bayes_aero.jobs.provenance.provenance import write_json, write_text
+from bayes_aero.jobs.provenance.provenance import write_json
 
 SCHEMA = "bayes_aero/export/1"
 WIDTH = 100
@@ -71,7 +72,7 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
         files = FORMS[form](found, part)
         facts = _facts(found, form, files)
         write_json(facts, part / "export.json")
-        write_text(_readme(found, form), part / "README.txt")
+        write_whole(_readme(found, form), part / "README.txt")
         if found.draws is not None:
             _write_draws(found, part / "draws.csv")
         put_folder(part, target.absolute())
@@ -94,7 +95,7 @@ def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
     files = jsbsim_files(found)
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_text(text, folder / name)
+        write_whole(text, folder / name)
     return tuple(files)
 
 
@@ -103,7 +104,7 @@ def _fmu(found: Identified, folder: Path) -> tuple[str, ...]:
 
 
 def _python(found: Identified, folder: Path) -> tuple[str, ...]:
-    write_text(python_source(found), folder / f"{found.name}.py")
+    write_whole(python_source(found), folder / f"{found.name}.py")
     return (f"{found.name}.py",)
 
 
@@ -166,7 +167,8 @@ def _use(found: Identified, form: str) -> tuple[str, ...]:
 
 def _write_draws(found: Identified, path: Path) -> None:
     assert found.draws is not None
-    with path.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle)
-        writer.writerow(found.draws.names)
-        writer.writerows([repr(float(x)) for x in row] for row in found.draws.values)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(found.draws.names)
+    writer.writerows([repr(float(x)) for x in row] for row in found.draws.values)
+    write_whole(text.getvalue(), path)

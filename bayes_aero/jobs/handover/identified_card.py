@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
     Args:
         provenance: of the result.
         result: its file.
-        given: a card named by the user; None: the shipped card of that name, the path of the result's command, or a
+        given: a card named by the user; None: the shipped card of that name, the path that the result states, or a
             file of that name beside the result or in the working directory.
 
     Raises:
@@ -51,10 +49,8 @@ def _places(provenance: Mapping[str, Any], result: Path) -> Iterator[Path]:
     name = provenance["card"]["name"]
     if name in shipped_cards():
         yield shipped_cards()[name]
-    words = shlex.split(provenance.get("command", ""))
-    for word, following in pairwise(words):
-        if word == "--model":
-            yield Path(following)
+    if provenance["card"].get("path"):
+        yield Path(provenance["card"]["path"])
     for folder in (result.parent, result.parent.parent, Path()):
         yield folder / f"{name}.toml"
 

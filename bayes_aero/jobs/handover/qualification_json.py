@@ -8,9 +8,11 @@ from typing import Any
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Further, Qualification, Test
 
-SCHEMA = "bayes_aero/qualification/1"
+SCHEMA = "bayes_aero/qualification/2"
 RESULTS = "qualification.json"
 
 
@@ -38,6 +40,8 @@ def qualification_results(
         "outside": [asdict(one) for one in found.outside],
         "further": None if found.further is None else _further(found.further),
         "origins": dict(found.origins),
+        "health": health_results(found.health),
+        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
         "notes": list(found.notes),
         "failures": list(failures),
         "provenance": source,

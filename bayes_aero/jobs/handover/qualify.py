@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,11 @@ from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.same_record import repeats_of
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.tolerances import TOLERANCES
-from bayes_aero.jobs.handover.fitted_records import fitted_records, read_options
+from bayes_aero.jobs.handover.fitted_records import fitted_records
 from bayes_aero.jobs.handover.identified_card import card_of
 from bayes_aero.jobs.handover.identified_linear import IdentifiedLinear
 from bayes_aero.jobs.handover.identified_result import read_finished
@@ -26,6 +28,7 @@ from bayes_aero.jobs.handover.result_file import result_file
 from bayes_aero.jobs.handover.uncertain_model import Source, uncertain
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.further_flights import OpenTest, further_flights
@@ -99,16 +102,15 @@ def qualify_result(
     found, folder, told = read_finished(str(file), options.card)
     assert folder is not None
     card = card_of(told["provenance"], file, options.card)
-    records = fitted_records(told, file, card, options.fitted)
-    new = read_records(tests, card.channels, **read_options(told, card)) if tests else []
-    known = {(r.name, r.sha256) for r in records}
-    for record in new:
-        if (record.name, record.sha256) in known:
-            raise InputError(f"{record.name} was fitted, so it is tested anyway; give records that were not fitted")
+    records = fitted_records(told["provenance"], file, card, files=options.fitted)
+    new = _new_records(tests, records, card)
     source = Source(found, folder, told)
     _flyable(source, new, options.gusts)
     if out is not None:
         writable(out)
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    checks = record_checks([*records, *new], card, options.seed, out)
     flown, bands = _segments(source, card, records)
     tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
     unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
@@ -128,11 +130,28 @@ def qualify_result(
         else origins | {"next flight": UNSCATTERED},
         notes=(*found.sources, *_unjudged(card, bands), *_reach(region)),
         further=further,
+        health=checks.health,
+        consistency=checks.consistency,
     )
     if out is None:
-        return qualification, ()
+        return qualification, checks.failures
     settings: dict[str, object] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
-    return qualification, _put(qualification, card, [*records, *new], options.seed, settings, out)
+    source = provenance(card, [*records, *new], options.seed, settings, options)
+    return qualification, _put(qualification, card, source, checks.failures, out)
+
+
+def _new_records(tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:
+    """Records that were not fitted, read as those were; refused where they repeat samples of one that was."""
+    how = fitted[0].read
+    new = read_records(tests, card.channels, resample=how["resample"], segments=card.segments, split=how["split"])
+    for record in new:
+        for one in fitted:
+            if (shared := repeats_of(one, record)) is not None:
+                raise InputError(
+                    f"{record.name} {shared[0]}; {one.name} was fitted, so it is tested anyway: give records that were "
+                    "not fitted"
+                )
+    return new
 
 
 def _flyable(source: Source, new: Sequence[FlightRecord], gusts: float | None) -> None:
@@ -244,19 +263,13 @@ def _reach(region: Region) -> tuple[str, ...]:
 
 
 def _put(
-    found: Qualification,
-    card: Card,
-    records: Sequence[FlightRecord],
-    seed: int,
-    settings: dict[str, object],
-    out: Path,
+    found: Qualification, card: Card, source: dict[str, Any], failures: tuple[str, ...], out: Path
 ) -> tuple[str, ...]:
     """Numbers first, then the page; what could not be made."""
-    source = provenance(card, records, seed, settings)
     write_csv(test_table(found), out / "qualification.csv")
-    write_json(qualification_results(found, card, source), out / RESULTS)
+    write_json(qualification_results(found, card, source, failures), out / RESULTS)
     context = QualificationContext(card, source)
-    failures = put_page(lambda: qualification_page(found, context), out, "qualification.html")
-    if failures:
-        write_json(qualification_results(found, card, source, failures), out / RESULTS)
-    return failures
+    unmade = put_page(lambda: qualification_page(found, context), out, "qualification.html")
+    if unmade:
+        write_json(qualification_results(found, card, source, (*failures, *unmade)), out / RESULTS)
+    return (*failures, *unmade)

@@ -7,6 +7,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.diagnosis.trajectories.results import Path as Flown
 from bayes_aero.inference.identification import Identification
 from bayes_aero.jobs.io.identification_json import results
@@ -76,6 +77,4 @@ def save_gp(run: Identification, path: Path) -> None:
                 tree[f"validation/{split}_{number}/{name}"] = xr.DataTree(
                     xr.Dataset(columns, coords={"index": ("test", v.test)})
                 )
-    partial = path.with_name(path.name + ".part")
-    tree.to_netcdf(partial, engine="h5netcdf")
-    partial.replace(path)
+    write_whole(tree.to_netcdf(engine="h5netcdf"), path)

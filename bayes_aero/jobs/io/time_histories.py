@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.diagnosis.trajectories.results import Path as FlightPath
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import failure, plain_line
@@ -100,20 +100,16 @@ def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "
 
     Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
     """
-    path = folder.absolute() / HISTORIES  # xarray takes a leading ~ for a home
-    partial = path.with_name(path.name + ".part")
+    path = folder / HISTORIES
     try:
         groups = make()
         tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA, "rests_on": rests_on}), **groups})
         small = {"zlib": True, "complevel": 1}
         encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
-        tree.to_netcdf(partial, engine=ENGINE, encoding=encoding)
-        os.replace(partial, path)
+        write_whole(tree.to_netcdf(engine=ENGINE, encoding=encoding), path)
     except Exception as reason:  # whatever it is, the numbers stand
         path.unlink(missing_ok=True)
         return (failure(f"{HISTORIES} was not written", reason, folder),)
-    finally:
-        partial.unlink(missing_ok=True)
     return ()
 
 

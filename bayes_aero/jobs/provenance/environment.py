@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import bayes_aero
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.provenance.package_snapshot import package_wheel, wheel_name
-from bayes_aero.jobs.provenance.provenance import write_bytes, write_json, write_text
+from bayes_aero.jobs.provenance.provenance import write_json
 
 OWN = "bayes-aero"
 
@@ -40,9 +41,8 @@ def environment() -> dict[str, Any]:
 
 def rests_on(source: Mapping[str, Any], records: Sequence[FlightRecord]) -> dict[str, Any]:
     """All that a run's numbers rest on but its settings, from its provenance: what may go on where it stopped."""
-    same = {key: source[key] for key in ("seed", "inputs", "card", "effect_files")}
-    samples = [(r.source, r.n, r.dt) for r in records]  # one file may be resampled to several rates
-    return same | {"samples": samples, "environment": environment()}
+    same = {key: source[key] for key in ("seed", "effect_files")} | {"card": source["card"]["sha256"]}
+    return same | {"records": [(r.name, r.content) for r in records], "environment": environment()}
 
 
 def environment_id() -> str:
@@ -80,8 +80,8 @@ def write_environment(out: Path) -> Path:
             lines.append(f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)")
         else:
             lines.append(f"./{wheel_name()}")
-            write_bytes(wheel, folder / wheel_name())
-        write_text("\n".join(lines) + "\n", folder / "requirements.txt")
+            write_whole(wheel, folder / wheel_name())
+        write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder
 

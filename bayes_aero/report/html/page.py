@@ -7,7 +7,6 @@ the only text that is not is the package's own style, script and plotting librar
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -18,6 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from bayes_aero import __version__
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -212,13 +212,7 @@ def render(page: Page) -> str:
 
 def write_page(page: Page, path: Path) -> Path:
     """Write the page whole or not at all."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(render(page), encoding="utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+    return write_whole(render(page), path)
 
 
 def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:

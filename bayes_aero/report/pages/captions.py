@@ -10,7 +10,7 @@ from bayes_aero.report.figures.found import telling
 from bayes_aero.report.pages.stall import DEG, interval
 from bayes_aero.report.pooled.next_flight import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import number, plus_minus, several
 
 OFF = (
     "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "
@@ -49,7 +49,7 @@ def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
         "moves": (
             "Change of each of the card's parameters when the causes are added.",
             "Dot plot of parameters before and after. Furthest: "
-            + several(f"{n} from {m.before:.3g} to {m.after:.3g}" for n, m in far[:3])
+            + several(f"{n} from {number(m.before)} to {number(m.after)}" for n, m in far[:3])
             + ".",
         ),
         "residual_profiles": (
@@ -130,7 +130,7 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
     wider = {m.label: [e.sd / crb[n].sd for n, e in m.estimates.items() if crb[n].sd > 0.0] for m in found[1:]}
     ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
     numbers = "; ".join(
-        f"{n} {x:.4g} ± {s:.2g}" for n, x, s in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
+        f"{n} {plus_minus(x, s)}" for n, x, s in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
     )
     texts = {
         "forest": (

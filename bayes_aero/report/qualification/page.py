@@ -12,7 +12,7 @@ from bayes_aero.qualification.result import Kind, Qualification, Strip
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, Facts, Fold, Page, Plot, Points, Table, Text, filled, section
 from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import MOST_SHOWN, bullets, histories, provenance_blocks
+from bayes_aero.report.html.parts import MOST_SHOWN, bullets, doubts, histories, provenance_blocks
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.qualification.further import further_sentences, further_table
 from bayes_aero.report.qualification.tables import SHOWN, outside_table, test_table, verdict_table
@@ -37,7 +37,12 @@ def qualification_page(found: Qualification, context: QualificationContext) -> P
         title=f"Qualification: {context.card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
         verdict=verdict_sentence(found),
-        lead=(page_table(verdict_table(found)), *bullets(sentences(found)), _signature()),
+        lead=(
+            *doubts(found.health, found.consistency, corrects=False),
+            page_table(verdict_table(found)),
+            *bullets(sentences(found)),
+            _signature(),
+        ),
         sections=filled(
             section("further", "What would decide the rest", lambda: _further(found)),
             section("strips", "Strips", lambda: _strips(found)),

@@ -26,7 +26,7 @@ def chance_text(chance: Chance | None) -> str:
         return "–"
     if chance.value in (0.0, 1.0):
         return f"{'<' if chance.value == 0.0 else '>'} {abs(chance.value - 3.0 * chance.error):.3f}"
-    return f"{chance.value:.3f} ± {chance.error:.3f}"
+    return f"{chance.value:z.3f} ± {chance.error:.3f}"
 
 
 def weakest(tests: Iterable[Test]) -> Chance | None:

@@ -42,7 +42,7 @@ def weights_table(d: Diagnosis) -> Table:
 
 
 def _gain(elpd: tuple[float, float]) -> str:
-    return f"{elpd[0]:+.1f} ± {elpd[1]:.1f}"
+    return f"{elpd[0]:+z.1f} ± {elpd[1]:.1f}"
 
 
 def sampled_table(d: Diagnosis) -> Table:

@@ -111,7 +111,7 @@ def probability(value: float) -> str:
 
 
 def _if_removed(c: Cause) -> str:
-    text = f"{-c.missed[0]:+.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
+    text = f"{-c.missed[0]:+z.1f} ± {c.missed[1]:.1f}" if np.isfinite(c.missed[0]) else NONE
     return text if c.confirmed else f"{text} *"
 
 

@@ -83,12 +83,12 @@ def prior_text(prior: Prior | None) -> str:
     """A prior, and whether it is the default or the card's."""
     if prior is None:
         return "none"
-    location, scale = prior.location, prior.scale
+    location, scale, end = (number(x, 4) for x in (prior.location, prior.scale, prior.location + prior.scale))
     text = {
-        "normal": f"{location:.4g} ± {scale:.4g}",
-        "lognormal": f"{location:.4g} × e^±{scale:.4g}",
-        "halfnormal": f"{location:.4g} + |{scale:.4g}|",
-        "uniform": f"{location:.4g} to {location + scale:.4g}",
+        "normal": f"{location} ± {scale}",
+        "lognormal": f"{location} × e^±{scale}",
+        "halfnormal": f"{location} + |{scale}|",
+        "uniform": f"{location} to {end}",
     }[prior.family]
     return f"{text}, {'card' if prior.by_card else 'default'}"
 

@@ -53,9 +53,9 @@ def holdout_table(unseen: HoldoutScores) -> Table:
             column(lambda r: r[0], page="manoeuvre"),
             column(lambda r: r[1], page="coefficient"),
             column(lambda r: r[2], page=("R²\ncard", "R²\nextended"), form=".3f"),
-            column(lambda r: r[3], page="change of R²", form=lambda gain: f"{gain.r2:+.3f} ± {gain.r2_sd:.3f}"),
+            column(lambda r: r[3], page="change of R²", form=lambda gain: f"{gain.r2:+z.3f} ± {gain.r2_sd:.3f}"),
             column(
-                lambda r: r[3], page="log density\ngained", form=lambda gain: f"{gain.elpd:+.1f} ± {gain.elpd_sd:.1f}"
+                lambda r: r[3], page="log density\ngained", form=lambda gain: f"{gain.elpd:+z.1f} ± {gain.elpd_sd:.1f}"
             ),
         ],
         "Hold-out manoeuvres: the card's model and the extended model",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from rich import table as rich
 from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.report.text.phrases import bracket, concise, number, plain_unit, plus_minus
 
 if TYPE_CHECKING:  # check shows tables, and does not wait for pandas
@@ -173,7 +174,7 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
         return form(value)
     if isinstance(value, Estimate):
         return estimate(value.centre, value.sd)
-    return number(value, form) if isinstance(form, int) else format(value, form)
+    return number(value, form) if isinstance(form, int) else format(value, re.sub(r"^(\+?)(?=\.)", r"\1z", form))
 
 
 def in_brackets(e: Estimate) -> str:
@@ -200,10 +201,4 @@ def parameter_columns(names: Sequence[str], units: Sequence[str]) -> list[Column
 
 def write_csv(table: Table, path: Path) -> Path:
     """Write a table, whole or not at all; floats keep every digit."""
-    partial = path.with_name(path.name + ".part")
-    try:
-        table.frame().to_csv(partial, lineterminator="\n")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+    return write_whole(table.frame().to_csv(lineterminator="\n"), path)

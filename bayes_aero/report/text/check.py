@@ -9,7 +9,7 @@ from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.report.text.consistency import consistency_sentences
-from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several
+from bayes_aero.report.text.phrases import for_people, not_testable_sentences, number, several
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
 
@@ -73,7 +73,7 @@ def left_over(report: CheckReport) -> str:
     left, agree = [], not report.sensors.errors
     for name, (before, after) in report.sensors.rms.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
-        change = f"{factor * before:.3g}" if agree else f"{factor * before:.3g} → {factor * after:.3g}"
+        change = number(factor * before) if agree else f"{number(factor * before)} → {number(factor * after)}"
         left.append(f"{name} {change} {unit}")
     return f"root mean square residual: {', '.join(left)}"
 

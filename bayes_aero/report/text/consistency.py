@@ -7,7 +7,7 @@ from typing import Any
 
 from bayes_aero.flight.agreement import Agreement, Consistency, Departure, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.report.text.phrases import for_people, several
+from bayes_aero.report.text.phrases import for_people, several, size_text
 from bayes_aero.units import instant
 
 SHOWN = 4  # departures in the sentence
@@ -99,8 +99,7 @@ def open_sentences(found: Consistency) -> list[str]:
 
 
 def _estimate(error: OpenError) -> str:
-    unit, factor = for_people(error.unit)
-    return f"{error.name} {factor * error.mean:.3g} ± {factor * error.sd:.2g}{_behind(unit)}"
+    return f"{error.name} {size_text(error.mean, error.sd, error.unit)}"
 
 
 def _imitated(error: OpenError) -> str:
@@ -125,8 +124,5 @@ def _behind(unit: str) -> str:
 
 def sizes(error: Mapping[str, Any]) -> str:
     """A sensor error's parameters with their standard errors."""
-    listed = []
-    for parameter, size in error["parameters"].items():
-        unit, factor = for_people(size["unit"])
-        listed.append(f"{parameter} {factor * size['mean']:.3g} ± {factor * size['sd']:.2g}{_behind(unit)}")
-    return ", ".join(listed)
+    listed = error["parameters"].items()
+    return ", ".join(f"{name} {size_text(size['mean'], size['sd'], size['unit'])}" for name, size in listed)

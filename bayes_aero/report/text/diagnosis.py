@@ -76,10 +76,10 @@ def _cause(d: Diagnosis, cause: Cause) -> str:
         text += " Not every manoeuvre excites it."
     lost, sd = cause.missed
     if np.isfinite(lost) and cause.confirmed:
-        text += f" Removing it degrades hold-out prediction: log density {-lost:+.1f} ± {sd:.1f}."
+        text += f" Removing it degrades hold-out prediction: log density {-lost:+z.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        text += f" Hold-out data do not confirm it (removed: log density {-lost:+.1f} ± {sd:.1f})"
+        text += f" Hold-out data do not confirm it (removed: log density {-lost:+z.1f} ± {sd:.1f})"
         text += f"; the {model} omits it."
     return text
 

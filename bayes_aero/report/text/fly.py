@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import FITTED, START, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
+from bayes_aero.report.text.phrases import SYMBOLS, for_people, plus_minus, several, short
 from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
 
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
@@ -83,8 +83,8 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     if not found:
         return []
     listed = several(
-        f"{d.name} {d.coefficients[0]:.3g} ± {d.coefficients[1]:.2g} from the coefficients, {d.trajectories[0]:.3g} ± "
-        f"{d.trajectories[1]:.2g} from trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
+        f"{d.name} {plus_minus(*d.coefficients)} from the coefficients, {plus_minus(*d.trajectories)} from "
+        f"trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
         "standard errors apart)"
         for d in found
     )

@@ -38,11 +38,7 @@ def for_people(unit: str) -> tuple[str, float]:
 def size_text(mean: float, sd: float, unit: str) -> str:
     """0.62 ± 0.11 deg: two digits of the standard error, units as people read them."""
     shown, factor = for_people(unit)
-    shown = "" if shown == "1" else f" {shown}"
-    if not np.isfinite(sd) or sd <= 0.0:
-        return f"{factor * mean:.3g}{shown}"
-    places = max(0, 1 - int(np.floor(np.log10(factor * sd))))
-    return f"{factor * mean:.{places}f} ± {factor * sd:.{places}f}{shown}"
+    return f"{plus_minus(factor * mean, factor * sd)}{'' if shown == '1' else f' {shown}'}"
 
 
 def bracket(unit: str) -> str:
@@ -59,10 +55,11 @@ def number(value: float, digits: int = 3) -> str:
     """Significant digits without an exponent where people read numbers; a dash where there is none."""
     if not np.isfinite(value):
         return "–"
-    value += 0.0  # no minus before zero
-    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+    rounded = f"{value:z.{digits - 1}e}"  # its exponent is that of what is shown: 999.7 has that of 1000
+    exponent = int(rounded.partition("e")[2])
+    if not -4 <= exponent < 6:
+        return rounded
+    return f"{value:z.{digits}g}" if exponent < digits else f"{value:z.0f}"
 
 
 def decimals(sd: float) -> int:
@@ -73,17 +70,17 @@ def decimals(sd: float) -> int:
 def plus_minus(value: float, sd: float) -> str:
     """`value ± sd` with two digits of sd: -0.391 ± 0.016."""
     if not (np.isfinite(sd) and sd > 0.0):
-        return f"{value:.4g}"
+        return number(value, 4)
     places = decimals(sd)
-    return f"{value:.{places}f} ± {sd:.{places}f}"
+    return f"{value:z.{places}f} ± {sd:.{places}f}"
 
 
 def concise(value: float, sd: float) -> str:
     """`value(sd)` with two digits of sd, counted in the last digits of the value: -0.391(16)."""
     if not (np.isfinite(sd) and sd > 0.0):
-        return f"{value:.4g}"
+        return number(value, 4)
     places = decimals(sd)
-    return f"{value:.{places}f}({round(sd * 10.0**places)})"
+    return f"{value:z.{places}f}({round(sd * 10.0**places)})"
 
 
 def from_to(low: float, high: float, sd: float) -> str:
@@ -91,7 +88,7 @@ def from_to(low: float, high: float, sd: float) -> str:
     if not np.isfinite([low, high]).all():
         return "–"
     places = decimals(sd) if sd > 0.0 else 4
-    return f"{low:.{places}f} to {high:.{places}f}"
+    return f"{low:z.{places}f} to {high:z.{places}f}"
 
 
 def several(items: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Share
-from bayes_aero.report.text.phrases import SYMBOLS, several
+from bayes_aero.report.text.phrases import SYMBOLS, plus_minus, several
 from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
 
 MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
@@ -52,7 +52,7 @@ def settled_sentences(
     if not fit.preferred:
         return [why.strip()] if asked else []
     other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
-    listed = several(f"{name} {x:.4g} ± {sd:.2g}" for name, (x, sd) in other.items())
+    listed = several(f"{name} {plus_minus(x, sd)}" for name, (x, sd) in other.items())
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
         text = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
@@ -77,7 +77,7 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
     for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
         other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
         if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
-            changed.append(f"{name} {other:.4g} ± {other_sd:.2g} (output error {estimate:.4g} ± {sd:.2g})")
+            changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
     sentences += _estimated_gusts(found)
     if changed:
         sentences.append(
@@ -139,7 +139,7 @@ def _estimated_gusts(found: ProcessNoise) -> list[str]:
         (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
         word = name.removesuffix("_gust").replace("_", " ")
         if intensity > MIN_INTENSITY * sd:
-            estimated.append(f"{word} {intensity:.2f} ± {sd:.2g} m/s (scale length {length:.0f} ± {length_sd:.0f} m)")
+            estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
         else:
             undetected.append(word)
     sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
@@ -156,6 +156,6 @@ def _buffet(found: ProcessNoise) -> list[str]:
     if intensity <= MIN_INTENSITY * sd:
         return ["No buffet is distinguishable from noise of the states."]
     return [
-        f"Buffet: the lift coefficient of fully separated flow fluctuates by {intensity:.2g} ± {sd:.2g} (standard "
-        f"deviation; correlated over {length:.2g} ± {length_sd:.2g} chords)."
+        f"Buffet: the lift coefficient of fully separated flow fluctuates by {plus_minus(intensity, sd)} (standard "
+        f"deviation; correlated over {plus_minus(length, length_sd)} chords)."
     ]

@@ -10,7 +10,7 @@ import pandas as pd
 from bayes_aero.inference.likelihood.restraints import SENSITIVITY_LIMIT, ActiveBound, PriorConflict
 from bayes_aero.inference.variance.inseparable import Inseparable
 from bayes_aero.parameter import Parameter
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import number, plus_minus, several
 
 MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
@@ -18,8 +18,8 @@ MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     """A sentence for each prior that the record contradicts."""
     return [
-        f"The card's prior on {c.name}, {c.prior[0]:.4g} ± {c.prior[1]:.2g}{_unit(c.unit)} ({c.source}), contradicts "
-        f"the record: the likelihood alone gives {c.likelihood[0]:.4g} ± {c.likelihood[1]:.2g}, {c.distance:.1f} "
+        f"The card's prior on {c.name}, {plus_minus(*c.prior)}{_unit(c.unit)} ({c.source}), contradicts "
+        f"the record: the likelihood alone gives {plus_minus(*c.likelihood)}, {c.distance:.1f} "
         f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
         "Widen the prior, or find the reason why the record differs."
         for c in conflicts
@@ -47,10 +47,10 @@ def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
     sentences = []
     for b in found:
-        side = "lower" if b.lower else "upper"
+        bound = f"{'lower' if b.lower else 'upper'} bound, {number(b.bound, 4)}{_unit(b.unit)}"
         text = (
-            f"{b.name} is at its {side} bound, {b.bound:.4g}{_unit(b.unit)}: its interval is not reliable. Without the "
-            f"bound it would be about {b.unbounded:.4g} (to first order)"
+            f"{b.name} is at its {bound}: its interval is not reliable. Without the bound it would be about "
+            f"{number(b.unbounded, 4)} (to first order)"
         )
         if b.shifts:
             shifts = several(f"{n} ({-x:+.1f} corrected standard errors)" for n, x in b.shifts.items())
@@ -64,7 +64,7 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     sentences = []
     for one in found:
         listed = several(
-            f"{name} {x:.3g} ± {sd:.2g}{_unit(unit)}"
+            f"{name} {plus_minus(x, sd)}{_unit(unit)}"
             for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
         )
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))

@@ -249,6 +249,21 @@ def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
     assert ("same_record", "record") in told(one, tail)
 
 
+@pytest.mark.parametrize(("every", "step"), [(1, 2e-3), (1, 2e-2), (2, 0.0), (5, 1e-3)])
+def test_a_copy_with_fewer_digits_or_at_a_part_of_the_rate_is_no_new_flight(every, step):
+    """`step`: the last digit, of the range of each channel."""
+    one, other = flight(17), flight(18)
+
+    def copied(record):
+        digits = {k: step * np.ptp(x) for k, x in record.channels.items()}
+        channels = {k: np.round(x / digits[k]) * digits[k] if digits[k] else x for k, x in record.channels.items()}
+        return FlightRecord.from_arrays("copy", record.time[::every], {k: x[::every] for k, x in channels.items()})
+
+    found = [f for f in channel_health([one, copied(one)], card()) if f.fault == "same_record"]
+    assert [(f.record, f.begin, f.grave) for f in found] == [("copy", 0.0, True)]
+    assert not [f for f in channel_health([one, copied(other)], card()) if f.fault == "same_record"]
+
+
 def test_two_rates_are_said_in_hertz():
     (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
     assert finding.fault == "rates"

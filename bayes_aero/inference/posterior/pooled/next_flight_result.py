@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import xarray as xr
 from scipy.stats import chi2
 
+from bayes_aero.atomic_write import write_whole
 from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
 from bayes_aero.parameter import Parameter
 
@@ -59,6 +59,4 @@ class NextFlight:
 
     def save(self, path: Path) -> None:
         """Write the draws to `path` as NetCDF, whole or not at all."""
-        partial = path.with_name(path.name + ".part")
-        self.tree.to_netcdf(partial, engine="h5netcdf")
-        os.replace(partial, path)
+        write_whole(self.tree.to_netcdf(engine="h5netcdf"), path)

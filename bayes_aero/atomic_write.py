@@ -1,4 +1,7 @@
-"""Folders that appear whole, and stay through a loss of power: written under another name, flushed, then renamed."""
+"""Files and folders that appear whole: written under another name, then renamed.
+
+Folders are flushed before, so that they stay through a loss of power, and so are files where that is asked for.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,27 @@ from contextlib import suppress
 from pathlib import Path
 
 PART, OLD = "part", "old"
+
+
+def write_whole(content: bytes | memoryview | str, path: Path, *, flush: bool = False) -> Path:
+    """Write a file whole or not at all.
+
+    Libraries are given memory to write to, and this writes their bytes: on a full disk some of them (HDF5) crash.
+
+    Raises:
+        OSError: with the file's name. An older file of this name is as it was.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.{PART}")
+    try:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        if flush:
+            sync(partial)
+        os.replace(partial, path)
+    except OSError as reason:
+        raise OSError(reason.errno, reason.strerror or str(reason), str(path)) from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
 
 
 def beside(target: Path) -> Path:
