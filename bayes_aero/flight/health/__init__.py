@@ -28,7 +28,7 @@ from bayes_aero.flight.record import FlightRecord
 __all__ = ["HealthFinding", "channel_health"]
 
 _CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
-    refuted, air_data, across, derivatives, control_responses, dropouts, frozen, held, saturated, quantised, wrapped,
+    air_data, across, derivatives, dropouts, frozen, held, saturated, quantised, wrapped,
     short, idle, dropped_channels, read_remarks,
 )  # fmt: skip
 
@@ -46,7 +46,9 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
     said = []
     for record in records:
         flown = in_flight(record, card)
-        found = _once([finding for check in _CHECKS for finding in check(flown, card)])
+        misread, read = refuted(flown, card)
+        others = [finding for check in _CHECKS for finding in check(flown, card)]
+        found = _once([*misread, *others, *control_responses(read, card)])
         if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind") for f in found):
             said += on_ground(record, card)
         said += found

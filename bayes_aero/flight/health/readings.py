@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import permutations, product
 
 import numpy as np
 
@@ -27,6 +27,7 @@ UNITS: dict[str, tuple[str, ...]] = {
 GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha", "beta"))
 """Channels of one instrument, which share their unit."""
 SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
+ONE_G = 0.5  # logarithm of the median load factor within which accelerations are in their unit: 0.6 to 1.65
 DENSITY0 = 1.225  # kg/m3
 THIN = 0.93  # calibrated over true airspeed from which the two can be told apart
 
@@ -41,11 +42,94 @@ class Reading:
     mend: str
     applied: Callable[[View], dict[str, np.ndarray]]
     subject: str = ""  # who it is said of, if not of all the channels
+    factor: float = 1.0  # of a unit, by which the channels are multiplied
 
     @property
     def names(self) -> str:
         """Of whom it is said."""
         return self.subject or ", ".join(self.channels)
+
+
+AXES = (("forward", "aft"), ("right", "left"), ("down", "up"))
+INSTRUMENTS = {"accelerations": ("ax", "ay", "az"), "rates": ("p", "q", "r")}
+ANGLES = tuple(
+    (*attitude, *flow)
+    for flow in ((), ("alpha", "beta"))
+    for attitude in ((), ("theta",), ("theta", "psi"), ("psi",), ("phi", "psi"))
+)
+"""Angles that count the other way where the axes do: pitch attitude about an axis to the left, a heading about one that
+points up, which a compass does not turn with."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Axes of a file: the program's axis i is `signs[i]` times the file's axis `order[i]`."""
+
+    order: tuple[int, ...]
+    signs: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Where the file's axes point: "x forward, y left, z up"."""
+        points = {j: AXES[i][sign < 0] for i, (j, sign) in enumerate(zip(self.order, self.signs, strict=True))}
+        return ", ".join(f"{axis} {points[j]}" for j, axis in enumerate("xyz"))
+
+    def moves(self, names: tuple[str, ...]) -> dict[str, tuple[str, int]]:
+        """The channel and sign that each of three channels is to be read from, where that is not itself."""
+        pairs = zip(names, self.order, self.signs, strict=True)
+        return {name: (names[j], sign) for name, j, sign in pairs if (names[j], sign) != (name, 1)}
+
+
+def _frames() -> tuple[Frame, ...]:
+    """All right-handed axes, those of the program first, then those with the fewest axes exchanged; front-left-up
+    leads."""
+    every = [
+        Frame(order, signs)
+        for order in permutations(range(3))
+        for signs in product((1, -1), repeat=3)
+        if np.linalg.det(np.eye(3)[list(order)]) * np.prod(signs) > 0.0
+    ]
+    return tuple(sorted(every, key=lambda f: (sum(j != i for i, j in enumerate(f.order)), f.signs[2], -f.signs[0])))
+
+
+FRAMES = tuple(sorted(_frames(), key=lambda f: f.order != (0, 1, 2) or f.signs != (1, 1, 1)))
+LEFT_HANDED = tuple(Frame((0, 1, 2), signs) for signs in product((1, -1), repeat=3) if np.prod(signs) < 0)
+"""Of accelerations alone: upward load factors, or reactions in place of accelerations."""
+
+
+def framed(card: Card, recorded: frozenset[str], of: Mapping[str, Frame], angles: tuple[str, ...]) -> Reading | None:
+    """The record in other axes; None where a channel would be read from one that was not recorded.
+
+    Args:
+        card: says how the channels count now.
+        recorded: names of the channels of the file.
+        of: the axes of each of `INSTRUMENTS`.
+        angles: the angles that count the other way.
+    """
+    moves: dict[str, tuple[str, int]] = {}
+    for kind, names in INSTRUMENTS.items():
+        moves |= {n: move for n, move in of[kind].moves(names).items() if n in recorded}
+    moves |= {name: (name, -1) for name in angles if name in recorded}
+    if not moves or not {source for source, _ in moves.values()} <= recorded:
+        return None
+    used = {kind: frame for kind, frame in of.items() if recorded & set(INSTRUMENTS[kind])}
+    same = len(set(used.values())) == 1
+    axes = ["axes of the sensors are" if same else f"axes of the {kind} are" for kind in used]
+    where = " and the ".join(dict.fromkeys(f"{a} {f.name}" for a, f in zip(axes, used.values(), strict=True)))
+    turned = ", ".join(name for name, (source, _) in moves.items() if source == name)
+    exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
+    looks = "; ".join(
+        x for x in (turned and f"{turned} count the other way", exchanged and f"{exchanged} of the card") if x
+    )
+    signs: dict[int, list[str]] = {}
+    for name, (source, sign) in moves.items():
+        signs.setdefault(sign * declared(card, source).sign, []).append(name)
+    write = " and ".join(f"sign = {sign} at {', '.join(names)}" for sign, names in signs.items())
+    place = "give each the label, column and unit of the other, and " if exchanged else ""
+    return Reading(
+        tuple(moves), "axes", f"({looks})", f"{place}write {write} on the card",
+        lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()}, f"the {where}",
+    )  # fmt: skip
 
 
 def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
@@ -56,7 +140,7 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
             yield _scaled((name,), -1.0, "sign", "counts the other way", f"write sign = {sign} at {name} on the card")
     for group in [(name,) for name in UNITS] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
         if group and set(group) <= recorded:
-            yield from _units(group, card)
+            yield from _units(group, card, view)
     yield from _gravity(card, recorded)
     yield from _kinds(view, recorded)
 
@@ -65,10 +149,12 @@ def _scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend:
     return Reading(names, fault, looks, mend, lambda view: {name: factor * view[name] for name in names})
 
 
-def _units(group: tuple[str, ...], card: Card) -> Iterator[Reading]:
+def _units(group: tuple[str, ...], card: Card, view: View) -> Iterator[Reading]:
     of = {name: declared(card, name).unit for name in group}
     if len(set(of.values())) > 1:
         return
+    if "az" in group and abs(np.log(max(float(np.median(np.abs(view["az"]))), 1e-9) / GRAVITY)) < ONE_G:
+        return  # the unit explains the load factor of flight, and no other one does
     for unit in UNITS[group[0]]:
         factors = [_factor(name, unit, of[name]) for name in group]
         if not all(factors) or abs(np.log(factors[0])) < 0.1:  # type: ignore[arg-type]
@@ -76,7 +162,7 @@ def _units(group: tuple[str, ...], card: Card) -> Iterator[Reading]:
         are = "is" if len(group) == 1 else "are"
         looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
         mend = f'set unit = "{unit}" for {"it" if len(group) == 1 else "them"} on the card'
-        yield _scaled(group, factors[0], "unit", looks, mend)  # type: ignore[arg-type]
+        yield replace(_scaled(group, factors[0], "unit", looks, mend), factor=factors[0])  # type: ignore[arg-type]
 
 
 def _factor(name: str, unit: str, declared_unit: str) -> float | None:

@@ -1,6 +1,8 @@
 """Each kind of fault, written into a flight that kinematics alone made: its channel is reported, and no other."""
 
+import re
 import sys
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -8,11 +10,14 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from flights import G, card, changed, flight, put
+from flights import UNITS, G, card, changed, flight, put, smooth
 
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 
+TRIALS = Path(__file__).parents[3].parent / "shared" / "trials"
 KNOT, FOOT = 0.514444, 0.3048
 POOR = {"alpha": np.deg2rad(0.1), "theta": np.deg2rad(0.1), "q": np.deg2rad(0.1), "elevator": np.deg2rad(0.1),
         "az": 0.004 * G, "ax": 0.004 * G, "airspeed": 0.2 * KNOT, "altitude": 5.0 * FOOT}  # fmt: skip
@@ -76,6 +81,85 @@ def test_a_unit_is_told_with_the_one_that_it_is_in(name, factor, unit):
     (finding,) = [f for f in channel_health([changed(record, **{name: record[name] * factor})], card()) if f.grave]
     assert (finding.fault, finding.channel) == ("unit", name)
     assert f'unit = "{unit}"' in finding.sentence
+
+
+FORWARD_LEFT_UP = ("ay", "az", "q", "r", "theta", "psi")
+
+
+@pytest.mark.parametrize(
+    ("turned", "exchanged", "named"),
+    [
+        (FORWARD_LEFT_UP, (), "the axes of the sensors are x forward, y left, z up"),
+        (("ay", "az", "q", "r"), (), "the axes of the sensors are x forward, y left, z up"),  # angles as we have them
+        (("ay", "az"), (), "the axes of the accelerations are x forward, y left, z up"),
+        (("q", "r", "theta", "psi"), (), "the axes of the rates are x forward, y left, z up"),
+        (("ax", "az", "p", "r"), (), "the axes of the sensors are x aft, y right, z up"),
+        (("az", "r"), (("ax", "ay"), ("p", "q")), "the axes of the sensors are x right, y forward, z up"),
+    ],
+)
+def test_axes_are_named_and_the_advice_followed_gives_a_sound_record(turned, exchanged, named):
+    """The frame is that of the file; each channel that changes is in the advice, and no other."""
+    true = flight(0)
+    other = {name: -true[name] for name in turned}
+    for one, two in exchanged:
+        other |= {one: true[two], two: true[one]}
+    record = changed(true, **other)
+    (finding,) = [f for f in channel_health([record], card()) if f.grave]
+    assert finding.fault == "axes"
+    assert named in finding.sentence
+    assert re.search(r"sign = -1 at ([\w, ]+) on the card", finding.sentence)[1].split(", ") == list(turned)
+    places = dict([*exchanged, *((two, one) for one, two in exchanged)])
+    advised = {
+        name: {"unit": UNITS[name], "label": places.get(name, name), "sign": -1 if name in turned else 1}
+        for name in (*turned, *places)
+    }
+    followed = card(**advised)
+    assert channel_health([read_as(record, followed)], followed) == ()
+
+
+def read_as(record, card):
+    """The record as it is read through a card: our files hold SI in the units of our cards."""
+    channels = {c.name: c.sign * record[c.heading] for c in card.channels if c.name != "time"}
+    return FlightRecord.from_arrays(record.name, record.time, channels)
+
+
+@pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs of a user are not in ../shared/trials")
+def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed():
+    """README of the inputs: sensors x forward, y left, z up. Yaw rate and heading turn together there."""
+    attas = read_card("attas")
+    record = read_record(TRIALS / "axes_flu.csv", attas.channels)
+    (finding,) = [f for f in channel_health([record], attas) if f.grave]
+    assert (finding.fault, finding.channel) == ("axes", "ay")
+    assert "x forward, y left, z up" in finding.sentence
+    assert "sign = -1 at ay, az, q, r, theta, psi on the card" in finding.sentence
+    channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
+    followed = replace(attas, channels=channels)
+    assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_unit_is_claimed_of_sensors_with_errors_of_scale_bias_and_sign(seed):
+    """All units are right: airspeed 1.17 times true, a normal acceleration of 1 g, and others are errors of sensors."""
+    rng = np.random.default_rng(seed)
+    record = flight(seed % 4, seconds=30.0)
+    wrong = {name: record[name] * rng.uniform(0.6, 1.6) for name in ("alpha", "q", "az")}
+    wrong |= {"airspeed": 1.17 * record["airspeed"] + 3.0 * smooth(rng, record.n, record.dt, 2.0)}
+    wrong |= {"ax": record["ax"] + rng.uniform(-1.5, 1.5), "ay": record["ay"] + 0.16 * G}
+    for name in rng.choice(["az", "q", "theta", "phi"], seed % 3, replace=False):
+        wrong[name] = -wrong.get(name, record[name])
+    assert not {f.fault for f in channel_health([changed(record, **wrong)], card())} & {"unit", "gravity", "load"}
+
+
+@pytest.mark.parametrize("size", [0.16 * G, -0.16 * G])
+@pytest.mark.parametrize("without", [(), ("beta",), ("psi", "altitude")])
+def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
+    """asin 0.16 is 9.2 deg of tilt; the card that states the bias is left alone."""
+    record = changed(flight(0), without=without, ay=flight(0)["ay"] + size)
+    (finding,) = channel_health([record], card())
+    assert (finding.fault, finding.channel) == ("bias", "ay")
+    told = re.search(r"off by ([+-][\d.]+) m/s\^2 \(([+-][\d.]+) g\).* tilt of ([\d.]+) deg", finding.sentence)
+    assert [float(x) for x in told.groups()] == pytest.approx([size, size / G, 9.2], rel=0.05)
+    assert channel_health([record], replace(card(), effects=("attached_lift", "accel_y_bias"))) == ()
 
 
 def test_a_unit_that_the_card_has_already_is_not_advised():

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -117,19 +118,26 @@ RELATIONS: dict[str, Relation] = {
 SHORTEST = 25  # samples of a piece
 LEVEL = 1.5
 """m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2."""
+SIDE = 0.9
+"""The same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle."""
+SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
+_SIDE_NEEDS = ("ay", "r", "phi", *RELATIONS["airspeed"].needs)
 
 
-def misfits(view: View, recorded: frozenset[str]) -> dict[str, float]:
-    """How far each relation is from what is allowed: 1 is the limit. Relations that lack a channel are left out."""
+def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, float]:
+    """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
+    channel are left out."""
+    measures: dict[str, tuple[tuple[str, ...], Callable[[View], float]]] = {
+        name: (r.needs, partial(_misfit, relation=r)) for name, r in RELATIONS.items()
+    }
+    measures["level"] = (RELATIONS["alpha"].needs, _level)
+    measures["side"] = (_SIDE_NEEDS, lambda v: abs(side_bias(v, recorded)) / SIDE)
     found = {}
     with np.errstate(all="ignore"):
-        for name, relation in RELATIONS.items():
-            if set(relation.needs) <= recorded:
-                value = _misfit(view, relation)
+        for name, (needs, measure) in measures.items():
+            if set(needs) <= recorded and (names is None or name in names):
+                value = measure(view)
                 found[name] = value if np.isfinite(value) else np.inf
-        if set(RELATIONS["alpha"].needs) <= recorded:
-            value = _level(view)
-            found["level"] = value if np.isfinite(value) else np.inf
     return found
 
 
@@ -144,10 +152,21 @@ def _misfit(view: View, relation: Relation) -> float:
 
 def _level(view: View) -> float:
     """Mean normal acceleration that rate, angle and accelerometer disagree by, over what is allowed."""
-    elapsed = view["time"][-1] - view["time"][0]
-    turned = float(np.median(view["alpha"][-9:]) - np.median(view["alpha"][:9])) / elapsed
-    missing = _alpha(view) - turned
-    return abs(float(np.mean(view["airspeed"] * missing))) / LEVEL
+    return abs(float(np.mean(view["airspeed"] * (_alpha(view) - _turned(view, "alpha"))))) / LEVEL
+
+
+def _turned(view: View, name: str) -> float:
+    """Mean rate of change of a channel."""
+    x, time = view[name], view["time"]
+    return float(np.median(x[-9:]) - np.median(x[:9])) / float(time[-1] - time[0])
+
+
+def side_bias(view: View, recorded: frozenset[str]) -> float:
+    """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
+    V, elapsed = view["airspeed"], float(view["time"][-1] - view["time"][0])
+    if "beta" in recorded:
+        return float(np.mean(V * (_beta(view) - _turned(view, "beta"))))
+    return float(np.mean(V * _beta(view))) if np.mean(V) * SIDESLIP < SIDE / 3.0 * elapsed else 0.0
 
 
 def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
