@@ -16,16 +16,25 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.flight import Dynamics, Values
 from bayes_aero.dynamics.system import Row, System
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.card.linear_table import ONE, LinearCard
 from bayes_aero.flight.channel_units import channel_units
 from bayes_aero.model.joined_channels import Flights
-from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.units import si_unit
 
 FLAT_SD = 1000.0  # SI: larger than any derivative of an aircraft, also az per alpha of a fighter
+ALIKE = {
+    ("p", "aileron"): "aileron_roll", ("p", "p"): "roll_damping", ("p", "beta"): "sideslip_roll",
+    ("q", "elevator"): "elevator_moment", ("q", "q"): "pitch_damping",
+    ("r", "rudder"): "rudder_yaw", ("r", "r"): "yaw_damping", ("r", "beta"): "sideslip_yaw",
+}  # fmt: skip
+"""The effect whose sign and limits a derivative of a rate has: inertia and dynamic pressure are positive."""
+PART_OF = {"aileron_right": ("aileron", 1.0), "aileron_left": ("aileron", -1.0)}
+"""Half of right less left is the aileron."""
 FLAT = Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice")
 
 
@@ -153,7 +162,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
     parameters = []
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
-        parameter = Parameter(name, unit, 0.0, 0.0, text, FLAT)
+        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_side(name, card.linear))
         change = card.changes.get(name)
         given = {} if change is None else {key: value for key, value in vars(change).items() if value is not None}
         try:
@@ -162,6 +171,21 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
             raise InputError(f"card {card.name}: {error}") from None
     named = tuple((name, units[name]) for name in card.linear.states)
     return LinearDynamics(card.linear, tuple(parameters), named, lengths)
+
+
+def _side(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
+    """The sign or the limits that a parameter has as its dimensionless counterpart."""
+    for state, terms in zip(rows.states, rows.rates, strict=True):
+        for term in terms:
+            channel, half = PART_OF.get(term.channel, (term.channel, 1.0))
+            if term.parameter == name and (state, channel) in ALIKE:
+                like = CATALOGUE[ALIKE[state, channel]].parameters[0]
+                side = 1 if half * term.factor > 0.0 else -1
+                if like.sign is not None:
+                    return {"sign": replace(like.sign, side=side * like.sign.side, channel=term.channel)}
+                if like.limits is not None and side > 0:
+                    return {"limits": like.limits}
+    return {}
 
 
 def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.reading.raw import read_raw
 from bayes_aero.flight.reading.read_record import read_record, write_record
 from bayes_aero.flight.record import FlightRecord
 
@@ -346,6 +347,97 @@ def test_netcdf_conventions(tmp_path):
         data.to_netcdf(path, engine=engine)
         told(path, card, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
         data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
+
+
+PACKED = {
+    "unsigned": (np.array([0, 1, 40000, 65535], "u2").view("i2"), {"_Unsigned": "true", "scale_factor": 0.5}),
+    "unsigned with a fill value": (
+        np.array([0, 65535, 40000, 9], "u2").view("i2"),
+        {"_Unsigned": "true", "scale_factor": 0.0004, "add_offset": -23.5, "_FillValue": np.int16(-1)},
+    ),
+    "unsigned with missing values": (
+        np.array([0, 65535, 40000, 9], "u2").view("i2"),
+        {"_Unsigned": "True", "add_offset": 1.5, "missing_value": np.int16(-1)},
+    ),
+    "signed": (np.array([0, 5, 251, 255], "u1"), {"_Unsigned": "false", "scale_factor": 2.0}),
+    "several missing values": (np.array([1, 2, 3, 4], "i4"), {"missing_value": np.array([2, 4], "i4")}),
+    "valid range of the stored numbers": (
+        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([5, 100], "i2")},
+    ),
+    "valid range of the unpacked numbers": (
+        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([0.5, 10.0])},
+    ),
+    "unsigned valid limits": (
+        np.array([3, 50000, 60000, 7], "u2").view("i2"),
+        {"_Unsigned": "true", "valid_min": np.int16(5), "valid_max": np.array(50000, "u2").view("i2")[()]},
+    ),
+    "never written": (np.array([1.0, 9.969209968386869e36, 3.0, 4.0]), {}),
+}  # fmt: skip
+UNPACKED = [
+    [0.0, 0.5, 20000.0, 32767.5], [-23.5, np.nan, -7.5, -23.4964], [1.5, np.nan, 40001.5, 10.5], [0, 10, -10, -2],
+    [1, np.nan, 3, np.nan], [np.nan, 5.0, np.nan, 0.7], [np.nan, 5.0, np.nan, 0.7], [np.nan, 50000, np.nan, 7],
+    [1, np.nan, 3, 4],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".nc", "classic.nc"])
+def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
+    """By hand, after the CF conventions and the NetCDF User's Guide."""
+    import h5py
+    from scipy.io import netcdf_file
+
+    path = tmp_path / f"packed{suffix}"
+    names = [f"v{i}" for i in range(len(PACKED))]
+    if suffix == ".nc":
+        with h5py.File(path, "w") as file:
+            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
+                file.create_dataset(name, data=stored, dtype=stored.dtype.newbyteorder(">")).attrs.update(about)
+    else:
+        with netcdf_file(path, "w") as file:
+            file.createDimension("t", 4)
+            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
+                plain = "i1" if stored.dtype == "u1" else stored.dtype
+                variable = file.createVariable(name, plain, ("t",))
+                variable[:] = stored.view(plain)
+                for key, value in about.items():
+                    setattr(variable, key, np.float64(value) if isinstance(value, float) else value)
+    read = {column.label: column.values for column in read_raw(path).columns}
+    for case, name, right in zip(PACKED, names, UNPACKED, strict=True):
+        np.testing.assert_allclose(read[name], right, rtol=1e-14, err_msg=case)
+
+
+def test_netcdf_refuses_what_are_no_measured_numbers(tmp_path):
+    import xarray as xr
+
+    r = sound()
+    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
+    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
+    for about, words in (
+        (flags, ("channel flap", "flags", "flag_meanings")),
+        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
+        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
+    ):
+        for engine in ("h5netcdf", "scipy"):
+            path = tmp_path / f"{engine}.nc"
+            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
+            data = xr.Dataset(columns)
+            data["FLAP"].attrs = about
+            data.to_netcdf(path, engine=engine)
+            told(path, card, *words)
+
+
+def test_time_since_a_date_is_in_its_unit(tmp_path):
+    """At 1 kHz a step of 1 ms could be one of 1 s."""
+    import xarray as xr
+
+    r = sound()
+    columns = {"T": ("t", 1000.0 * r.time, {"units": "milliseconds since 2020-01-01"}), "ALCG": ("t", r["alpha"])}
+    for engine in ("h5netcdf", "scipy"):
+        path = tmp_path / f"{engine}.nc"
+        xr.Dataset(columns).to_netcdf(path, engine=engine)
+        told(path, [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")], "'milliseconds'", 'unit = "ms"')
+        read = read_record(path, [Channel("time", "ms", "T"), Channel("alpha", "rad", "ALCG")])
+        np.testing.assert_allclose(read.time, r.time, rtol=1e-14)
 
 
 def test_classic_netcdf(tmp_path):

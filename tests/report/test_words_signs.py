@@ -1,12 +1,19 @@
 """Signs that no aircraft has are told; those that are right, or not sure, are not."""
 
-import pytest
+import tomllib
 
+import pytest
+from linear_cards import SHORT_PERIOD
+
+from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import parse_card, read_card
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report.text.restraints import sign_sentences
 
 PARAMETERS = [p for effect in CATALOGUE.values() for p in effect.parameters]
+
+LATERAL = {"Lbeta": -4.0, "Lda": -6.0, "Lp": -2.0, "Nbeta": 3.0, "Ndr": -1.7, "Nr": -0.5}
 
 
 def test_an_elevator_that_raises_the_nose_is_told():
@@ -42,3 +49,23 @@ def test_an_effect_of_the_user_declares_what_its_estimate_cannot_be():
     (large,) = sign_sentences({"Cm_stick": (9.0, 0.1), "Cmde": (1.0, 0.01)}, [stick])
     assert "Cm_stick = 9 is impossible: no tail is so large" in large
     assert sign_sentences({"Cm_stick": (0.4, 0.01)}, [stick]) == []
+
+
+def test_linear_derivatives_have_the_signs_of_their_counterparts():
+    """`fly` of a linear card asks as `identify` does; -1 times a channel turns the side round.
+
+    The card has half of right less left aileron; the published fit of its records has these signs.
+    """
+    free = {p.name: p for p in linear_dynamics(read_card("short_period")).free}
+    wrong = sign_sentences({"Mde": (42.3, 2.3), "Mq": (33.0, 1.9), "Malpha": (3.0, 0.1)}, free.values())
+    assert [said.split(" = ")[0] for said in wrong] == ["Mde", "Mq"]
+    assert "sign = -1" in wrong[0]
+    assert sign_sentences({"Mde": (-4.0, 0.1), "Mq": (-1.2, 0.1)}, free.values()) == []
+    lateral = {p.name: p for p in linear_dynamics(read_card("attas_lateral")).free}
+    right, wrong = ({n: (side * x, 0.1) for n, x in LATERAL.items()} for side in (1.0, -1.0))
+    assert sign_sentences(right, lateral.values()) == []
+    assert sorted(said.split(" = ")[0] for said in sign_sentences(wrong, lateral.values())) == sorted(LATERAL)
+    text = SHORT_PERIOD.replace('Mde = "elevator"', "Mde = { elevator = -1.0 }")
+    turned = {p.name: p for p in linear_dynamics(parse_card(tomllib.loads(text), "turned", "turned.toml")).free}
+    assert [said.split(" = ")[0] for said in sign_sentences({"Mde": (-4.0, 0.1)}, turned.values())] == ["Mde"]
+    assert sign_sentences({"Mde": (4.0, 0.1)}, turned.values()) == []

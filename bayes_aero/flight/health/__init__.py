@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.across.air import air_data
 from bayes_aero.flight.health.across.channels_agree import across
-from bayes_aero.flight.health.across.controls import control_responses
+from bayes_aero.flight.health.across.controls import control_responses, feedback
 from bayes_aero.flight.health.across.derivatives import derivatives
 from bayes_aero.flight.health.across.ground import in_flight, on_ground
 from bayes_aero.flight.health.across.refuted import refuted
@@ -52,7 +52,7 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
         if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind") for f in found):
             said += on_ground(record, card)
         said += found
-    said += [*same_records(records), *different_rates(records)]
+    said += [*same_records(records), *different_rates(records), *feedback(records, card)]
     return tuple(sorted(said, key=lambda finding: not finding.grave))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 
 __all__ = [
-    "MAX_VALUES", "MOST_HEADINGS", "MOST_VALUES_IN_ALL", "Column", "Heading", "Lookup", "Opened",
-    "foreign", "located", "refuse_huge", "vector",
+    "MAX_VALUES", "MOST_HEADINGS", "MOST_VALUES_IN_ALL", "PACKING", "Column", "Heading", "Lookup", "Opened",
+    "foreign", "located", "refuse_huge", "stated_unit", "unpacked", "vector",
 ]  # fmt: skip
 
 MAX_VALUES = 20_000_000
@@ -177,6 +177,83 @@ def vector(values: np.ndarray, name: str) -> np.ndarray:
     if values.ndim != 1 and values.size != max(values.shape, default=1):
         raise InputError(f"channel {name} has shape {values.shape} where one value a sample should be; split it up")
     return values.astype(np.float64).reshape(-1)
+
+
+PACKING = (
+    "_Unsigned", "scale_factor", "add_offset", "_FillValue", "missing_value", "valid_min", "valid_max", "valid_range",
+    "flag_values", "flag_masks", "flag_meanings",
+)  # fmt: skip
+"""Attributes by which NetCDF says what stored numbers mean."""
+
+_ONE = np.ones(1)
+_NEVER_WRITTEN = {
+    "i2": -32767,
+    "i4": -2147483647,
+    "i8": -9223372036854775806,
+    "f4": 2.0**122 * 1.875,
+    "f8": 2.0**122 * 1.875,
+}
+"""What the NetCDF library stores where nothing was written (netcdf.h: NC_FILL_SHORT and so on)."""
+
+
+def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.ndarray:
+    """The numbers that a NetCDF variable stands for, float64; NaN where it is missing or outside its valid range.
+
+    Args:
+        raw: (n,) numbers as stored.
+        attributes: of the variable; those of `PACKING` count.
+        name: of the channel.
+
+    Raises:
+        InputError: it holds flags, or its packing is no numbers.
+
+    Source: CF conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A.
+    """
+    if any(key.startswith("flag_") for key in PACKING if key in attributes):
+        raise InputError(
+            f"channel {name} holds flags (it has flag_meanings), no measured quantity; name another variable on the "
+            "card, or take the flag attributes off it"
+        )
+    given = {key: _native(attributes[key]) for key in PACKING if key in attributes}
+    said = given.pop("_Unsigned", np.array([""]))[:1].astype(str)
+    unsigned = "".join(said).strip().casefold()
+    wrong = [key for key, x in given.items() if x.dtype.kind not in "fiu" or not x.size]
+    wrong += [key for key in ("scale_factor", "add_offset") if key in given and given[key].size != 1]
+    wrong += ["_Unsigned"] if unsigned not in ("", "true", "false") else []
+    if wrong:
+        raise InputError(f"channel {name} has a {wrong[0]} that says nothing; write it again with plain numbers there")
+    raw = _native(raw)
+    stored = raw.dtype
+    if unsigned and stored.kind in "iu":
+        meant = np.dtype(f"{'u' if unsigned == 'true' else 'i'}{stored.itemsize}")
+        raw, given = raw.view(meant), {key: x.view(meant) if x.dtype == stored else x for key, x in given.items()}
+    with np.errstate(all="ignore"):  # a damaged file may state any number
+        values = raw.astype(np.float64)
+        never = _NEVER_WRITTEN.get(raw.dtype.str[1:], ()) if stored.kind == "f" else ()
+        if {"scale_factor", "add_offset"} & set(given):
+            values = values * given.get("scale_factor", _ONE)[0] + given.get("add_offset", 0.0 * _ONE)[0]
+            never = _NEVER_WRITTEN.get(raw.dtype.str[1:], ())
+        missing = np.isin(raw, given.get("_FillValue", never))
+        missing |= np.isin(raw, given.get("missing_value", ()))
+        for key in ("valid_min", "valid_max", "valid_range"):
+            if key in given:
+                # A limit of a wider type than the packed numbers is one of the unpacked ones.
+                x = values if given[key].dtype.kind == "f" and stored.kind in "iu" else raw
+                missing |= (key != "valid_max") & (x < given[key][0]) | (key != "valid_min") & (x > given[key][-1])
+    values[missing] = np.nan
+    return values
+
+
+def _native(values: Any) -> np.ndarray:
+    """A vector in the byte order of this machine."""
+    array = np.asarray(values).reshape(-1)
+    return array.astype(array.dtype.newbyteorder("="))
+
+
+def stated_unit(units: Any) -> str | None:
+    """The unit in an attribute `units`; of "seconds since 2020-01-01" the seconds."""
+    units = units.decode("utf-8", "replace") if isinstance(units, bytes) else units
+    return str(units).split(" since ")[0][:60] if isinstance(units, str) else None
 
 
 @contextmanager

@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import MAX_VALUES, MOST_VALUES_IN_ALL, Column, Heading
+from bayes_aero.flight.readers.base import (
+    MAX_VALUES,
+    MOST_VALUES_IN_ALL,
+    PACKING,
+    Column,
+    Heading,
+    stated_unit,
+    unpacked,
+)
 
 __all__ = ["HDF5", "HDF5File", "open_hdf5"]
 
@@ -45,9 +53,11 @@ class HDF5File:
             name = list(wanted)[place]
             raise InputError(f"channel {name} ({wanted[name].names[0]!r}) {problem}")
         columns, start = {}, 0
-        for (name, heading), size in zip(wanted.items(), reply["sizes"], strict=True):
-            columns[name] = Column(np.frombuffer(payload, np.float64, size, start), heading.unit)
-            start += 8 * size
+        for (name, heading), (kind, size, given) in zip(wanted.items(), reply["vectors"], strict=True):
+            raw = np.frombuffer(payload, kind, size, start)
+            attributes = {key: np.array(x, dtype) for key, (dtype, x) in given.items()}
+            columns[name] = Column(unpacked(raw, attributes, name), heading.unit)
+            start += raw.nbytes
         return columns
 
 
@@ -70,10 +80,12 @@ def open_hdf5(data: bytes, kind: str) -> HDF5File:
         count = _columns(it["shape"]) if path in matrices else 0
         for k in range(count) if count else (None,):
             if k is None:
-                heading = Heading(tuple(dict.fromkeys(names)), None, it["unit"])
+                heading = Heading(tuple(dict.fromkeys(names)), None, stated_unit(it["unit"]))
             else:
                 only = len(matrices) == 1
-                heading = Heading((f"{dotted}(:,{k + 1})",), k + 1 if only else None, it["unit"], formed=True)
+                heading = Heading(
+                    (f"{dotted}(:,{k + 1})",), k + 1 if only else None, stated_unit(it["unit"]), formed=True
+                )
             headings.append(heading)
             places[heading] = (path, k)
     if listed and all(it["opaque"] for it in listed.values()):
@@ -95,7 +107,14 @@ def _columns(shape: Sequence[int]) -> int:
 def _ask(data: bytes, wanted: Sequence[tuple[str, int | None]], kind: str) -> tuple[dict, bytes]:
     child = Path(__file__).with_name("hdf5_child.py")
     # -P: the child must not take this folder's numbers.py and the like for libraries.
-    command = [sys.executable, "-P", str(child), json.dumps(wanted), str(MAX_VALUES), str(MOST_VALUES_IN_ALL)]
+    command = [
+        sys.executable,
+        "-P",
+        str(child),
+        json.dumps([wanted, PACKING]),
+        str(MAX_VALUES),
+        str(MOST_VALUES_IN_ALL),
+    ]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired as reason:

@@ -3,9 +3,10 @@
 The HDF5 library is C code that can loop for ever on a damaged file (fuzzing found such files soon), and nothing
 interrupts a loop in C. The parent, `hdf5.py`, gives this process a time limit instead.
 
-In: the file on stdin, the wanted datasets as JSON in argv[1] (path and, of a matrix, the column counted from 0; none:
-list what is there), the most samples a channel may have in argv[2], that all may have together in argv[3].
-Out: one line of JSON, then the float64 samples of the vectors in its order. Failures: {"error": ...}.
+In: the file on stdin; as JSON in argv[1] the wanted datasets (path and, of a matrix, the column counted from 0; none:
+list what is there) and the attributes that go with them; the most samples a channel may have in argv[2], that all may
+have together in argv[3].
+Out: one line of JSON, then the samples of the vectors in its order, as stored. Failures: {"error": ...}.
 """
 
 import io
@@ -19,6 +20,8 @@ import numpy as np
 
 TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
 DEPTH, MOST = 3, 2100
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+"""What NetCDF names a dataset that holds a length and no numbers."""
 MEMORY = 8 << 30
 """Bytes of address space for this process; a damaged header may ask for any amount."""
 
@@ -35,9 +38,13 @@ def _text(value):
     return str(value)[:60]
 
 
-def _scalar(attributes, key, default):
-    """A numeric attribute of CF conventions, or the default."""
-    return float(np.asarray(attributes[key]).reshape(-1)[0]) if key in attributes else default
+def _attribute(value):
+    """Type and values of an attribute, as JSON has them."""
+    array = np.asarray(value).reshape(-1)[:2100]
+    array = array.astype(array.dtype.newbyteorder("="))
+    if array.dtype.kind in "iufb":
+        return array.dtype.str, array.tolist()
+    return "U", [_text(x) for x in array.tolist()]
 
 
 def _datasets(group, path="", depth=0):
@@ -48,7 +55,8 @@ def _datasets(group, path="", depth=0):
             continue
         item, where = group[name], f"{path}{name}"
         if isinstance(item, h5py.Dataset):
-            yield where, item
+            if not _text(item.attrs.get("NAME", "")).startswith(NO_VARIABLE):
+                yield where, item
         elif isinstance(item, h5py.Group) and depth < DEPTH:
             yield from _datasets(item, f"{where}/", depth + 1)
 
@@ -56,6 +64,8 @@ def _datasets(group, path="", depth=0):
 def _read(dataset, column, most):
     if dataset.dtype.kind not in "fiub":
         return None, f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
+    if h5py.check_enum_dtype(dataset.dtype):
+        return None, "holds named states (an enumeration) where numbers should be; store it as plain numbers"
     if dataset.size is None or dataset.size > most:
         return None, f"claims {dataset.size} samples, more than {most}; is the file damaged?"
     if column is None and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
@@ -66,16 +76,7 @@ def _read(dataset, column, most):
     if column is not None:
         values = values[column] if values.shape[0] <= values.shape[1] else values[:, column]
     values = values.reshape(-1)
-    attributes = dataset.attrs
-    missing = np.zeros(values.shape, bool)
-    for key in ("_FillValue", "missing_value"):
-        if key in attributes:
-            missing |= values == np.asarray(attributes[key]).reshape(-1)[0]
-    values = values.astype(np.float64) * _scalar(attributes, "scale_factor", 1.0) + _scalar(
-        attributes, "add_offset", 0.0
-    )
-    values[missing] = np.nan
-    return values, None
+    return values.astype(values.dtype.newbyteorder("=")), None
 
 
 def _listed(dataset):
@@ -90,7 +91,7 @@ def _listed(dataset):
 
 def main():
     _limit_memory()
-    wanted, most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    (wanted, kept), most, room = json.loads(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     found: list = []
     reply: dict = {}
     try:
@@ -105,13 +106,14 @@ def main():
                 if values is None:
                     reply["problem"] = [place, problem]
                     break
-                found.append(values)
+                attributes = there[path].attrs
+                found.append((values, {key: _attribute(attributes[key]) for key in kept if key in attributes}))
     except Exception as reason:
         reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
         found = []
-    reply["sizes"] = [values.size for values in found]
+    reply["vectors"] = [(x.dtype.str, x.size, given) for x, given in found]
     sys.stdout.buffer.write(json.dumps(reply).encode() + b"\n")
-    for values in found:
+    for values, _ in found:
         sys.stdout.buffer.write(values.tobytes())
 
 

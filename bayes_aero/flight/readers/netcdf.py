@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import Column, Heading, Opened, foreign, refuse_huge, vector
+from bayes_aero.flight.readers.base import Column, Heading, Opened, foreign, refuse_huge, stated_unit, unpacked, vector
 from bayes_aero.flight.readers.hdf5 import HDF5, open_hdf5
 
 __all__ = ["open_netcdf"]
@@ -25,8 +25,10 @@ def open_netcdf(data: bytes) -> Opened:
     from scipy.io import netcdf_file
 
     with foreign("NetCDF file"):
-        file = netcdf_file(io.BytesIO(data), "r", mmap=False, maskandscale=True)
-        headings = [Heading((str(name),), None, _unit(v)) for name, v in file.variables.items()]
+        file = netcdf_file(io.BytesIO(data), "r", mmap=False)
+        headings = [
+            Heading((str(name),), None, stated_unit(getattr(v, "units", None))) for name, v in file.variables.items()
+        ]
     return ClassicNetCDF(file, headings)
 
 
@@ -50,12 +52,6 @@ class ClassicNetCDF:
             with foreign("NetCDF file"):
                 raw = np.asarray(variable.data)
                 refuse_huge(name, heading.names[0], raw.size, len(wanted))
-                vector(raw, name)  # before masking, which can fail on odd types
-                values = np.ma.filled(np.ma.asarray(variable[:]).astype(np.float64), np.nan)
-            columns[name] = Column(vector(values, name), heading.unit)
+                vector(raw, name)  # its type and shape
+                columns[name] = Column(unpacked(raw, vars(variable)["_attributes"], name), heading.unit)
         return columns
-
-
-def _unit(variable: Any) -> str | None:
-    unit = getattr(variable, "units", None)
-    return unit.decode("latin-1") if isinstance(unit, bytes) else None

@@ -10,12 +10,15 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import card, changed, flight
 
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.across.channels_agree import across
+from bayes_aero.flight.health.across.controls import feedback
 from bayes_aero.flight.health.across.derivatives import derivatives
 from bayes_aero.flight.health.standard import standard_air
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.record import FlightRecord
 
 BOOK = Path(__file__).parents[3].parent / "shared" / "book"
 LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0
@@ -163,6 +166,8 @@ def test_an_axis_that_is_not_excited_says_nothing():
     assert derivatives(changed(record, **still), card(r_dot={"unit": "rad/s^2"})) == []
 
 
+TRIALS = BOOK.parent / "trials"
+needs_trials = pytest.mark.skipif(not TRIALS.is_dir(), reason="the small inputs are not in ../shared/trials")
 needs_book = pytest.mark.skipif(not BOOK.is_dir(), reason="the records of the book are not in ../shared/book")
 ATTAS = {
     "time": (1, "s"), "ax": (2, "m/s^2"), "ay": (3, "m/s^2"), "az": (4, "m/s^2"), "p": (7, "deg/s"), "q": (8, "deg/s"),
@@ -191,6 +196,71 @@ def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name)
     axis = {"E": ("q_dot", 47), "A": ("p_dot", 46), "R": ("r_dot", 48)}[name[6]]
     told = book(name, **{axis[0]: (axis[1], "deg/s^2")})  # as the book's own program takes them (its case 32)
     assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
+
+
+LAWS = {  # true or measured outputs, lag of the actuator, noise of the recorded surface, rad, its step, interval
+    "measured outputs": {},
+    "true outputs": {"measured": False},
+    "true outputs, noisy surface": {"measured": False, "surface": 5e-4},
+    "an actuator": {"lag": 0.15},
+    "rounded": {"step": np.deg2rad(0.02)},
+    "100 Hz": {"measured": False, "dt": 0.01},
+    "no noise": {"noise": 0.0},
+}
+
+
+def under_feedback(pilot=0.0, *, measured=True, lag=0.0, surface=0.0, step=0.0, dt=0.04, noise=1.0, name="fed"):
+    """A short period of dimensional derivatives in gusts: elevator = 0.8 alpha + 0.5 q, and doublets of the pilot."""
+    rng, n = np.random.default_rng(3), round(40.0 / dt)
+    time = np.arange(n) * dt
+    command = pilot * np.where(time % 20.0 < 4.0, np.sign(np.sin(2.0 * np.pi * time / 4.0)), 0.0)
+    x, gust, flown, rows = np.array([0.05, 0.0]), 0.0, 0.04, []
+    for k in range(n):
+        y = x + noise * np.array([8e-4, 4e-4]) * rng.standard_normal(2)
+        asked = np.array([0.8, 0.5]) @ (y if measured else x) + command[k]
+        flown = asked if lag == 0.0 else flown + (asked - flown) * (1.0 - np.exp(-dt / lag))
+        rows.append((*y, flown + surface * rng.standard_normal()))
+        for _ in range(4):
+            gust += -0.25 * dt * gust + 4e-3 * np.sqrt(0.25 * dt) * rng.standard_normal()
+            alpha, q = x[0] + gust, x[1]
+            x = x + 0.25 * dt * np.array([-0.9 * alpha + q - 0.1 * flown, -3.0 * alpha - 1.2 * q - 4.0 * flown])
+    alpha, q, elevator = np.transpose(rows)
+    elevator = step * np.round(elevator / step) if step else elevator
+    channels = {"alpha": alpha, "q": q, "elevator": elevator, "az": -9.8 - 60.0 * alpha}
+    return FlightRecord.from_arrays(name, time, channels)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_surface_that_only_follows_the_outputs_is_told(law):
+    (finding,) = feedback([under_feedback(**LAWS[law])], read_card("short_period"))
+    assert (finding.channel, finding.fault, finding.grave) == ("elevator", "feedback", True)
+    assert "alpha" in finding.sentence
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_pilot_beside_the_feedback_parts_the_two(law):
+    """Doublets of 0.3 deg; one record with them serves the others that are fitted with it."""
+    card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), **LAWS[law])
+    assert feedback([piloted], card) == []
+    assert feedback([under_feedback(**LAWS[law], name="other"), piloted], card) == []
+
+
+@needs_trials
+def test_the_record_without_a_pilot_is_told():
+    card = read_card("short_period")
+    record = read_record(TRIALS / "feedback_only.csv", card.channels)
+    assert [f.fault for f in channel_health([record], card) if f.grave] == ["feedback"]
+
+
+@needs_book
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [("unstable", "unStabAC_sim.asc"), ("hfb320", "hfb320_1_10.asc"), ("attas_lateral", "fAttasAilRud1.asc")],
+)
+def test_pilots_of_the_book_are_no_feedback(model, name):
+    """The unstable aircraft is under feedback of w beside the pilot's command (cases.md): its published fit holds."""
+    card = read_card(model)
+    assert feedback([read_record(BOOK / name, card.channels)], card) == []
 
 
 @needs_book

@@ -1,15 +1,19 @@
-"""Controls that turn the aircraft the wrong way: an elevator that raises the nose when it goes down, and the like."""
+"""Controls that turn the aircraft the wrong way, and controls that only follow what the aircraft does."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, declared, found
+from bayes_aero.flight.health.signals import CONTROLS, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
 
 SMOOTH = 0.3  # s of the mean that keeps noise out of the angular acceleration
@@ -18,6 +22,14 @@ SURE = 5.0  # standard errors, of the wrong sign
 RESPONSE = 0.3  # 1/s2 a rad: no surface that flies an aircraft does less
 SLOW = 3.0  # s: trim and speed change more slowly and are taken out
 PAIR = ("aileron_right", "aileron_left")
+OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
+"""What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
+MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
+"""s, of an actuator or a filter between outputs and surface."""
+OWN, NOTHING = 0.05, 1e-3
+"""Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
+manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
+PER_COLUMN = 5  # times `SMOOTH` of record that a regressor needs
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,7 @@ def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
 
 
 def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
-    deflection = _deflection(control, record)
+    deflection = _deflection(control.surface, record)
     if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
         return []
     signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
@@ -79,6 +91,84 @@ def _answers(control: _Control, record: FlightRecord, card: Card) -> list[Health
     return [found(record, control.surface, "sign", sentence, at=(0, record.n - 1))]
 
 
+def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]:
+    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move.
+
+    Then the law of the feedback fits the record as well as the aircraft does; a slow manoeuvre, in which the surface
+    is the trim, has the same want. A pilot's input beside the feedback, in
+    one of the records, parts the two.
+
+    Source: L. Ljung, System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft).
+    """
+    said = []
+    for surface in _surfaces(card):
+        moved = [(record, law) for record in records if (law := _law(surface, record, card)) is not None]
+        if not moved or not all(names for _, (names, _) in moved):
+            continue
+        for record, (names, share) in moved:
+            sentence = (
+                f"{surface} follows the recorded {', '.join(names)}: {share:.1%} of its motion is left, which is "
+                "within noise. The feedback and the aircraft cannot be parted, and no derivative of this axis is "
+                f"usable. Fly an input of the pilot (a doublet, a multisine) to the {surface} beside the feedback, "
+                "join a record that has one, or fix the derivatives on the card that are known"
+            )
+            said.append(found(record, surface, "feedback", sentence, at=(0, record.n - 1)))
+    return said
+
+
+def _surfaces(card: Card) -> list[str]:
+    """Surfaces by which the card's model moves the aircraft."""
+    if card.linear is not None:
+        return [name for name in card.linear.inputs if name in CONTROLS]
+    controls = ((Axis.LONGITUDINAL, ELEVATOR), *((Axis.LATERAL, control) for control in LATERAL))
+    return [control.surface for axis, control in controls if axis in card.axes]
+
+
+def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], float] | None:
+    """The outputs that a surface follows and the share of its motion that is left; no outputs where it has its own.
+
+    None where it hardly moves, or the record is too short to tell.
+    """
+    u, window = _deflection(surface, record), SMOOTH / record.dt
+    recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
+    outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in recorded if np.ptp(record[n]) > 0.0}
+    room = record.n / window / PER_COLUMN - 2.0
+    if u is None or not outputs or room < len(outputs) or np.ptp(u) == 0.0 or noise_alone(u):
+        return None
+    columns = np.array([*outputs.values()])
+    # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
+    inside = slice(round(window), record.n - round(window))
+    slow, target = np.array([_mean(x, window)[inside] for x in columns]), _mean(u, window)[inside]
+    if np.ptp(target) == 0.0:
+        return None
+
+    def law(lag: float, delay: int) -> tuple[np.ndarray, np.ndarray]:
+        rows = _late(slow, lag, record.dt, delay)
+        weights = np.linalg.lstsq(rows @ rows.T, rows @ target[delay:], rcond=None)[0]
+        return weights, target[delay:] - weights @ rows
+
+    tried = []
+    for delay in (round(d / record.dt) for d in DELAYS):
+        best = minimize_scalar(lambda lag, d=delay: np.var(law(lag, d)[1]), bounds=(0.0, MAX_LAG), method="bounded")
+        tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.x))]
+    _, lag, delay = min(tried)
+    weights, left = law(lag, delay)
+    noise = max(noise_of(u), noise_of(u[delay:] - weights @ _late(columns, lag, record.dt, delay)))
+    own, share = np.std(left), float(np.var(left) / np.var(target))
+    if share > NOTHING and (share > OWN or own > noise):
+        return [], share
+    sizes = np.abs(weights[: len(outputs)])
+    return [n for n, size in zip(outputs, sizes, strict=True) if size > 0.1 * sizes.max()], share
+
+
+def _late(x: Float[np.ndarray, "k n"], lag: float, dt: float, delay: int) -> Float[np.ndarray, "k2 n2"]:
+    """Signals behind a lag of first order, without the last `delay` samples; then how the lag began, and a constant."""
+    late = x[:, : x.shape[1] - delay]
+    pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
+    late = late[:, :1] + lfilter([1.0 - pole], [1.0, -pole], late - late[:, :1])
+    return np.concatenate([late, [pole ** np.arange(late.shape[1])], np.ones((1, late.shape[1]))])
+
+
 def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
     if not record.has(control.surface):
         return f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
@@ -86,11 +176,11 @@ def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
     return f"so if the file counts {control.otherwise} write sign = {sign} at {control.surface} on the card"
 
 
-def _deflection(control: _Control, record: FlightRecord) -> Float[np.ndarray, " n"] | None:
+def _deflection(surface: str, record: FlightRecord) -> Float[np.ndarray, " n"] | None:
     """The surface as recorded; ailerons also from their pair."""
-    if record.has(control.surface):
-        return record[control.surface]
-    if control.surface == "aileron" and all(map(record.has, PAIR)):
+    if record.has(surface):
+        return record[surface]
+    if surface == "aileron" and all(map(record.has, PAIR)):
         return 0.5 * (record[PAIR[0]] - record[PAIR[1]])
     return None
 
