@@ -105,8 +105,8 @@ def candidate_model(
     others = (sized(e, model.lengths) for e in (*CATALOGUE.values(), *extra) if e not in model.effects)
     for effect in (*absent, *others):
         missing = [c for c in effect.channels if c not in have]
-        still = [c for c in effect.channels if c in flights.channels and _at_rest(np.asarray(flights.channels[c]))]
-        if still and not missing and effect.together and _moves(effect, flights):
+        still = [c for c in effect.channels if c in flights.channels and not moves(flights.channels[c], flights)]
+        if still and not missing and effect.together and _varies(_made(effect, flights, {}), flights):
             still = []
         lacking = [name for name in effect.uses if name not in owned]
         proposed = effect.candidate and effect.acts_on(model.axes)
@@ -115,7 +115,9 @@ def candidate_model(
         if missing:
             not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
         elif still and effect.stage > Stage.AIRCRAFT:
-            not_testable[effect.name] = f"channel {', '.join(still)} does not move in this record"
+            label = any(_moves(np.asarray(flights.channels[c])) for c in still)
+            why = "differs only between manoeuvres, as an offset does" if label else "does not move in this record"
+            not_testable[effect.name] = f"channel {', '.join(still)} {why}"
             if not lacking and effect.parameters and effect not in absent:
                 idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
         elif noisy := _rests_on(noise, effect, flights):
@@ -144,9 +146,22 @@ def candidate_model(
 
 def noise_channels(flights: Recorded) -> tuple[str, ...]:
     """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
-    ends = np.cumsum(flights.lengths)[:-1]
     found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
-    return tuple(n for n, x in found.items() if noise_alone(x, *np.split(x, ends)))
+    return tuple(n for n, x in found.items() if noise_alone(x, *_parts(x, flights)))
+
+
+def moves(x: Any, flights: Recorded, least: float = 1e-9) -> bool:
+    """Whether a channel (n,) moves within a manoeuvre: one that differs only between them cannot be told from an
+    offset."""
+    return any(_moves(part, least) for part in _parts(np.asarray(x), flights))
+
+
+def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
+    return bool(np.ptp(x) > least * max(1.0, float(np.abs(x).max())))
+
+
+def _parts(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+    return np.split(x, np.cumsum(flights.lengths)[:-1])
 
 
 def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[str, ...]:
@@ -158,9 +173,10 @@ def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[
     of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
     if not own or of_others or not set(effect.channels) <= set(flights.channels):
         return ()
-    calm = {n: np.full_like(np.asarray(flights.channels[n], float), np.mean(flights.channels[n])) for n in own}
-    there = _varies(_made(effect, flights, {}))
-    return own if there and not _varies(_made(effect, flights, calm)) else ()
+    parts = {n: _parts(np.asarray(flights.channels[n], float), flights) for n in own}
+    calm = {n: np.concatenate([np.full_like(x, x.mean()) for x in each]) for n, each in parts.items()}
+    there = _varies(_made(effect, flights, {}), flights)
+    return own if there and not _varies(_made(effect, flights, calm), flights) else ()
 
 
 def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -171,15 +187,6 @@ def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) 
     return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
 
 
-def _varies(made: Sequence[np.ndarray]) -> bool:
-    return any(float(np.ptp(x)) > MOVES * float(np.max(np.abs(x))) for x in made)
-
-
-def _moves(effect: Effect, flights: Recorded) -> bool:
-    """Whether what an effect makes of its channels together moves: T/(qbar S) does where only the airspeed changes."""
-    return _varies(_made(effect, flights, {}))
-
-
-def _at_rest(x: np.ndarray) -> bool:
-    """True for a channel that never moves (a flap that stays up): no effect of it can be seen."""
-    return bool(np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())))
+def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
+    """Whether any of these moves within a manoeuvre: T/(qbar S) does where only the airspeed changes."""
+    return any(np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in _parts(x, flights))

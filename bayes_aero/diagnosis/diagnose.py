@@ -76,7 +76,8 @@ def diagnose(
     ask = gains_wanted and found.testable_now
     candidates, kept_of, failed = _confirmed(found, progress) if ask else _unasked(found)
     kept = kept_of[found.stages[-1][0]]
-    hardly = stand_ins(candidates, found.by_stage, found.unknown)
+    within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
+    hardly = stand_ins(candidates, found.by_stage, within)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))

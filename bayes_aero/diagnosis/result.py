@@ -97,7 +97,9 @@ class Cause:
 class UnexplainedStructure:
     """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period.
 
-    `rivals`: more effects would explain it about equally well than the record can choose among.
+    `rivals`: more effects would explain it about equally well than the record can choose among. `offsets`: where the
+    coefficient's constant differs between manoeuvres, by how much in each from that in the first, with standard errors;
+    an effect that differs only between manoeuvres cannot be told from it.
     """
 
     coefficient: str
@@ -105,6 +107,7 @@ class UnexplainedStructure:
     share: float  # of the remaining variance of that coefficient
     p_value: float
     rivals: tuple[str, ...] = ()
+    offsets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -71,11 +71,16 @@ def test_the_library_has_every_product_to_third_order():
     assert "mach" not in found
 
 
-def test_products_keep_the_symmetry_of_the_aircraft():
+def test_terms_keep_the_symmetry_of_the_aircraft():
+    """Seen in a mirror CL, CD and Cm stay the same, and CY, Cl and Cn change sign: so does every term of theirs."""
+    mirror = {name: -x if name in ("beta", "p", "r", "aileron", "rudder") else x for name, x in SIGNALS.items()}
     for lateral in (False, True):
-        products = [t for t in terms(lateral=lateral).values() if len(t.factors) > 1]
-        assert {sum(f.lateral for f in t.factors) % 2 for t in products} == {int(lateral)}
-        assert {"alpha", "beta"} <= set(terms(lateral=lateral))
+        for name, term in terms(lateral=lateral).items():
+            there, here = term.evaluate(mirror, AIRCRAFT), term.evaluate(SIGNALS, AIRCRAFT)
+            assert there == pytest.approx(-here if lateral else here, abs=1e-12), name
+    assert "alpha" in terms()
+    assert {"beta", "alpha beta"} <= set(terms(lateral=True))
+    assert any(name.startswith("sign(beta) max(|beta| - ") for name in terms(lateral=True))
 
 
 def test_breaks_and_bumps_lie_where_it_was_flown():

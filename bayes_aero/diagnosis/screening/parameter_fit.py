@@ -94,8 +94,7 @@ def _fit_at(
     )
     mean, precision = state.full.prior(at, theta)
     precision = state.variance_inflation * precision
-    offsets = np.zeros(S.shape[2] - len(at))
-    mean, precision = np.append(mean, offsets), np.append(precision, offsets)
+    mean, precision = np.append(mean, state.mean[state.offsets]), np.append(precision, state.precision[state.offsets])
     free = np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
     return products.fit(free, mean, precision, held), only.deviance + float(

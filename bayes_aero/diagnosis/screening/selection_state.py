@@ -18,6 +18,8 @@ from bayes_aero.parameter import departure
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import ResidualModel
 
+TINY = 1e-300
+WIDE = 10.0  # times the residual's deviation, the prior one of an offset of a manoeuvre
 LARGEST = 1e100  # of a sensitivity: a simulation that has diverged says nothing, and its square has no number
 
 
@@ -62,6 +64,7 @@ class SelectionState:
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
     variance_inflation: float = 1.0  # priors count so many times against the white likelihood
+    apart: tuple[str, ...] = ()  # coefficients with a constant of its own in every manoeuvre, among the nuisance
     components: tuple[Component, ...] = ()  # candidates in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
@@ -155,11 +158,13 @@ def linearised(
     noise_growth: Float[np.ndarray, "m c"] | None = None,
     variance_inflation: float = 1.0,
     known: SelectionState | None = None,
+    apart: tuple[str, ...] = (),
 ) -> SelectionState:
     """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
 
     Candidates that are not active and have no slope at neutral are tried at their scanned values. What is `known` of
-    the same responses at the same parameters is not computed again.
+    the same responses at the same parameters is not computed again. Coefficients `apart` have an offset in every
+    manoeuvre, free in every fit.
     """
     keep = [responses.outputs.index(name) for name in outputs]
     if known is not None and np.array_equal(known.theta, theta):
@@ -167,7 +172,8 @@ def linearised(
     else:
         residual, S = responses.linearise(theta)
         residual, S, scanned = residual[:, keep], S[:, keep], {}
-    scans, extra = [], [responses.offsets(theta, outputs)]
+    constants = [manoeuvre_constants(responses.manoeuvre, outputs, name) for name in apart]
+    scans, extra = [], [np.concatenate([responses.offsets(theta, outputs), *constants], axis=2)]
     for effect in full.candidates:
         if effect.name in active:
             continue
@@ -190,8 +196,13 @@ def linearised(
     precision = variance_inflation * precision
     of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
+    # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
+    size = [np.std(residual[:, outputs.index(name)]) for name, S in zip(apart, constants, strict=True) for _ in S.T]
+    flat = np.concatenate(
+        [nothing[len(size) :], variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))]
+    )
     mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
-    precision = np.concatenate([precision, nothing, precision[of_scans], [1.0]])
+    precision = np.concatenate([precision, flat, precision[of_scans], [1.0]])
     products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
     return SelectionState(
         full,
@@ -209,13 +220,27 @@ def linearised(
         tuple(scans),
         extra[0].shape[2],
         variance_inflation,
+        apart,
     )
 
 
+def manoeuvre_constants(
+    manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], name: str
+) -> Float[np.ndarray, "m c o"]:
+    """A column of ones in one output for every manoeuvre."""
+    S = np.zeros((len(manoeuvre), len(outputs), int(manoeuvre[-1]) + 1))
+    S[np.arange(len(manoeuvre)), outputs.index(name), manoeuvre] = 1.0
+    return S
+
+
 def moved(
-    state: SelectionState, theta: Float[np.ndarray, " k"], active: tuple[str, ...] | None = None
+    state: SelectionState,
+    theta: Float[np.ndarray, " k"],
+    active: tuple[str, ...] | None = None,
+    apart: tuple[str, ...] | None = None,
 ) -> SelectionState:
-    """The state at other parameters or with other effects in, with the same noise growth."""
-    chosen = state.active if active is None else active
+    """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
+    chosen, own = state.active if active is None else active, state.apart if apart is None else apart
     full, responses, outputs = state.full, state.responses, state.outputs
-    return linearised(full, responses, outputs, theta, chosen, state.noise_growth, state.variance_inflation, state)
+    noise = state.noise_growth, state.variance_inflation
+    return linearised(full, responses, outputs, theta, chosen, *noise, state, own)

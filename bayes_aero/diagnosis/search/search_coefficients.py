@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.search.stages import Stages, search_in_stages
 from bayes_aero.diagnosis.selection.residuals import noise_report
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.components import has_chunks
-from bayes_aero.diagnosis.structure.unexplained import Left, unexplained, withdrawn
+from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.diagnosis.terms.forms import Forms, forms_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
@@ -62,7 +62,7 @@ def search_coefficients(
     return SearchResult(
         full,
         (*named, (COEFFICIENTS, aerodynamics)),
-        _described(left.unknown, found),
+        (*_described(left.unknown, found), *offsets_found(aerodynamics)),
         noise_report(aerodynamics, outliers),
         (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
         (*failures, *failed),

@@ -20,6 +20,7 @@ from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
 from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
+from bayes_aero.diagnosis.structure.components import offsets_left
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.parameter import Prior
 from bayes_aero.progress import Progress
@@ -53,7 +54,11 @@ def search_in_stages(
         if sensors is not None:
             begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
         state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
-        return forward_selection(state, seed=seed + 1000, progress=progress)
+        found = forward_selection(state, seed=seed + 1000, progress=progress)
+        while left := offsets_left(found.state, seed=seed + 1500):
+            state = moved(state, begin, apart=(*found.state.apart, *left))
+            found = forward_selection(state, seed=seed + 1000, progress=progress)
+        return found
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:

@@ -104,15 +104,50 @@ def selected(
     for number in range(most):
         if progress:
             progress("causes", number / most)
-        step = _election(state, fit, seed + number, first=number == 0)
+        winner, standing_in = None, ("",)
+        while standing_in:
+            step = _election(state, fit, seed + number, first=number == 0)
+            winner = None if step.chosen is None else step.screening.of(step.chosen)
+            standing_in = () if winner is None else _offsets_instead(state, fit, winner)
+            if standing_in:
+                state, fit = refitted(moved(state, state.theta, apart=(*state.apart, *standing_in)))
         steps.append(step)
-        if step.chosen is None:
+        if winner is None:
             break
-        winner = step.screening.of(step.chosen)
-        assert winner is not None
         state, fit = refitted(added(state, winner))
         state, fit = _reconsidered(state, fit)
-    return Selected(first, first_fit, state, fit, tuple(steps))
+    return Selected(first, first_fit, *_without_idle_offsets(state, fit), tuple(steps))
+
+
+def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) -> tuple[str, ...]:
+    """Coefficients whose offsets between manoeuvres stand in for an addition.
+
+    What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
+    addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
+    """
+    reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
+    outputs = tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves and n not in state.apart)
+    count = len(state.responses.flights.lengths)
+    if count == 1 or not outputs or state.outputs != state.responses.model.coefficients:
+        return ()
+    wider = moved(state, state.theta, apart=(*state.apart, *outputs))
+    there = wider.fit()
+    within = screen(wider, there, seed=0, nulls=False).of(winner.effect)
+    identified = within is not None and within.score >= state.settings.least_score and within.log_bayes > 0.0
+    if within is None or not identified or float(np.dot(within.step, winner.step)) <= 0.0:
+        return outputs
+    better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
+    return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
+
+
+def _without_idle_offsets(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+    """The state without offsets between manoeuvres that explain nothing beside what was added after them."""
+    for name in state.apart:
+        fewer, less = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
+        gained = nats(less.deviance - fit.deviance, state.variance_inflation) - len(state.folds) + 1
+        if gained < state.settings.ambiguous:
+            state, fit = fewer, less
+    return state, fit
 
 
 def sized(found: Selected) -> Extension:

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import noise_channels
-from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
+from bayes_aero.diagnosis.candidate_set import moves, noise_channels
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Products
 from bayes_aero.diagnosis.screening.screening import explained_shares
-from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, manoeuvre_constants
+from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.terms.columns import columns_of
 from bayes_aero.inference.variance.autoregression import ORDER
+from bayes_aero.physics.coefficient_names import LATERAL
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 _OVER_TIME = " over time, period "
+ODD = ("beta", "p", "r", "phi", "aileron", "rudder", "ay")
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 
 
@@ -40,20 +43,23 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 
 
 def smooth_components(state: SelectionState) -> list[Component]:
-    """A smooth function of every recorded channel that moves, in each coefficient.
+    """A smooth function of every recorded channel that moves within a manoeuvre, in each coefficient.
 
-    Not of white noise about a constant, which explains a channel's own noise, and that is what it leaves.
+    Not of white noise about a constant, which explains a channel's own noise, and that is what it leaves. CL, CD and Cm
+    do not change with the sign of what changes its sign with the wings.
     """
     signals = state.responses.evaluate(state.theta)[1]
     skipped = (*SKIPPED, *noise_channels(state.responses.flights))
     names = [n for n in (*state.responses.flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
     found = []
     for name in names:
-        x = np.asarray(state.responses.block(signals[name]))
-        if np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
+        if not moves(signals[name], state.responses.flights, 1e-6):
             continue
-        basis = _basis(x, state.settings.knots)
-        found += [_of_one(state.outputs, f"{c} over {name}", c, basis) for c in state.outputs]
+        x = np.asarray(state.responses.block(signals[name]))
+        either, even = (_basis(y, state.settings.knots) for y in (x, np.abs(x) if name in ODD else x))
+        found += [
+            _of_one(state.outputs, f"{c} over {name}", c, either if c in LATERAL else even) for c in state.outputs
+        ]
     return found
 
 
@@ -72,14 +78,36 @@ def periodic_components(state: SelectionState) -> list[Component]:
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
     manoeuvre = state.responses.manoeuvre
     found = []
+    longest = np.bincount(manoeuvre).min() * state.responses.seconds  # of which every manoeuvre shows a whole one
     for period in PERIODS:
-        if period < 4.0 * state.responses.seconds:
+        if not 4.0 * state.responses.seconds <= period <= longest:
             continue
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
         found += [_of_one(state.outputs, f"{c}{_OVER_TIME}{period:.3g} s", c, basis) for c in state.outputs]
     return found
+
+
+def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
+    """Coefficients whose mean residual differs between manoeuvres beyond chance, as that of a function must."""
+    left = [c for c in state.outputs if c not in state.apart]
+    if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
+        return ()
+    folds, manoeuvre = _chunks(state), state.responses.manoeuvre
+    components = [Component(c, manoeuvre_constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
+    whole, found = with_components(state, components, (), folds), []
+    for component in components:
+        trial = with_components(state, [component], (), folds)
+        wide = np.concatenate([trial.columns(), trial.component_columns[0]])
+        share = share_of(trial, trial.component_columns[0])
+        if share < state.settings.unnamed_share or holdout_deviance_gain(trial, wide) <= 0.0:
+            continue
+        wider = trial.products.fit(wide, trial.mean, trial.precision)
+        noise = autocorrelation_of(trial.left(wider), folds), wider.variance
+        if chance_of(share, null_shares(whole, *noise, seed)) <= state.settings.unnamed_false_alarm_rate:
+            found.append(component.label)
+    return tuple(found)
 
 
 def _of_one(outputs: Sequence[str], label: str, coefficient: str, basis: Float[np.ndarray, "m w"]) -> Component:

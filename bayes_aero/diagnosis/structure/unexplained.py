@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import chdtrc
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import Products
-from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.screening.regression import Products, inverse
+from bayes_aero.diagnosis.screening.screening import CandidateScore, screen, uncertainty
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -33,6 +34,7 @@ from bayes_aero.diagnosis.structure.components import (
     share_of,
     with_components,
 )
+from bayes_aero.inference.variance.variance_inflation import nats
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,35 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
     return Left((), ()) if stand_in is None else _left(extension, [stand_in], extension.causes)
 
 
+def offsets_found(extension: Extension) -> tuple[UnexplainedStructure, ...]:
+    """Each coefficient whose constant differs between manoeuvres, and additions that explain that about as well."""
+    state, found = extension.state, []
+    for name in state.apart:
+        fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
+        less, fit = fewer.fit(), state.fit()
+        ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
+        gain, c = less.deviance - fit.deviance, state.outputs.index(name)
+        rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
+        columns = state.offsets[_ones(state, c)]
+        at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
+        from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
+        covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
+        size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
+        p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        deviation = np.sqrt(np.diag(covariance))
+        names = state.responses.flights.names[1:]
+        offsets = {n: (float(x), float(sd)) for n, x, sd in zip(names, size, deviation, strict=True)}
+        share = float(1.0 - fit.variance[c] / less.variance[c])
+        found.append(UnexplainedStructure(name, "manoeuvre", share, p, tuple(dict.fromkeys(rivals)), offsets))
+    return tuple(found)
+
+
+def _ones(state: SelectionState, c: int) -> np.ndarray:
+    """Which of the free columns are the constants of output c, in the order of the manoeuvres."""
+    width, number = len(state.responses.flights.lengths), state.apart.index(state.outputs[c])
+    return len(state.offsets) - width * (len(state.apart) - number) + np.arange(width)
+
+
 def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:
     """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in found]
@@ -80,12 +111,23 @@ def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ..
     election = None if last is None or last.chosen is not None else last.screening
     for one in found:
         if one.change is not None:
-            changes.append(told(bare, one.change, chosen, election))
+            change = told(bare, one.change, chosen, election)
+            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
+                changes.append(change)
         else:
             coefficient, channel = one.component.label.split(" over ")
             unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
     functions = tuple(one.component for one in found if one.change is None)
     return Left(tuple(unknown), replaced, tuple(changes), functions)
+
+
+def _constants(state: SelectionState) -> set[str]:
+    """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres: what these explain
+    as well is no change, for the drag due to lift follows an offset of the lift."""
+    outputs = [state.outputs.index(name) for name in state.apart]
+    S = state.S[:, outputs][:, :, : len(state.theta)]
+    constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
+    return {name for name, own in zip(state.full.model.names, constant, strict=True) if own}
 
 
 def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import noise_channels
+from bayes_aero.diagnosis.candidate_set import moves, noise_channels
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.terms.library import Signals, Term, library
 from bayes_aero.physics.coefficient_names import LATERAL
@@ -88,8 +88,7 @@ def _terms(state: SelectionState, signals: Signals, coefficient: str) -> Sequenc
     noise = noise_channels(flights)
 
     def able(channel: str) -> bool:
-        x = np.asarray(signals[channel]) if channel in signals and channel not in noise else np.zeros(1)
-        return bool(np.ptp(x) > 1e-6 * max(1.0, float(np.abs(x).max())))
+        return channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)
 
     separated = bool(np.min(np.asarray(signals["X"])) < SEPARATES)
     return library(signals, flights.aircraft, able, lateral=coefficient in LATERAL, separated=separated)

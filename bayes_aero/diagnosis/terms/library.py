@@ -112,7 +112,7 @@ QUANTITIES = (
 )  # fmt: skip
 MEMORY = ("alpha", "beta", "elevator", "aileron", "rudder")
 """Quantities of which the past may matter. Not a rate: with its past it is its own derivative, which is the moment."""
-CURVED = ("alpha", "beta")  # quantities whose own effect may break
+CURVED = ("alpha", "beta")  # quantities whose own effect may break; that of alpha may have a bump
 
 
 def _beyond(quantity: Factor, at: float) -> str:
@@ -120,7 +120,17 @@ def _beyond(quantity: Factor, at: float) -> str:
 
 
 def _break(quantity: Factor, at: float) -> Factor:
-    """What the quantity is beyond a value: its slope is another one there."""
+    """What the quantity is beyond a value, on either side for one that changes sign with the wings: its slope is
+    another one there."""
+    if quantity.lateral:
+        code = f"xp.sign({quantity.code}) * xp.maximum(xp.abs({quantity.code}) - {at!r}, 0.0)"
+        name = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)"
+
+        def beyond(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
+            x = quantity.evaluate(s, a)
+            return np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
+
+        return Factor(name, code, quantity.channels, beyond, True, 2, quantity.unit)
     code = f"xp.maximum({quantity.code} - {at!r}, 0.0)"
     name = f"max({_beyond(quantity, at)}, 0)"
     return Factor(
@@ -164,28 +174,24 @@ def library(
         signals: corrected channels of all flights end to end, `X` and the marks of manoeuvres, each (n,).
         aircraft: its reference lengths.
         able: whether a channel was recorded and moves.
-        lateral: whether the coefficient changes sign with the wings; products do as it does.
+        lateral: whether the coefficient changes sign with the wings; its terms do as it does.
         separated: whether the flow separates in these flights.
     """
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
     factors = [*quantities, *([SEPARATED] if separated else [])]
     found = [Term(t) for k in range(1, ORDER + 1) for t in combinations_with_replacement(factors, k)]
-    terms = [t for t in found if t.factors.count(SEPARATED) <= 1 and _fits(t, lateral)]
+    terms = [t for t in found if t.factors.count(SEPARATED) <= 1]
     for q in quantities:
         x = q.evaluate(signals, aircraft)
         if q.name in CURVED:
+            terms += [Term((_break(q, at),)) for at in _places(np.abs(x) if q.lateral else x, BREAKS)]
+        if q.name in CURVED and not q.lateral:
             reach = float(np.ptp(np.quantile(x, (0.02, 0.98))))
-            terms += [Term((_break(q, at),)) for at in _places(x, BREAKS)]
             widths = [float(np.round(share * reach, 4)) for share in WIDTHS]
             terms += [Term((_bump(q, at, w),)) for at in _places(x, BUMPS) for w in widths if w > 0.0]
         if q.name in MEMORY:
             terms += [Term((_lagged(q, chords),)) for chords in LAGS]
-    return tuple(terms)
-
-
-def _fits(term: Term, lateral: bool) -> bool:
-    """Products keep the symmetry of an aircraft; single factors need not, for no aircraft is quite symmetric."""
-    return len(term.factors) == 1 or (sum(f.lateral for f in term.factors) % 2 == 1) == lateral
+    return tuple(t for t in terms if (sum(f.lateral for f in t.factors) % 2 == 1) == lateral)
 
 
 def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:

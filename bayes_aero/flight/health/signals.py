@@ -41,13 +41,14 @@ def noise_of(*parts: np.ndarray) -> float:
 
 
 def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
-    """Whether more than half of what (n,) samples scatter about their mean is white noise.
+    """Whether more than half of what (n,) samples scatter about the mean of their manoeuvre is white noise.
 
     Args:
         x: all samples.
         parts: the same, manoeuvre by manoeuvre; left out, they are one.
     """
-    return bool(noise_of(*(parts or (x,))) ** 2 > NOISY * float(np.var(x)))
+    parts = parts or (x,)
+    return bool(noise_of(*parts) ** 2 > NOISY * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
 
 
 def quantum_of(x: np.ndarray) -> float:

@@ -134,6 +134,7 @@ def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, A
             "share_of_variance": u.share,
             "p_value": u.p_value,
             "rivals": list(u.rivals),
+            "offsets": {name: {"mean": mean, "sd": sd} for name, (mean, sd) in u.offsets.items()},
         }
         for u in unknown
     ]

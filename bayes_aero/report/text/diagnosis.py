@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis
+from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis, UnexplainedStructure
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
@@ -156,13 +156,25 @@ def _unknown(d: Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
     none = "explains this" if d.tested is None else "passes its own test along the trajectories"
     return [
-        f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
+        _offsets(u)
+        if u.offsets
+        else f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
         f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
         if u.rivals
         else f"Unexplained: {u.coefficient} still depends on {u.channel} ({u.share:.0%} of the remaining variance), "
         f"and no effect of the catalogue {none}."
         for u in d.unknown
     ]
+
+
+def _offsets(u: UnexplainedStructure) -> str:
+    sizes = several([f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()])
+    rivals = f" {several(u.rivals)} would explain them about as well and cannot be told from them." if u.rivals else ""
+    return (
+        f"Offset: the constant of {u.coefficient} differs between manoeuvres ({u.share:.0%} of the remaining "
+        f"variance), from that of the first by {sizes}. A sensor bias, a wrong weight, or a trim, flap or throttle "
+        f"set between them makes such offsets; only what moves within a manoeuvre tells which.{rivals}"
+    )
 
 
 def _terms(terms: Sequence[FoundTerm]) -> list[str]:

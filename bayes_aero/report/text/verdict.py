@@ -16,7 +16,10 @@ def verdict_sentence(d: Diagnosis) -> str:
     sure = [c for c in d.causes if c.sure]
     names = f": {several(_named(d, c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
     changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
-    unknown = several([*sorted({f"{u.coefficient} over {u.channel}" for u in d.unknown}), *dict.fromkeys(changes)])
+    structure = {
+        f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
+    }
+    unknown = several([*sorted(structure), *dict.fromkeys(changes)])
     left = f" ({unknown})" if unknown else ""
     if d.tested is not None:
         return _flown_verdict(d, d.tested, len(sure), names, left)
