@@ -22,7 +22,7 @@ from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pooled.next_flight import next_flight_table
-from bayes_aero.report.structure.tables import sampled_table, weights_table
+from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
     causes_table,
@@ -177,15 +177,6 @@ class Diagnosed:
         """
         return sampled_table(self.view.diagnosis).frame()
 
-    def weights(self) -> pd.DataFrame:
-        """Stacking weights of causes and their rivals on hold-out data.
-
-        Returns:
-            A row per model; columns for its effects, the rival and the cause that it replaces, weight with its 90 %
-            band, and log density gained on hold-out data.
-        """
-        return weights_table(self.view.diagnosis).frame()
-
     @property
     def _coefficients(self) -> View:
         if not isinstance(self.view, View):
@@ -207,8 +198,7 @@ class Diagnosed:
 
         Returns:
             A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
-            the extended model with a Gaussian process of its residuals; where causes have rivals, the average of the
-            extended model and those with the rivals, by their stacking weights.
+            the extended model with a Gaussian process of its residuals.
         """
         table = predictors(self._coefficients.diagnosis, self.card)
         rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}

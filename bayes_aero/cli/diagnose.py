@@ -105,7 +105,6 @@ def diagnose(
 def _tell(console: Console, found: Outcome) -> None:
     from bayes_aero.report.design.in_band import in_band_sentences
     from bayes_aero.report.design.points import points_sentences
-    from bayes_aero.report.structure.tables import weights_table
     from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
     from bayes_aero.report.tables.trajectories import error_table
     from bayes_aero.report.text.diagnosis import revealed, sentences
@@ -116,8 +115,6 @@ def _tell(console: Console, found: Outcome) -> None:
     if d.causes or rankings:
         first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
         console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
-    if d.stacking:
-        console.print(weights_table(d).terminal())
     if found.view.trajectories is not None:
         console.print(error_table(found.view.trajectories).terminal())
     for sentence in (*rest, *in_band_sentences(found.in_band), *points_sentences(found.test_points)):

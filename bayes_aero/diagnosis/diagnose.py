@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.result import (
+    FLIGHT_PATH,
     Cause,
     Diagnosis,
+    Gain,
     Tested,
     UnexplainedStructure,
     as_absorbed,
@@ -26,16 +27,15 @@ from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
 from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
 from bayes_aero.diagnosis.selection.absorbed import absorbed
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
-from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling
+from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling, correlated
 from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
-from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of
+from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
-from bayes_aero.diagnosis.selection.stacking import Stacking, stacked
+from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
+from bayes_aero.diagnosis.terms.result import SampledTerms
 from bayes_aero.diagnosis.terms.sampled import sampled_terms
-from bayes_aero.diagnosis.terms.weighed import weighed
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -79,10 +79,11 @@ def diagnose(
     within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
     hardly = stand_ins(candidates, found.by_stage, within)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
+    conditional = tuple(c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond))
+    causes, beyond = tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
     unknown = (*found.unknown, *structure_of(found, unnamed))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
-    nothing = Beside(found.terms, (), (), ())
-    beside = _beside(found, causes, kept_of, seed, progress) if ask else nothing
+    sampled, unsampled = _sampled(found, seed, progress) if ask else ((), ())
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
     verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
@@ -92,14 +93,14 @@ def diagnose(
         minor=minor,
         unknown=unknown,
         noise=found.noise,
-        not_testable=found.full.not_testable,
+        not_testable=found.not_testable,
         sensors=found.sensors,
         aerodynamics=found.model,
         theta=state.theta,
         split=split_name(state),
         base_moves=moves_of(found.model),
         kept=kept,
-        failures=(*found.failures, *failed, *beside.failures),
+        failures=(*found.failures, *failed, *unsampled),
         notes=(*left_out, *found.notes),
         together=together_of(found.stages, causes),
         beyond=beyond,
@@ -107,10 +108,9 @@ def diagnose(
         compared=found.stages[-1][0],
         gusts=gusts,
         changes=found.changes,
-        terms=beside.terms,
+        terms=found.terms,
         absorbed=taken_up,
-        sampled=beside.sampled,
-        stacking=beside.stacking,
+        sampled=sampled,
     )
 
 
@@ -121,12 +121,20 @@ Asked = tuple[list[Cause], Kept, tuple[str, ...]]
 def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
 
-    Should the hold-out test fail, no cause is confirmed.
+    A cause that loses on hold-out data, beside the causes before it, is not confirmed, the last first. Should the
+    hold-out test fail, no cause is confirmed.
     """
 
     def asked() -> tuple[list[Cause], Kept]:
         confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
-        return causes_of(found, confirmations, progress), {stage: one.kept for stage, one in confirmations.items()}
+        while True:
+            causes = causes_of(found, confirmations, progress)
+            losing = [c for c in causes if c.confirmed and loses(c, found.full.settings)]
+            if not losing:
+                return causes, {stage: one.kept for stage, one in confirmations.items()}
+            last = losing[-1]
+            one = confirmations[last.stage]
+            confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
@@ -140,39 +148,22 @@ def _unasked(found: SearchResult) -> Asked:
     return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
 
 
-class Beside(NamedTuple):
-    """Witnesses that name nothing: terms with weights, sampled sets of them, weights of causes and rivals; failures."""
-
-    terms: tuple[FoundTerm, ...]
-    sampled: tuple[SampledTerms, ...]
-    stacking: tuple[Stacking, ...]
-    failures: tuple[str, ...]
+def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
+    """Whether hold-out data are predicted worse with a cause: all together, or one of the coefficients."""
+    return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
 
 
-def _beside(found: SearchResult, causes: Sequence[Cause], kept: Kept, seed: int, progress: Progress | None) -> Beside:
-    """All witnesses; one that fails is left out."""
+def _sampled(
+    found: SearchResult, seed: int, progress: Progress | None
+) -> tuple[tuple[SampledTerms, ...], tuple[str, ...]]:
+    """Sampled sets of terms, which name nothing, and failures."""
     if progress and found.structures:
         progress("sampling terms", 0.0)
-    sampled, failed = attempted(
+    return attempted(
         "Sets of terms were not sampled",
         lambda: tuple(sampled_terms(one, found.terms, seed=seed + 4000) for one in found.structures),
         (),
     )
-    terms, other = attempted(
-        "Terms were not weighed on hold-out data",
-        lambda: weighed(found.terms, found.structures, seed=seed),
-        found.terms,
-    )
-    rivals = {stage: {c.name: c.ambiguous_with for c in causes if c.stage == stage} for stage, _ in found.stages}
-    if progress and any(c.ambiguous_with for c in causes):
-        progress("weights of rivals", 0.0)
-    models, failures = attempted(
-        "Rivals were not weighed on hold-out data",
-        lambda: [stacked(one, stage, rivals[stage], kept[stage], seed=seed) for stage, one in found.stages],
-        [],
-    )
-    stacking = tuple(one for one in models if one is not None)
-    return Beside(terms, sampled, stacking, (*failed, *other, *failures))
 
 
 def causes_of(
@@ -187,9 +178,17 @@ def causes_of(
             continue
         sure = confirmations.get(stage)
         measured = {} if sure is None else gains_of(extension, searched.model, sure.kept, progress)
+        joint = correlated(extension, extension.causes)
+        undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
             probability, others = rivals_of(extension, name)
+            in_place: dict[str, tuple[float, float]] = {}
+            if sure is not None and name in sure.kept:
+                in_place = rival_gains(extension, name, others, sure.kept)
+                worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
+                if worse:
+                    probability, others = rivals_of(extension, name, worse)
             found.append(
                 Cause(
                     name=name,
@@ -198,17 +197,24 @@ def causes_of(
                     stage=stage,
                     probability=probability,
                     p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
-                    ambiguous_with=others,
+                    ambiguous_with=tuple(dict.fromkeys((*others, *undecided.get(name, ())))),
                     parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
-                    gain=measured.get(name, NO_GAIN),
+                    gain=_with_harm(measured.get(name, NO_GAIN), sure, name),
                     excited=_excited(extension.state, name),
                     confirmed=sure is None or name in sure.kept,
                     missed=NOTHING if sure is None else sure.missed[name],
                     implausible=implausible(effect, extension.sizes, full.settings),
                     own_share=own_share(extension.state, extension.fit, name),
+                    joint=joint.get(name, {}),
+                    rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
                 )
             )
     return found
+
+
+def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
+    """A gain with the coefficients because of which backward elimination took a cause out."""
+    return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
 def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
@@ -237,9 +243,10 @@ def _excited(state: SelectionState, name: str) -> bool:
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
 
 
-def rivals_of(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
+def rivals_of(extension: Extension, name: str, worse: Sequence[str] = ()) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close.
 
+    Of both those are left out that predict hold-out data `worse` in its place.
     What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
     """
     state, fit = extension.state, extension.fit
@@ -247,7 +254,7 @@ def rivals_of(extension: Extension, name: str) -> tuple[float, tuple[str, ...]]:
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
-        if standing.effect == name or able:
+        if standing.effect == name or (able and standing.effect not in worse):
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:

@@ -1,5 +1,4 @@
-"""Predictors on data that none of them was fitted to: card's model, Gaussian process, extended model, and both; where
-rivals stand in place of causes, the average of all models, too.
+"""Predictors on data that none of them was fitted to: card's model, Gaussian process, extended model, and both.
 
 Every predictor is fitted on all folds but one and scored on that one, at the same blocks of about 5 Hz. The fourth adds
 to the extended model a Gaussian process of what that model leaves on the fitted folds: the discrepancy of M. C. Kennedy
@@ -23,7 +22,6 @@ from jaxtyping import Bool, Float
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import FoldFit, fold_fits, split_name
 from bayes_aero.diagnosis.selection.discrepancy import Processes
-from bayes_aero.diagnosis.selection.stacking import stacking_weights
 from bayes_aero.errors import InputError
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.threads import blas_threads
@@ -40,7 +38,6 @@ class Predictor(StrEnum):
     CARD = "card"  # the model on the card, all of its parameters fitted
     GP = "gp"  # a Gaussian process of the card's inputs, its hyperparameters at their mode, as in `validation`
     EXTENDED = "extended"  # the card's model with every effect that was found
-    STACKED = "stacked"  # that and the models with rivals in place of its causes, averaged by their stacking weights
     DISCREPANCY = "extended_gp"  # the same with a Gaussian process of what it leaves
 
 
@@ -97,12 +94,11 @@ def compare_states(
     inputs: Sequence[str],
     *,
     seed: int = 0,
-    rivals: Sequence[SelectionState] = (),
     progress: Progress | None = None,
 ) -> Comparison:
     """All predictors of a state of the coefficients; the card's model is the state with nothing added.
 
-    `inputs` are the card's for Gaussian processes; `rivals` are averaged with the state.
+    `inputs` are the card's for Gaussian processes.
     Raises `InputError` for a state of the flight path or an input that was not recorded.
     """
     names = extended.responses.model.coefficients
@@ -136,11 +132,6 @@ def compare_states(
                     refused.setdefault((predictor, name), f"refused on {_label(extended, number)}: {found.refused}")
                 mean[predictor][fold, c] = found.mean + (mean[Predictor.EXTENDED][fold, c] if beside else 0.0)
                 sd[predictor][fold, c], trust[predictor][number, c] = found.sd, found.trust
-    if rivals:
-        mean[Predictor.STACKED], sd[Predictor.STACKED] = averaged(
-            [(mean[Predictor.EXTENDED], sd[Predictor.EXTENDED]), *(_predicted(one, measured) for one in rivals)],
-            measured, extended.folds, extended.variance_inflation,
-        )  # fmt: skip
     labels = tuple(_label(extended, k) for k in range(len(extended.folds)))
     fitted = f"each of {', '.join(labels)} predicted from fits to the others"
     predictions = {
@@ -155,12 +146,8 @@ def compare_states(
             for c, name in enumerate(names)
         }
         for p in Predictor
-        if p is not Predictor.STACKED or rivals
     }
     return Comparison(split_name(extended), labels, extended.inside, measured, predictions)
-
-
-Predicted = tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c"]]
 
 
 def _of_fold(
@@ -169,29 +156,6 @@ def _of_fold(
     """Mean and deviation of a fold by the fit to the others."""
     variance = np.mean((fit.residual / state.noise_growth)[fit.train] ** 2, axis=0)
     return measured[fit.fold] - fit.residual[fit.fold], np.sqrt(variance) * state.noise_growth[fit.fold]
-
-
-def _predicted(state: SelectionState, measured: Float[np.ndarray, "m c"]) -> Predicted:
-    """Mean and deviation of every fold."""
-    mean, sd = np.full(measured.shape, np.nan), np.full(measured.shape, np.nan)
-    for fit in fold_fits(state):
-        mean[fit.fold], sd[fit.fold] = _of_fold(state, fit, measured)
-    return mean, sd
-
-
-def averaged(
-    models: Sequence[Predicted], measured: Float[np.ndarray, "m c"], folds: Sequence[slice], inflation: float
-) -> Predicted:
-    """Mean and deviation of the mixture of several models; a fold's weights are those that predict the others best."""
-    means, sds = (np.stack(parts) for parts in zip(*models, strict=True))
-    density = log_density(measured - means, sds**2).sum(axis=2).T
-    mean, sd = np.full(measured.shape, np.nan), np.full(measured.shape, np.nan)
-    for fold in folds:
-        others = np.concatenate([density[other] for other in folds if other is not fold])
-        weights = stacking_weights(others, inflation)[:, None, None]
-        mean[fold] = np.sum(weights * means[:, fold], axis=0)
-        sd[fold] = np.sqrt(np.sum(weights * (sds[:, fold] ** 2 + (means[:, fold] - mean[fold]) ** 2), axis=0))
-    return mean, sd
 
 
 def _blocks(state: SelectionState, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:

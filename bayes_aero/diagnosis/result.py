@@ -14,7 +14,6 @@ from bayes_aero.diagnosis.selection.absorbed import Absorbed
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.noise import NoiseReport
-from bayes_aero.diagnosis.selection.stacking import Stacking
 from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
@@ -42,7 +41,8 @@ class Gain:
 
     `elpd` is the sum of log predictive densities gained, divided by the variance inflation;
     `elpd_se` its deviation from sums over 10 s. `before` and `after` score each coefficient:
-    card's model, and with all so far.
+    card's model, and with all so far. `degraded`: coefficients that are predicted worse with it, beyond noise
+    (see `DiagnosisSettings.degrades`), with that gain.
     """
 
     elpd: float
@@ -50,14 +50,18 @@ class Gain:
     split: str
     before: Mapping[str, Scores]
     after: Mapping[str, Scores]
+    degraded: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Cause:
     """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
 
-    `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation; what is not
-    confirmed stays out of the model that is flown and compared (see `confirmation`). `implausible`: parameters beyond
+    `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation, and no
+    coefficient is predicted worse with it; what is not confirmed stays out of the model that is flown and compared (see
+    `confirmation`). `rival_gains`: hold-out log density that a rival in its place has beyond it, where that was
+    compared. `joint`: other causes whose estimates are correlated with its own, and that correlation: neither size
+    holds without the other. `implausible`: parameters beyond
     the largest size that aircraft have, with that size; `own_share`: of what it does, what no other free parameter
     can do as well (see `credibility`).
     """
@@ -76,6 +80,8 @@ class Cause:
     missed: tuple[float, float] = (float("nan"), float("nan"))
     implausible: Mapping[str, float] = field(default_factory=dict)
     own_share: float = float("nan")
+    rival_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def bounded(self) -> tuple[str, ...]:
@@ -205,7 +211,9 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
-    beyond: tuple[Cause, ...] = ()  # errors larger than any sensor has: no causes, but in the model where confirmed
+    # Errors larger than any sensor has, and what was estimated together with one: no causes, but in the model where
+    # confirmed.
+    beyond: tuple[Cause, ...] = ()
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage
     gusts: Mapping[str, float] = field(default_factory=dict)  # m/s, of records that asked for process noise by them
@@ -213,26 +221,11 @@ class Diagnosis:
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
     sampled: tuple[SampledTerms, ...] = ()  # posteriors over sets of terms, beside the forward selection of `terms`
-    stacking: tuple[Stacking, ...] = ()  # by stage, weights of models with rivals in place of causes
 
     @property
     def by_coefficients(self) -> bool:
         """Whether the model was compared with coefficients; otherwise with trajectories alone or innovations."""
         return self.compared == COEFFICIENTS
-
-    def weights(self, cause: Cause) -> Mapping[str, float]:
-        """Stacking weights of a cause and of its rivals, by name; empty where none were computed."""
-        own = next((s for s in self.stacking if s.stage == cause.stage and s.compares(cause.name)), None)
-        return {} if own is None else {n: own.weight(n) for n in (cause.name, *cause.ambiguous_with) if own.has(n)}
-
-    def preferred(self, cause: Cause) -> str | None:
-        """Which of a cause and its rivals has the stacking weight of a choice; None where none has."""
-        least = self.aerodynamics.state.settings.stacking_chosen
-        return next((name for name, weight in self.weights(cause).items() if weight >= least), None)
-
-    def chosen(self, cause: Cause) -> bool:
-        """Whether a cause has no rival, or so much of the stacking weight that it is chosen among them."""
-        return not cause.ambiguous_with or self.preferred(cause) == cause.name
 
     @property
     def left(self) -> tuple[UnexplainedStructure | ParameterChange, ...]:

@@ -41,9 +41,6 @@ class DiagnosisSettings:
     correlated: float = 0.9  # correlation of two estimates beyond which one follows the other
     near_one: float = 0.15  # within which the factor of a sum or difference of two parameters is reported as one
 
-    # A cause or its rival: stacking of what both predict of hold-out data.
-    stacking_chosen: float = 0.75  # of the weight, three times all rivals together: some 8 nats; our choice
-
     # Hold-out tests.
     hold_out: float = 1.645  # standard errors by which the hold-out log score must fall: one-sided, 5 %
     hold_out_first_order: float = 5.0  # the same to first order, from which nothing is fitted again to see it
@@ -81,6 +78,11 @@ class DiagnosisSettings:
     imitated: float = 0.95  # share of what an error does from which others do it as well; our choice
     imitators: int = 3  # errors that imitate one together
     open_share: float = 0.5  # of what an output leaves that an unconfirmed error must explain to be reported
+
+    def degrades(self, gain: float, se: float) -> bool:
+        """Whether a gain in hold-out log density (nats, with its standard error) is a loss beyond the margin within
+        which two models are as good, and beyond noise."""
+        return gain < -max(self.ambiguous, self.hold_out * se)
 
 
 DEFAULT = DiagnosisSettings()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -59,6 +59,8 @@ class OpenError:
         asked: it would explain much of what is left, but parts of the record that were left out do not confirm it.
         imitators: other errors that together do the same along this flight path; empty where none do.
         share: of what it does, that they do.
+        joint: other errors that were added together with it, and the correlation of both estimates, where one of them
+            is larger than sensors have: none of them holds by itself, and none is corrected.
     """
 
     name: str
@@ -69,6 +71,7 @@ class OpenError:
     asked: bool
     imitators: tuple[str, ...]
     share: float
+    joint: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,8 @@ class Consistency:
         unchecked: channels of the flight path that could not be checked, for they were not recorded.
         recorded: a check of each record as it is.
         corrected: the same with `errors` taken out; empty where none were sought or found.
-        errors: errors of sensors and winds found along the flight path: claim, whether minor, parameters.
+        errors: errors of sensors and winds found along the flight path: claim, whether minor, parameters, and `joint`,
+            others with the correlation of the estimates, of which none holds without the other.
         unsought: why no known error could be sought though the sensors disagree; empty where it could.
         open: errors of sensors that the flight path cannot decide on; empty where none were sought.
     """

@@ -60,8 +60,8 @@ def state(card, model):
 
 @pytest.fixture(scope="module")
 def plain(card, state):
-    """A comparison on them, with the same model once more as a rival."""
-    return compare_states(state, card.gp_inputs, rivals=[state])
+    """A comparison on them."""
+    return compare_states(state, card.gp_inputs)
 
 
 def test_discrepancy_that_is_there_is_predicted(wavy):
@@ -70,15 +70,6 @@ def test_discrepancy_that_is_there_is_predicted(wavy):
     assert after.rmse < 0.75 * before.rmse
     assert after.elpd > before.elpd + 20.0
     assert all(0.0 < t < 1.0 for t in wavy.predictions[Predictor.DISCREPANCY]["CL"].trust)
-
-
-def test_the_average_of_a_model_with_itself_is_that_model(plain, wavy):
-    assert Predictor.STACKED not in wavy.predictions
-    for name in NAMES:
-        one, average = plain.predictions[Predictor.EXTENDED][name], plain.predictions[Predictor.STACKED][name]
-        assert average.mean == pytest.approx(one.mean, rel=1e-9, nan_ok=True)
-        assert average.sd == pytest.approx(one.sd, rel=1e-9, nan_ok=True)
-        assert average.scores.elpd == pytest.approx(one.scores.elpd)
 
 
 def test_discrepancy_that_is_not_there_does_no_harm(plain):

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, toeplitz
 
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
-from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.terms.columns import columns_of
-from bayes_aero.diagnosis.terms.forms import Structure
-from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.terms.sampled import regression
-from bayes_aero.diagnosis.terms.weighed import weighed
 
 MEMORY, DEVIATION = np.array([0.7, 0.3, 0.6]), np.array([0.02, 0.003, 0.004])  # lag-1, and of the innovation
 
@@ -77,15 +71,3 @@ def test_each_factor_halves_the_prior_and_one_term_is_expected(state):
     assert odds.sum() == pytest.approx(1.0)
     assert odds * 2.0**costs == pytest.approx(np.full(len(odds), odds[0] * 2.0 ** costs[0]))
     assert set(np.round(np.diag(data.gram), 9)) == {1.0}
-
-
-def test_the_hidden_term_has_the_weight_among_those_said_to_be_as_good(state):
-    """A moment with alpha^2 is hidden, and the card's model has none."""
-    columns = {c.term.name: c for c in columns_of(state, "Cm")}
-    true, other = columns["alpha^2"], columns["elevator^2"]
-    found = FoundTerm("Cm", true.term, (-5.0, 0.1), 0.5, 50.0, 0.5, ((other.term, 0.5),), 0.1)
-    (one,) = weighed([found], [Structure(state, "Cm", (true.component,), ())], seed=0)
-    assert sum(one.stacking.values()) == pytest.approx(1.0)
-    assert one.stacking["alpha^2"] >= DEFAULT.stacking_chosen
-    alone = replace(found, others=())
-    assert weighed([alone], [Structure(state, "Cm", (true.component,), ())], seed=0) == (alone,)

@@ -25,8 +25,8 @@ LONGITUDINAL_CANDIDATES = """
     alpha_dot_lift alpha_dot_moment alpha_scale alpha_squared_moment altitude_scale bank_angle_bias bank_angle_scale
     canard_drag canard_lift canard_moment cg_shift density_scale dlc_lift dlc_moment drag_offset elevator_delay
     elevator_drag elevator_lift elevator_scale flap_drag flap_lift flap_moment inertia_scale mach_drag mach_moment
-    mass_scale pitch_attitude_bias pitch_rate_bias pitch_rate_lift pitch_rate_scale roll_rate_bias roll_rate_scale
-    rudder_moment separated_alpha_moment separated_damping separated_elevator separated_induced_drag
+    mass_scale pitch_attitude_bias pitch_rate_bias pitch_rate_lift pitch_rate_scale pitot_pressure_bias roll_rate_bias
+    roll_rate_scale rudder_moment separated_alpha_moment separated_damping separated_elevator separated_induced_drag
     separation_hysteresis separation_lag sideslip_bias sideslip_drag sideslip_lift sideslip_moment sideslip_scale
     spoiler_drag spoiler_lift spoiler_moment stabilizer_trim thrust_lag thrust_lift thrust_moment thrust_scale
     vane_position vertical_wind yaw_rate_bias yaw_rate_scale

@@ -19,6 +19,7 @@ from bayes_aero.diagnosis.consistency.sensor_errors import (
 )
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.selection.collinear import correlated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.plausibility import implausible
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
@@ -97,38 +98,49 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
 def errors_of_path(known: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included.
 
-    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it.
+    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
+    estimated together with such a one is no error by itself, either.
     """
     named = {e.name: e for e in known.state.full.candidates}
-    found = [
-        named[name]
+    joint = correlated(known, known.state.active)
+    out = {
+        name
         for name in (*known.causes, *known.minor)
-        if not implausible(named[name], known.sizes)
-        and not any(known.sizes[p.name].at_bound for p in named[name].parameters)
-    ]
-    plain = {e.name: _plain(e, known.sizes, minor=e.name in known.minor) for e in found}
-    return KnownErrors(tuple(found), plain, open_errors(known))
+        if implausible(named[name], known.sizes) or any(known.sizes[p.name].at_bound for p in named[name].parameters)
+    }
+    unheld = {name: joint[name] for name in joint if name in out or out & set(joint[name])}
+    found = [named[name] for name in (*known.causes, *known.minor) if name not in out and name not in unheld]
+    plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
+    pairs = (_unheld(named[name], known.sizes, partners) for name, partners in unheld.items())
+    return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))
+
+
+def _unheld(effect: Effect, sizes: Mapping[str, Size], partners: Mapping[str, float]) -> OpenError:
+    p = effect.parameters[0]
+    size = sizes[p.name]
+    return OpenError(effect.name, p.unit, size.mean, size.sd, size.sd, False, tuple(partners), 1.0, dict(partners))
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
     """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients.
 
-    What it is sure of, it does not call undecided, too.
+    What it names, it does not call undecided, too.
     """
     named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
+    told = {c.name for c in (*found.causes, *found.beyond)}
     return KnownErrors(
         tuple(named[name] for name in causes),
-        {name: _plain(named[name], cause.parameters, minor=False) for name, cause in causes.items()},
-        () if found.sensors is None else tuple(e for e in open_errors(found.sensors) if e.name not in causes),
+        {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
+        () if found.sensors is None else tuple(e for e in open_errors(found.sensors) if e.name not in told),
     )
 
 
-def _plain(effect: Effect, sizes: Mapping[str, Size], *, minor: bool) -> dict[str, Any]:
+def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
     parameters = {
         p.name: {"mean": sizes[p.name].mean, "sd": sizes[p.name].sd, "unit": p.unit} for p in effect.parameters
     }
-    return {"claim": effect.claim, "minor": minor, "parameters": parameters}
+    return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 
 
 def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:

@@ -45,6 +45,12 @@ class SearchResult:
         return self.stages[0][1] if len(self.stages) > 1 else None
 
     @property
+    def not_testable(self) -> Mapping[str, str]:
+        """Why effects could not be tested: a lag is tested where the search has tried it and added it."""
+        added = {name for _, one in self.stages for name in one.state.active}
+        return {name: why for name, why in self.full.not_testable.items() if name not in added}
+
+    @property
     def by_stage(self) -> Mapping[str, Extension]:
         """The extensions by name of the stage."""
         return dict(self.stages)

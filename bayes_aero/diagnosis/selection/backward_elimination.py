@@ -3,26 +3,30 @@
 An election asks only that a candidate gains at all on data left out, and adds one after the other. Taken together
 some are superfluous, and what is superfluous harms elsewhere: a delay that fits one manoeuvre's noise spoils the
 simulation of the next. So additions are taken out again one at a time, the least useful first, as long as unseen data
-do not miss them.
+do not miss them, or predict a coefficient worse with them than without.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeVar, runtime_checkable
 
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, coefficient_gains, holdout_gain, truncated
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """`kept`: additions that unseen data miss. `missed`: the log density each is missed by, and its deviation."""
+    """`kept`: additions that unseen data miss. `missed`: the log density each is missed by, and its deviation.
+
+    `harmed`: of those not kept, coefficients that are predicted worse with the addition, with that gain of log density.
+    """
 
     kept: tuple[str, ...]
     missed: Mapping[str, tuple[float, float]]
+    harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
 
 T = TypeVar("T")
@@ -44,33 +48,47 @@ class Predictions(Protocol[T]):
         """Log density that `after` has beyond `before`, over the variance inflation, and its deviation."""
         ...
 
+    def coefficient_gains(self, before: T, after: T, /) -> Mapping[str, tuple[float, float]]:
+        """The same of each coefficient; empty where other outputs are predicted."""
+        ...
+
 
 def backward_elimination(
     additions: Sequence[str], unseen: Predictions[T], settings: DiagnosisSettings = DEFAULT
 ) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
 
-    What stays is missed by `settings.hold_out` standard errors of its log density (nats); where all that wait are
-    missed by `settings.hold_out_first_order` of them to first order, nothing is fitted again, and that is reported.
+    What stays is missed by `settings.hold_out` standard errors of its log density (nats), and degrades no coefficient
+    (see `DiagnosisSettings.degrades`); where all that wait are missed by `settings.hold_out_first_order` of them to
+    first order and degrade none, nothing is fitted again, and that is reported.
     """
+
+    def degraded(without: T, whole: T) -> dict[str, tuple[float, float]]:
+        gains = unseen.coefficient_gains(without, whole)
+        return {name: gain for name, gain in gains.items() if settings.degrades(*gain)}
+
     plain = settings.hold_out_first_order
     kept, missed, waiting = list(additions), {}, list(additions)
+    harmed: dict[str, Mapping[str, tuple[float, float]]] = {}
     whole: T | None = None
     while waiting:
-        near = unseen.first_order(kept)
-        losses = {e: unseen.holdout_gain(unseen.first_order(_less(kept, e)), near) for e in waiting}
-        least = min(waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
-        if losses[least][0] > plain * losses[least][1]:
+        near, less = unseen.first_order(kept), {e: unseen.first_order(_less(kept, e)) for e in waiting}
+        losses = {e: unseen.holdout_gain(less[e], near) for e in waiting}
+        harmful = [e for e in waiting if degraded(less[e], near)]
+        least = min(harmful or waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
+        if not harmful and losses[least][0] > plain * losses[least][1]:
             missed |= losses
             break
         if whole is None:
             whole = unseen.refitted(kept)
         without = unseen.refitted(_less(kept, least))
         missed[least] = unseen.holdout_gain(without, whole)
-        if not missed[least][0] > settings.hold_out * missed[least][1]:
+        worse = degraded(without, whole)
+        if worse or not missed[least][0] > settings.hold_out * missed[least][1]:
             kept, whole = _less(kept, least), without
+            harmed |= {least: worse} if worse else {}
         waiting.remove(least)
-    return Confirmation(tuple(kept), {e: missed[e] for e in additions})
+    return Confirmation(tuple(kept), {e: missed[e] for e in additions}, harmed)
 
 
 @dataclass(frozen=True)
@@ -87,6 +105,9 @@ class _Coefficients:
 
     def holdout_gain(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
         return holdout_gain(before, after, self.state)
+
+    def coefficient_gains(self, before: LeftOut, after: LeftOut) -> Mapping[str, tuple[float, float]]:
+        return coefficient_gains(before, after, self.state)
 
 
 def confirmation(state: SelectionState) -> Confirmation:

@@ -6,9 +6,9 @@ another large one; neither is measured. The combination of the two with the leas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -36,21 +36,43 @@ class CancellingPair:
 
 def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
     """Pairs of the named causes whose estimates are correlated and whose contributions cancel."""
+    state = extension.state
+    found = []
+    for effects, names, C in _correlated_parameters(extension, causes):
+        i, j = (int(state.full.columns([name])[0]) for name in names)
+        if _cancel(state, i, j):
+            found.append(_together(state, effects, names, C))
+    return tuple(found)
+
+
+def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Additions whose estimates are correlated, each with its partners and the correlation: the size of one holds only
+    beside that of the other."""
+    found: dict[str, dict[str, float]] = {}
+    for (one, other), _, C in _correlated_parameters(extension, effects):
+        found.setdefault(one, {})[other] = found.setdefault(other, {})[one] = _correlation(C)
+    return found
+
+
+def _correlated_parameters(
+    extension: Extension, effects: Sequence[str]
+) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
+    """Pairs of effects, one parameter of each, and the covariance of these two where they are correlated."""
     state, fit = extension.state, extension.fit
-    if len(causes) < 2:
-        return ()
+    if len(effects) < 2:
+        return
     covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
     at = {int(c): k for k, c in enumerate(fit.columns)}
-    found = []
-    for one, other in combinations(causes, 2):
-        for a in state.full.parameters_of(one):
-            for b in state.full.parameters_of(other):
-                i, j = (int(state.full.columns([name])[0]) for name in (a, b))
-                if i in at and j in at and _cancel(state, i, j):
-                    C = covariance[np.ix_([at[i], at[j]], [at[i], at[j]])]
-                    pair = _together(state, (one, other), (a, b), C)
-                    found += [pair] if abs(pair.correlation) > state.settings.correlated else []
-    return tuple(found)
+    for one, other in combinations(effects, 2):
+        for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
+            places = [at[c] for c in map(int, state.full.columns([a, b])) if c in at]
+            C = covariance[np.ix_(places, places)]
+            if len(places) == 2 and abs(_correlation(C)) > state.settings.correlated:
+                yield (one, other), (a, b), C
+
+
+def _correlation(C: np.ndarray) -> float:
+    return float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
 
 
 def _cancel(state: SelectionState, i: int, j: int) -> bool:
@@ -71,5 +93,5 @@ def _together(state: SelectionState, effects: tuple[str, str], names: tuple[str,
         factor = float(np.sign(factor))
     variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
     mean = float(state.departure[i] + factor * state.departure[j])
-    correlation = float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
-    return CancellingPair(effects, names, factor, mean, float(np.sqrt(max(variance, 0.0))), units[0], correlation)
+    sd = float(np.sqrt(max(variance, 0.0)))
+    return CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C))

@@ -111,10 +111,23 @@ def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
 
 def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tuple[float, float]:
     """Log density of unseen data that `after` has beyond `before`, over the variance inflation, and its deviation."""
+    return log_score_gain(before.density(), after.density(), state.variance_inflation, _lengths(state))
+
+
+def coefficient_gains(before: LeftOut, after: LeftOut, state: SelectionState) -> dict[str, tuple[float, float]]:
+    """`holdout_gain` of each coefficient by itself; empty where a state has other outputs."""
+    if state.outputs != state.responses.model.coefficients:
+        return {}
+    pairs = zip(state.outputs, before.densities().T, after.densities().T, strict=True)
+    return {name: log_score_gain(one, other, state.variance_inflation, _lengths(state)) for name, one, other in pairs}
+
+
+def _lengths(state: SelectionState) -> list[int]:
+    """Blocks of each part of the flights that is independent of the others."""
     lengths = [fold.stop - fold.start for fold in state.folds]
     if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
         lengths = [sum(lengths)]
-    return log_score_gain(before.density(), after.density(), state.variance_inflation, lengths)
+    return lengths
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bayes_aero.diagnosis.result import Gain
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
+    coefficient_gains,
     holdout_gain,
     measured_blocks,
     split_name,
     truncated,
 )
-from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.forward_selection import Extension, added, removed
 from bayes_aero.progress import Progress
 
 NOTHING = (float("nan"), float("nan"))
@@ -54,7 +57,8 @@ def _sure(causes: Sequence[str], number: int, kept: Sequence[str]) -> list[str]:
 def _sensor_gains(
     extension: Extension, aerodynamics: Extension, kept: Sequence[str], pairs: Mapping[str, tuple[LeftOut, LeftOut]]
 ) -> dict[str, Gain]:
-    """Density gained on the flight path, and what each correction does to the card's fit of the coefficients."""
+    """Density gained on the flight path, and what each correction does to the card's fit of the coefficients: scores,
+    and coefficients that it predicts worse."""
     state, card = extension.state, aerodynamics.base
 
     def corrected(sensors: Sequence[str]) -> LeftOut:
@@ -62,8 +66,29 @@ def _sensor_gains(
         return LeftOut.refitted(moved(card, theta, ()))
 
     measured, found = measured_blocks(card), {}
-    base = corrected(()).scores(measured)
+    base = before = corrected(())
     for number, name in enumerate(extension.causes):
-        after = corrected([*_sure(extension.causes, number, kept), name]).scores(measured)
-        found[name] = Gain(*holdout_gain(*pairs[name], state), split_name(state), base, after)
+        after = corrected([*_sure(extension.causes, number, kept), name])
+        gains = coefficient_gains(before, after, card)
+        found[name] = Gain(
+            *holdout_gain(*pairs[name], state), split_name(state), base.scores(measured), after.scores(measured),
+            {n: gain for n, gain in gains.items() if state.settings.degrades(*gain)},
+        )  # fmt: skip
+        before = after if name in kept else before
+    return found
+
+
+def rival_gains(
+    extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again."""
+    ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
+    state = truncated(extension.state, kept)
+    own, found = LeftOut.refitted(refitted(state)[0]), {}
+    for rival in rivals:
+        standing = ranking.of(rival)
+        if standing is not None:
+            other, _ = refitted(added(removed(extension.state, cause), standing))
+            other, _ = refitted(truncated(other, [*(e for e in kept if e != cause), rival]))
+            found[rival] = holdout_gain(own, LeftOut.refitted(other), state)
     return found

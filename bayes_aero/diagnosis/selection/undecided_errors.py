@@ -23,6 +23,8 @@ from bayes_aero.flight.agreement import OpenError
 def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
+    One that was added and is beyond absence whatever others are there, too, is decided.
+
     Args:
         found: the search along the flight path, ended by `widened`.
     """
@@ -41,7 +43,8 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         wide = max(sd, float(among[place]))
         imitators, share = _imitators(gram, effects, place, state.settings)
         least, _ = effect.sizes[parameter.name]
-        if state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
+        decided = standing is None and abs(mean) >= state.settings.least_score * wide
+        if decided or state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
         if not (asked or imitators):
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from bayes_aero.diagnosis.terms.library import Term
 
@@ -24,7 +24,6 @@ class FoundTerm:
         weight: posterior probability of this term among itself and the `others`.
         others: terms of about the same gain that these records do not tell from it, with the weight of each.
         least: smallest factor worth modelling, by what it changes the coefficient over the swing of these flights.
-        stacking: weights of this term and of the most probable others by what they predict of left-out data.
     """
 
     coefficient: str
@@ -35,7 +34,6 @@ class FoundTerm:
     weight: float
     others: tuple[tuple[Term, float], ...]
     least: float
-    stacking: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

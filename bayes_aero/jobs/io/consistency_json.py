@@ -25,7 +25,7 @@ def consistency_results(found: Consistency) -> dict[str, Any]:
 
 
 def _open(error: OpenError) -> dict[str, Any]:
-    plain = asdict(error) | {"imitators": list(error.imitators)}
+    plain = asdict(error) | {"imitators": list(error.imitators), "joint": dict(error.joint)}
     del plain["name"]
     return plain
 

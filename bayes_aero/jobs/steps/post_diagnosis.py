@@ -15,7 +15,6 @@ from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.selection.stacking import states_of
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -30,14 +29,9 @@ SETS = 2  # ambiguity sets for which the manoeuvres are judged
 
 
 def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = None) -> dict[str, Any]:
-    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data.
-
-    Where causes have rivals, the average of the models by their stacking weights, too.
-    """
+    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
     state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
-    weighed = [one for one in diagnosis.stacking if one.stage == diagnosis.compared]
-    rivals = [other for one in weighed for other in states_of(one, diagnosis.aerodynamics)[1:]]
-    found = compare_states(state, card.gp_inputs, rivals=rivals, progress=progress)
+    found = compare_states(state, card.gp_inputs, progress=progress)
     return {
         name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
         for name, row in found.table.items()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.report.html.page import Fold, Table
-from bayes_aero.report.text.consistency import among_text
+from bayes_aero.report.text.consistency import among_text, not_told_apart
 from bayes_aero.report.text.phrases import several
 
 
@@ -24,7 +24,7 @@ def not_testable_list(reasons: Mapping[str, str]) -> tuple[Fold, ...]:
 
 def open_list(found: Consistency) -> tuple[Fold, ...]:
     """Each error that others imitate, which those are, and how well it is known with them possible."""
-    alike = [e for e in found.open if not e.asked]
+    alike = not_told_apart(found)
     if not alike:
         return ()
     rows = tuple((e.name, several(e.imitators), f"± {among_text(e)}") for e in alike)

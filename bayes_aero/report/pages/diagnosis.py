@@ -33,7 +33,7 @@ from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
 from bayes_aero.report.pages.stall import stall_table
 from bayes_aero.report.pages.trajectories import trajectories
-from bayes_aero.report.structure.tables import sampled_table, weights_table
+from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, predictor_table, residual_tables
 from bayes_aero.report.text.consistency import open_sentences
@@ -181,7 +181,6 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
         blocks.append(Text(f"Rival explanations on this record: {'; '.join(sets)}."))
     else:
         blocks.append(Text("No named cause has a rival on this record."))
-    blocks += [page_table(weights_table(d))] if d.stacking else []
     pairs = [one for one in rest if " cancel each other " in one]
     blocks += [*bullets(pairs), *separating_blocks(context.separating), *test_point_blocks(context.test_points)]
     if context.consistency is not None:

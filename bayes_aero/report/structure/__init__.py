@@ -1,1 +1,1 @@
-"""Witnesses of a diagnosis as tables and sentences: weights of rivals, sampled sets of terms."""
+"""Witnesses of a diagnosis as tables and sentences: sampled sets of terms."""

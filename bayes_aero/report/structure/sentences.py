@@ -1,25 +1,10 @@
-"""What stacking and sampled sets of terms say, beside what was named."""
+"""What sampled sets of terms say, beside what was named."""
 
 from __future__ import annotations
 
-from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.terms.result import LIKELY, SampledSet, SampledTerms
 from bayes_aero.report.text.phrases import several
-
-
-def weight_sentence(d: Diagnosis, cause: Cause) -> str:
-    """Whether a cause is chosen among its rivals; empty where none were weighed."""
-    weights, preferred = d.weights(cause), d.preferred(cause)
-    if not weights:
-        return ""
-    shares = several(f"{name} {weight:.2f}" for name, weight in weights.items())
-    if d.chosen(cause):
-        end = f"{cause.name} is chosen"
-    elif preferred is None:
-        end = "none is chosen"
-    else:
-        end = f"hold-out data prefer {preferred}, which explains the fitted data less well: none is chosen"
-    return f"Stacking weights on hold-out data: {shares}; {end}."
 
 
 def sampled_sentences(d: Diagnosis) -> list[str]:

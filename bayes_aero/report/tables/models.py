@@ -13,7 +13,6 @@ PREDICTORS = {
     "card": "card's model",
     "gp": "Gaussian process alone",
     "extended": "extended model",
-    "stacked": "extended model and those with rivals, by stacking weights",
     "extended_gp": "extended model + Gaussian process of its residuals",
 }
 

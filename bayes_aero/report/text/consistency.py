@@ -33,7 +33,7 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
     if found.agreement is Agreement.AGREE:
         return "The sensors agree along the flight path within their noise."
     where = departures_sentence(found)
-    errors = several(f"{name} ({sizes(error)})" for name, error in (found.errors or {}).items())
+    errors = several(f"{name} ({sizes(error)}{_beside(found, name)})" for name, error in (found.errors or {}).items())
     if found.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
         return (
@@ -46,6 +46,21 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
         f"The sensors disagree along the flight path, and no known sensor error explains it: {where}{beside}. "
         f"Repair or recalibrate the channel, or cut the record there; the results depend on it.{unsought}"
     )
+
+
+def _beside(found: Consistency, name: str) -> str:
+    """What an error was estimated together with, and what it cannot be told from."""
+    listed = joint_text((found.errors or {})[name].get("joint", {}))
+    text = f"; estimated together with {listed}: neither holds alone" if listed else ""
+    for one in found.open:
+        if one.name == name and one.imitators:
+            text += f"; or {several(one.imitators)} instead, ± {among_text(one)} if possible"
+    return text
+
+
+def joint_text(joint: Mapping[str, float]) -> str:
+    """Other errors with the correlation of the estimates."""
+    return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
 
 
 def departures_sentence(found: Consistency) -> str:
@@ -88,7 +103,13 @@ def open_sentences(found: Consistency) -> list[str]:
             "Errors that would explain much of the residual of the flight path, but that hold-out data do not "
             f"confirm, each as the only error; none is corrected: {listed}."
         )
-    if alike := [e for e in found.open if not e.asked]:
+    if joint := [e for e in found.open if e.joint]:
+        listed = "; ".join(f"{_estimate(e)}, together with {joint_text(e.joint)}" for e in joint)
+        sentences.append(
+            "Errors that were estimated together, one of them larger than sensors have, so that none of them is a "
+            f"correction by itself: {listed}. Suspect another fault of these channels."
+        )
+    if alike := not_told_apart(found):
         errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
         sentences.append(
             f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on "
@@ -96,6 +117,11 @@ def open_sentences(found: Consistency) -> list[str]:
             f"{several(e.name for e in alike)}."
         )
     return sentences
+
+
+def not_told_apart(found: Consistency) -> list[OpenError]:
+    """Errors that are not testable, for others have the same effect; those that were found say so themselves."""
+    return [e for e in found.open if not e.asked and not e.joint and e.name not in (found.errors or {})]
 
 
 def _estimate(error: OpenError) -> str:

@@ -12,7 +12,8 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.report.structure.sentences import sampled_sentences, weight_sentence
+from bayes_aero.report.structure.sentences import sampled_sentences
+from bayes_aero.report.text.consistency import joint_text
 from bayes_aero.report.text.drift import change_sentences
 from bayes_aero.report.text.phrases import not_testable_sentences, several, size_text
 from bayes_aero.report.text.process_noise import gust_sentences
@@ -38,7 +39,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
             {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
             d.parameters,
         ),
-        *(_cause(d, cause) for cause in d.causes),
+        *(_cause(cause) for cause in d.causes),
         *_taken_over(d),
         *_together(d),
         *_absorbed(d),
@@ -55,12 +56,13 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
     ]
 
 
-def _cause(d: Diagnosis, cause: Cause) -> str:
+def _cause(cause: Cause) -> str:
     text = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
-        text += f" On this record {several(cause.ambiguous_with)} would explain the data about as well."
-        weighed = weight_sentence(d, cause)
-        text += f" {weighed}" if weighed else ""
+        listed = [f"{name}{_in_place(cause, name)}" for name in cause.ambiguous_with]
+        text += f" On this record {several(listed)} would explain the data about as well."
+    if cause.joint:
+        text += f" It is estimated together with {joint_text(cause.joint)}: neither size holds without the other."
     if cause.bounded:
         text += f" {several(cause.bounded)} is at a parameter bound: suspect another cause."
     for name, largest in cause.implausible.items():
@@ -79,14 +81,38 @@ def _cause(d: Diagnosis, cause: Cause) -> str:
         text += f" Removing it degrades hold-out prediction: log density {-lost:+z.1f} ± {sd:.1f}."
     elif np.isfinite(lost):
         model = "simulation" if cause.stage == "flight path" else "extended model"
-        text += f" Hold-out data do not confirm it (removed: log density {-lost:+z.1f} ± {sd:.1f})"
-        text += f"; the {model} omits it."
+        text += f" Hold-out data do not confirm it ({_why_not_confirmed(cause)}); the {model} omits it."
     return text
+
+
+def _in_place(cause: Cause, rival: str) -> str:
+    """What hold-out data gain with a rival in place of a cause."""
+    if rival not in cause.rival_gains:
+        return ""
+    gain, sd = cause.rival_gains[rival]
+    return f" (in its place: log density of hold-out data {gain:+z.1f} ± {sd:.1f})"
+
+
+def _why_not_confirmed(cause: Cause) -> str:
+    """The loss because of which a cause is not confirmed."""
+    worse = [f"{name} {gain:+z.1f} ± {sd:.1f}{_r2(cause, name)}" for name, (gain, sd) in cause.gain.degraded.items()]
+    if worse:
+        return f"with it they are predicted worse: log density of {several(worse)}"
+    lost, sd = cause.missed
+    if lost > 0.0 and cause.gain.elpd < 0.0:
+        return f"beside the causes before it: log density {cause.gain.elpd:+z.1f} ± {cause.gain.elpd_se:.1f}"
+    return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
+
+
+def _r2(cause: Cause, coefficient: str) -> str:
+    before, after = (scores.get(coefficient) for scores in (cause.gain.before, cause.gain.after))
+    return "" if before is None or after is None else f", R² from {before.r2:.2f} to {after.r2:.2f}"
 
 
 def _taken_over(d: Diagnosis) -> list[str]:
     """How to put the causes that the verdict rests on into the card."""
-    sure = [cause.name for cause in d.causes if cause.sure and d.chosen(cause) and cause.name in CATALOGUE]
+    clear = {c.name: c for c in d.causes if c.sure and not c.ambiguous_with}
+    sure = [name for name, c in clear.items() if name in CATALOGUE and set(c.joint) <= set(clear)]
     fitted = [name for name in sure if CATALOGUE[name].stage > Stage.AIRCRAFT]
     errors = [name for name in sure if name not in fitted]
     sentences = []
@@ -141,6 +167,12 @@ def _beyond(d: Diagnosis) -> list[str]:
         for cause in d.beyond
         for name, x in cause.parameters.items()
         if name in cause.implausible
+    ] + [
+        f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, together with {joint_text(cause.joint)}: "
+        "neither size holds without the other, and none of them is a cause or a correction by itself."
+        for cause in d.beyond
+        if not cause.implausible
+        for name, x in cause.parameters.items()
     ]
 
 
@@ -200,9 +232,7 @@ def _term(one: FoundTerm) -> str:
         return text + "No other term of the library is as good."
     others = [f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]]
     more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
-    text += f"These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
-    weights = several(f"{name} {weight:.2f}" for name, weight in one.stacking.items())
-    return f"{text} Stacking weights on hold-out data: {weights}." if weights else text
+    return f"{text}These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
 
 
 def _noise(d: Diagnosis) -> list[str]:

@@ -14,7 +14,7 @@ MAX_SIZED = 3  # causes whose sizes are in the verdict
 def verdict_sentence(d: Diagnosis) -> str:
     """The causes that explain the model error, those that are only named, and the unexplained structure."""
     sure = [c for c in d.causes if c.sure]
-    names = f": {several(_named(d, c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
+    names = f": {several(_named(c, len(sure) <= MAX_SIZED) for c in sure)}{_doubtful(d)}"
     changes = [f"{one.parameter} changes {'at' if one.between else 'in'} {one.manoeuvre}" for one in d.changes]
     structure = {
         f"{u.coefficient} {'between' if u.offsets else 'over'} {u.channel}{'s' if u.offsets else ''}" for u in d.unknown
@@ -101,10 +101,10 @@ def _size(output: str, value: float) -> str:
     return f"{short(factor * value)} {unit}"
 
 
-def _named(d: Diagnosis, cause: Cause, sized: bool) -> str:
-    """Its name, its size if requested, and its rivals unless it is chosen among them."""
+def _named(cause: Cause, sized: bool) -> str:
+    """Its name, its size if requested, and its rivals."""
     sizes = ", ".join(size_text(x.mean, x.sd, x.unit) for x in cause.parameters.values()) if sized else ""
-    rivals = f"or {' or '.join(cause.ambiguous_with)}" if not d.chosen(cause) else ""
+    rivals = f"or {' or '.join(cause.ambiguous_with)}" if cause.ambiguous_with else ""
     text = ", ".join(part for part in (sizes, rivals) if part)
     return f"{cause.name} ({text})" if text else cause.name
 
@@ -114,7 +114,7 @@ def _doubtful(d: Diagnosis) -> str:
     reasons: dict[str, list[str]] = {}
     for cause in d.causes:
         if not cause.sure:
-            reasons.setdefault(_why_not(cause), []).append(_named(d, cause, sized=False))
+            reasons.setdefault(_why_not(cause), []).append(_named(cause, sized=False))
     return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
 
 

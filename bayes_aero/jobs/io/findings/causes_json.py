@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Gain
@@ -43,6 +43,8 @@ def cause_results(cause: Cause) -> dict[str, Any]:
         "implausible": dict(cause.implausible),
         "own_share": cause.own_share,
         "ambiguous_with": list(cause.ambiguous_with),
+        "rival_gains": _gains(cause.rival_gains),
+        "joint": dict(cause.joint),
         "parameters": {
             name: {
                 "mean": size.mean,
@@ -57,11 +59,16 @@ def cause_results(cause: Cause) -> dict[str, Any]:
     }
 
 
+def _gains(gains: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"elpd": elpd, "elpd_se": se} for name, (elpd, se) in gains.items()}
+
+
 def _gain(gain: Gain) -> dict[str, Any]:
     return {
         "elpd": gain.elpd,
         "elpd_se": gain.elpd_se,
         "split": gain.split,
+        "degraded": _gains(gain.degraded),
         "by_coefficient": {
             name: {
                 f"{key}_{when}": getattr(scores[name], key)
