@@ -48,8 +48,8 @@ class AddedToFilter(AddedCoefficients):
         """Minus the derivatives of the whitened innovations; arguments as of `AddedCoefficients.slopes`."""
         responses = self.responses
         assert isinstance(responses, FilterError)
-        name = channel_of(coefficient)
-        own = _by_input(responses, self.theta, self.path.before, self.known, name)
+        direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
+        own = _by_input(responses, self.theta, self.path.before, self.known, direction)
         series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
         found = []
         for begin in range(0, series.shape[1], COLUMNS):
@@ -62,8 +62,8 @@ class AddedToFilter(AddedCoefficients):
 
 
 @eqx.filter_jit
-def _by_input(responses: FilterError, theta: Any, before: Array, known: StateDerivatives, name: str):
-    return derivatives_by_input(responses.flown, theta, before, known, name)
+def _by_input(responses: FilterError, theta: Any, before: Array, known: StateDerivatives, direction: dict[str, Array]):
+    return derivatives_by_input(responses.flown, theta, before, known, direction)
 
 
 @eqx.filter_jit

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.dynamics.aircraft.effect_system import POINTS
 from bayes_aero.dynamics.filtering.innovations import Observed, Observer, observer_of, run_observer
 from bayes_aero.dynamics.filtering.kalman import Filtered
 from bayes_aero.dynamics.filtering.linearised import (
@@ -56,10 +57,13 @@ class FilterError(OutputError):
             theta: parameters of the filter.
             R: variances of the measurement noise, (c,), SI.
             found: the result of the filter.
-            dynamics: with more effects. They may lack states of the filter, such as gusts without intensity.
+            dynamics: with more effects. They may lack states of the filter, such as gusts without intensity, and have
+                two separation points where the filter has one, with which both move while the effects are neutral.
         """
         by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
-        rows = np.array([cut.dynamics.states.index(name) for name in dynamics.states])
+        dynamics, states = dynamics.for_filter(), cut.dynamics.states
+        own = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
+        rows = np.array([states.index(name) for name in own])
         by = Observer(by.gain[:, :, rows], by.whitening)
         cut, place = replace(cut, dynamics=dynamics), np.flatnonzero(cut.inside)
         return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)

@@ -46,15 +46,21 @@ def card():
     return read_card("hfb320")
 
 
-def followed(card, records, known, noise) -> tuple[FilterError, np.ndarray]:
-    """The innovations of records, at `known` parameters and deviations of the sensors' `noise`."""
+def filtered(card, records, known, noise):
+    """Records by a filter at `known` parameters and deviations of the sensors' `noise`, as `FilterError.after` asks."""
     flights = join(records, card, FLIGHT)
     flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
     theta = np.array([known.get(p.name, p.start) for p in flown.dynamics.free])
     R = np.array([noise[name] for name in flown.outputs]) ** 2
     sd = np.array([noise[name] if name in FLIGHT else 0.0 for name in flown.dynamics.states])
     found = eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, MOVED * sd, R)
-    return FilterError.after(flown, theta, R, found, flown.dynamics), theta
+    return flown, theta, R, found
+
+
+def followed(card, records, known, noise) -> tuple[FilterError, np.ndarray]:
+    """The innovations of these, and the parameters."""
+    flown, theta, *rest = filtered(card, records, known, noise)
+    return FilterError.after(flown, theta, *rest, flown.dynamics), theta
 
 
 def in_gusts(card, truth=None, seconds=60.0, seeds=TWO) -> tuple[FilterError, np.ndarray]:
@@ -92,6 +98,50 @@ def test_a_term_of_six_degrees_of_freedom_is_foreseen_as_its_parameter(tmp_path)
     at = np.array([responses.model.names.index("Cndr")])
     wanted = responses.linearise(theta, at)[1][:, :, 0]
     np.testing.assert_allclose(slope, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+MORE = (
+    "sideslip_scale",
+    "bank_angle_bias",
+    "sideslip_vane_position",
+    "rudder_roll",
+    "sideslip_incidence",
+    "wing_lift_difference",
+)
+
+
+def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say(tmp_path):
+    """Of effects that the filter's model lacks, one of which parts its separation point in two; central differences.
+
+    The states of the filter are angles of attitude. Effects at neutral leave its innovations.
+    """
+    plane, rng = stranger_six.Plane(tau1=20.0), np.random.default_rng(3)
+    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL, *six.STALL) if n not in MORE]
+    (tmp_path / "plane.toml").write_text(six.card_text(plane, effects), encoding="utf-8")
+    card = read_card(str(tmp_path / "plane.toml"))
+    flight = stranger_six.fly(plane, "stall_in_bank", rng, gust=0.7)
+    records = [six.record("stall", {name: x[-100:] for name, x in flight.items()}, rng)]
+    known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
+    flown, theta, *rest = filtered(card, records, known, defaultdict(lambda: 0.01, altitude=1.0, airspeed=0.1))
+    dynamics = flown.dynamics
+    own = FilterError.after(flown, theta, *rest, dynamics)
+    assert dynamics.states[6:9] == ("phi", "theta", "psi")
+    model = own.model.extended(*MORE)
+    simulated = aircraft_dynamics(model, own.flights)  # its states are a quaternion, and two separation points
+    wider = FilterError.after(flown, theta, *rest, simulated)
+    assert wider.windows.dynamics.states == (*dynamics.states[:-1], "X_right", "X_left")
+    at = dict(zip(own.model.names, theta, strict=True))
+    wide = np.array([at.get(p.name, p.neutral) for p in model.free])
+    residual = lambda x: np.asarray(wider.evaluate(x)[0])
+    np.testing.assert_allclose(residual(wide), np.asarray(own.evaluate(theta)[0]), atol=1e-9)
+    sought = [model.names.index(name) for name in ("Cnbe", *(p.name for p in model.free if p.name not in at))]
+    slopes = wider.linearise(wide, np.array(sought))[1]
+    for slope, place in zip(np.moveaxis(slopes, -1, 0), sought, strict=True):
+        size = np.abs(slope).max()
+        assert size > 1e-6, model.names[place]
+        step = 1e-4 / size * np.eye(len(wide))[place]  # the altitude, of thousands of metres, is rounded
+        difference = (residual(wide - step) - residual(wide + step)) / 2e-4 * size
+        np.testing.assert_allclose(slope, difference, atol=1e-5 * size, err_msg=model.names[place])
 
 
 def test_parts_of_the_jackknife_lie_within_a_manoeuvre_and_have_some_seconds(short):

@@ -13,6 +13,7 @@ from bayes_aero.diagnosis.search import search_innovations as searched
 from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.likelihood.disturbed import GUSTS
 from bayes_aero.model.model import Model
 
 HIDDEN, SEED = -3.0, 5  # Cma2, 1/rad2
@@ -20,8 +21,9 @@ HIDDEN, SEED = -3.0, 5  # Cma2, 1/rad2
 
 @pytest.fixture(scope="module")
 def record():
-    """A minute in gusts, of an aircraft with a curved moment."""
-    return gusty_flight(SEED, truth={"Cma2": HIDDEN})
+    """A minute in gusts, of an aircraft with a curved moment; its flaps stay where they are."""
+    flight = gusty_flight(SEED, truth={"Cma2": HIDDEN})
+    return replace(flight, channels={**flight.channels, "flap": np.full(len(flight.time), 0.1)})
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,15 @@ def test_the_gusts_are_found_with_their_intensity_and_length(found):
         assert sd < 0.4 * truth
         length, length_sd = known[f"{name}_length"]
         assert abs(length - LENGTH) < 3.0 * length_sd
+
+
+def test_the_filter_estimates_what_is_on_the_card_and_gusts_alone(found):
+    """Derivatives of flaps at rest would share the coefficients' constants."""
+    result, fit = found
+    gusts = {n for name in GUSTS for n in (name, f"{name}_length")}
+    own = {p.name for p in Model.from_card(read_card("hfb320")).free}
+    assert "flap_lift" in result.full.not_testable
+    assert set(fit.names) == own | gusts
 
 
 def test_the_hidden_effect_is_named_first_and_its_interval_holds(found):

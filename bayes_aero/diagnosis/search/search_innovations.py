@@ -139,7 +139,7 @@ def _followed(
     if progress:
         progress("process noise", 0.0)
     full, names = flown.full, flown.full.model.names
-    out = {p for e in full.candidates if e.name not in active for p in full.parameters_of(e.name)}
+    out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
     held = tuple((name, full.neutral[name]) for name in names if name in out)
     model = replace(full.model, fixed=(*full.model.fixed, *held))
     dynamics = replace(flown.base, model=model)

@@ -76,7 +76,7 @@ def _told(
         converged,
         found.log_likelihood - still,
         {name: value for name, value in estimates.items() if name in own},
-        {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.states},
+        {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.start},
         dict(zip(found.outputs, map(float, np.sqrt(found.R)), strict=True)),
         dict(zip(found.outputs, map(float, neighbour_correlation(found.found)), strict=True)),
         {name: value for name, value in estimates.items() if name not in own},

@@ -184,8 +184,8 @@ def _observed(begin, *rows):
 
 
 class InputDerivatives(NamedTuple):
-    """Derivatives by one input: of the next state by its value at the sample and at the next one (the last axis), of
-    the outputs."""
+    """Derivatives in one direction of the inputs: of the next state by their values at the sample and at the next one
+    (the last axis), of the outputs."""
 
     ahead: Float[Array, "w n s 2"]
     direct: Float[Array, "w n c"]
@@ -196,9 +196,9 @@ def derivatives_by_input(
     theta: Float[Array, " k"],
     before: Float[Array, "w n s"],
     known: StateDerivatives,
-    name: str,
+    direction: dict[str, Float[Array, ""]],
 ) -> InputDerivatives:
-    """Derivatives by the input `name`, linear between samples, at parameters `theta`.
+    """Derivatives in this direction of inputs that are linear between samples, at parameters `theta`.
 
     `before`: states before each correction, where the outputs are; the motion is that of `known`.
     """
@@ -207,7 +207,8 @@ def derivatives_by_input(
 
     def slope(f):
         def of_input(x, u):
-            return jax.jvp(lambda given: f(prepared.sensed, x, u | {name: given}), (u[name],), (jnp.ones(()),))[1]
+            own = {name: u[name] for name in direction}
+            return jax.jvp(lambda given: f(prepared.sensed, x, u | given), (own,), (direction,))[1]
 
         return _each_sample(of_input)
 
@@ -228,7 +229,7 @@ def input_innovations(
     before: Float[Array, "w n d"],
     after: Float[Array, "w n d"],
 ) -> Float[Array, "w n c d"]:
-    """Changes of the innovations of an observer by d histories of an input, linearised along its path.
+    """Changes of the innovations of an observer by d histories along a direction, linearised along its path.
 
     `before`, `after`: the histories at the states before and after each correction. The former act on the outputs; the
     motion to the next sample goes from the latter to the former.
