@@ -23,6 +23,7 @@ from bayes_aero.dynamics.flight import EffectDynamics, Values
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.health.across.kinematics import dead_heading
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
@@ -153,13 +154,22 @@ def path_states(flights: Flights) -> tuple[str, ...]:
 
 
 def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
-    """The heading without jumps of a half or a full turn; None where it was not recorded or still jumps."""
+    """The heading without jumps of a half or a full turn; None where it was not recorded, still jumps, or stands still
+    in a turn."""
     if "psi" not in flights.channels:
         return None
-    parts = np.split(np.asarray(flights.channels["psi"]), np.cumsum(flights.lengths)[:-1])
-    turned = [np.unwrap(part, period=np.pi) for part in parts]
-    jumps = any(np.max(np.abs(np.diff(part))) > JUMP for part in turned)
-    return None if jumps else np.concatenate(turned)
+    ends = np.cumsum(flights.lengths)[:-1]
+    turned = [np.unwrap(part, period=np.pi) for part in np.split(np.asarray(flights.channels["psi"]), ends)]
+    if any(np.max(np.abs(np.diff(part))) > JUMP for part in turned):
+        return None
+    if {"phi", "theta", "q", "r"} <= set(flights.channels):
+        seen = {"time": flights.time} | {name: flights.channels[name] for name in ("phi", "theta", "q", "r")}
+        views = zip(*(np.split(np.asarray(x), ends) for x in seen.values()), strict=True)
+        if any(
+            dead_heading(dict(zip(seen, view, strict=True)) | {"psi": x}) for view, x in zip(views, turned, strict=True)
+        ):
+            return None
+    return np.concatenate(turned)
 
 
 def _name(parameter: str, manoeuvre: int) -> str:

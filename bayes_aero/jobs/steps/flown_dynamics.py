@@ -34,8 +34,8 @@ def flown_dynamics(
         if why := no_flight_path(records, card):
             raise InputError(f"the flight path cannot be reconstructed: {why}")
         flights, dynamics = path_dynamics(flights, card)
-        jumps = "psi" in flights.channels and "psi" not in dynamics.states
-        notes += ["The heading is left out: it jumps, or bank was not recorded."] if jumps else []
+        unused = "psi" in flights.channels and "psi" not in dynamics.states
+        notes += ["The heading is left out: it jumps or stands still, or bank was not recorded."] if unused else []
     elif card.linear is not None:
         flights, spikes = despiked(join(records, card, card.linear.inputs))
         dynamics = linear_dynamics(card, flights.lengths)

@@ -8,14 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import UNITS, G, card, changed, flight, put, smooth
 
+from bayes_aero.dynamics.path.flight_path import path_states
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health.channel.frozen import frozen
+from bayes_aero.flight.health.channel.saturated import saturated
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.physics.flightpath import PATH_CORE
 
 TRIALS = Path(__file__).parents[3].parent / "shared" / "trials"
 KNOT, FOOT = 0.514444, 0.3048
@@ -213,8 +219,8 @@ def test_a_frozen_channel(name, digits):
     if digits and name in ("beta", "az"):
         pytest.skip("this one is not rounded, or calm flight looks alike")
     record = flight(6, digits=None if name == "elevator" else digits)
-    frozen = changed(record, **{name: put(record[name], slice(600, 750), record[name][600])})
-    (finding,) = [f for f in channel_health([frozen], card()) if f.grave]
+    still = changed(record, **{name: put(record[name], slice(600, 750), record[name][600])})
+    (finding,) = [f for f in channel_health([still], card()) if f.grave]
     assert (finding.fault, finding.channel) == ("frozen", name)
     assert finding.begin == pytest.approx(24.0, abs=0.1)
     assert finding.end == pytest.approx(30.0, abs=0.1)
@@ -238,6 +244,74 @@ def test_an_interpolated_channel_has_its_true_rate_said(rate):
     (finding,) = [f for f in channel_health([changed(record, alpha=np.round(x, 7))], card()) if f.grave]
     assert (finding.fault, finding.channel) == ("held", "alpha")
     assert "interpolated" in finding.sentence
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.02, 0.04])
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+@pytest.mark.parametrize("seconds", [15.0, 60.0])
+def test_a_channel_between_samples_of_one_hertz_has_its_true_rate_said(dt, rate, seconds):
+    record = flight(8, dt, seconds)
+    own = np.arange(0.0, seconds + 1e-9, 1.0 / rate)
+    alpha = np.interp(record.time, own, np.interp(own, record.time, record["alpha"]))
+    (finding,) = [f for f in channel_health([changed(record, alpha=np.round(alpha, 7))], card()) if f.fault == "held"]
+    assert (finding.channel, finding.grave) == ("alpha", True)
+    assert (
+        f"linearly interpolated over {1.0 / rate / dt:.3g} samples: the true rate is {rate:.3g} Hz" in finding.sentence
+    )
+
+
+@pytest.mark.parametrize("step", [0.0, np.deg2rad(0.05)])
+@pytest.mark.parametrize("run", [slice(0, 700), slice(250, 900), slice(400, 1001)])
+def test_an_input_that_is_frozen_for_most_of_the_record_is_told(step, run):
+    """The aircraft goes on answering the elevator that moved; the surface is smooth, so that its noise says nothing."""
+    record = flight(3, seconds=40.0, noise=0.1)
+    elevator = uniform_filter1d(record["elevator"], 15)
+    elevator = np.round(elevator / step) * step if step else elevator
+    assert told(changed(record, elevator=elevator)) == []
+    still = changed(record, elevator=put(elevator, run, elevator[run.start]))
+    (finding,) = [f for f in channel_health([still], card()) if f.fault == "frozen"]
+    assert (finding.channel, finding.grave) == ("elevator", True)
+    assert finding.begin == pytest.approx(record.time[run.start], abs=0.2)
+    assert finding.end == pytest.approx(record.time[run.stop - 1], abs=0.2)
+
+
+@pytest.mark.parametrize("step", [0.0, np.deg2rad(0.02), np.deg2rad(0.1)])
+def test_surfaces_that_are_held_for_one_to_four_seconds_are_not_frozen(step):
+    """Moved smoothly, then held: the pilot's hand. The motion answers the surface as it was recorded."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        record = flight(seed, seconds=40.0)
+        x, value = np.zeros(0), 0.0
+        while len(x) < record.n:
+            move = 0.03 * smooth(rng, round(rng.uniform(3.0, 8.0) / record.dt), record.dt, 0.5)
+            moved = value + move - move[0]
+            value = moved[-1]
+            x = np.concatenate([x, moved, np.full(round(rng.uniform(1.0, 4.0) / record.dt), value)])
+        x = x[: record.n]
+        x = np.round(x / step) * step if step else x
+        assert frozen(changed(record, elevator=x), card()) == []
+
+
+@pytest.mark.parametrize("step", [0.05, 0.1, 0.35])
+@pytest.mark.parametrize("dt", [0.01, 0.04, 0.1])
+def test_peaks_of_a_rounded_attitude_are_not_saturated(step, dt):
+    """The samples at the top of a rounded peak are equal; nothing is cut off."""
+    step = np.deg2rad(step)
+    for seed in range(4):
+        record = flight(seed, dt, 30.0, noise=0.3)
+        rounded = {name: np.round(record[name] / step) * step for name in ("phi", "theta", "alpha")}
+        assert saturated(changed(record, **rounded), card()) == []
+
+
+def test_a_dead_heading_is_told_and_left_out_of_the_flight_path():
+    record = flight(14)
+    (finding,) = channel_health([changed(record, psi=np.full(record.n, 0.3))], card())
+    assert (finding.fault, finding.channel, finding.grave) == ("frozen", "psi", False)
+    states = {}
+    for name, psi in (("alive", record["psi"]), ("dead", np.full(record.n, 0.3))):
+        ours = replace(card(), constants={"density": 0.8})
+        states[name] = path_states(despiked(join([changed(record, psi=psi)], ours, PATH_CORE))[0])
+    assert states["alive"] == (*states["dead"], "psi")
 
 
 def test_a_channel_held_at_a_rate_that_is_no_divisor():

@@ -21,6 +21,9 @@ MOVED = np.deg2rad(0.1)  # rad that a surface must move, standard deviation of i
 SURE = 5.0  # standard errors, of the wrong sign
 RESPONSE = 0.3  # 1/s2 a rad: no surface that flies an aircraft does less
 SLOW = 3.0  # s: trim and speed change more slowly and are taken out
+LONGEST_REST = 5.0  # s; pilots hold a surface for 1 to 4 s
+TWICE = 2.0  # times what the fit misses where the surface was recorded
+UNSEEN = np.deg2rad(0.3)  # rad that must have moved, in the mean square
 PAIR = ("aileron_right", "aileron_left")
 OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 """What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
@@ -69,25 +72,71 @@ def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
     return [finding for control in controls for finding in _answers(control, record, card)]
 
 
-def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
+def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
+    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there.
+
+    The angular acceleration is fitted to the surface and the motion where the surface moves. In the run it must miss
+    what only a deflection of `UNSEEN` makes, more often than where the surface was recorded, in flight that was fitted.
+    """
+    control = next((c for c in (ELEVATOR, *LATERAL) if c.surface == name), None)
+    fitted = None if control is None else _fitted(control, record, outside=run)
+    if fitted is None:
+        return False
+    inside = np.zeros(record.n, bool)
+    inside[run[0] : run[1] + 1] = True
+    low, high = np.quantile(fitted.rows[fitted.used], [0.01, 0.99], axis=0)
+    within = np.all((fitted.rows >= low - 0.2 * (high - low)) & (fitted.rows <= high + 0.2 * (high - low)), axis=1)
+    seen = inside & within
+    if seen.sum() * record.dt < LONGEST_REST or not -fitted.response > SURE * fitted.error:
+        return False
+    missed, usual = (float(np.sqrt(np.mean(fitted.left[part] ** 2))) for part in (seen, fitted.used))
+    return bool(missed > max(TWICE * usual, UNSEEN * abs(fitted.response)))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Angular acceleration over a surface and the motion: response and standard error, 1/s2 a rad; what is left, and
+    the samples that it was fitted to."""
+
+    response: float
+    error: float
+    rows: np.ndarray
+    left: np.ndarray
+    used: np.ndarray
+
+
+def _fitted(control: _Control, record: FlightRecord, outside: tuple[int, int] | None = None) -> _Fit | None:
+    """The fit to all samples, or to those outside a run; None where surface or motion are not there."""
     deflection = _deflection(control.surface, record)
     if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
-        return []
+        return None
     signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
     if signals[0].std() < MOVED:
-        return []
+        return None
     slope = np.gradient(signals[1 + control.beside.index(control.rate)], record.dt)
     rows = np.stack([*signals, np.ones(record.n)], axis=1)
+    used = np.ones(record.n, bool)
+    if outside is not None:
+        edge = round(SLOW / record.dt)  # the mean over these samples mixes both
+        used[max(outside[0] - edge, 0) : outside[1] + edge + 1] = False
+    independent = used.sum() * record.dt / (3.0 * SMOOTH) - rows.shape[1]
+    if outside is not None and independent < rows.shape[1]:
+        return None
     # Samples of smoothed signals repeat each other: one in a smoothing length counts.
-    fit, *_ = np.linalg.lstsq(rows, slope, rcond=None)
+    fit, *_ = np.linalg.lstsq(rows[used], slope[used], rcond=None)
     left = slope - rows @ fit
-    independent = max(record.n * record.dt / (3.0 * SMOOTH) - rows.shape[1], 1.0)
-    error = np.sqrt(np.mean(left**2) * np.linalg.pinv(rows.T @ rows)[0, 0] * record.n / independent)
-    response = float(fit[0])
-    if response < max(SURE * error, RESPONSE):
+    spread = np.linalg.pinv(rows[used].T @ rows[used])[0, 0] * used.sum() / max(independent, 1.0)
+    return _Fit(float(fit[0]), float(np.sqrt(np.mean(left[used] ** 2) * spread)), rows, left, used)
+
+
+def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
+    fitted = _fitted(control, record)
+    if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
         return []
     mend = _mend(control, record, card)
-    sentence = f"{control.surface}: {control.answer} with it ({response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+    sentence = (
+        f"{control.surface}: {control.answer} with it ({fitted.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+    )
     return [found(record, control.surface, "sign", sentence, at=(0, record.n - 1))]
 
 

@@ -76,6 +76,12 @@ def _psi(v: View) -> np.ndarray:
     return _turning(v) / np.cos(v["theta"])
 
 
+def dead_heading(v: View) -> bool:
+    """Whether the heading stands still while the rates turn the aircraft; `time`, phi, theta, q, r and psi are read."""
+    turn = integrated(_psi(v), v["time"])
+    return bool(np.ptp(turn) > TURN and np.ptp(v["psi"]) < FOLLOWS * np.ptp(turn))
+
+
 def _altitude(v: View) -> np.ndarray:
     a, b, theta, phi = v["alpha"], v["beta"], v["theta"], v["phi"]
     ahead = np.cos(a) * np.cos(b) * np.sin(theta)
@@ -116,6 +122,8 @@ RELATIONS: dict[str, Relation] = {
     )
 }
 SHORTEST = 25  # samples of a piece
+TURN, FOLLOWS = np.deg2rad(3.0), 0.2
+"""rad that the rates must turn the aircraft by, and the share of it within which a heading stands still."""
 LEVEL = 1.5
 """m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2."""
 SIDE = 0.9

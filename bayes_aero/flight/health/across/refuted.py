@@ -19,7 +19,7 @@ MENDED = 0.4  # of its misfit a relation may keep under the reading that is said
 WORSE = 1.3  # times its misfit another relation may have there, if it is above the limit then
 TIED = 0.15  # of the best gain: readings that nearly gain as much cannot be told from the best
 MOST = 4  # faults of one record
-BESIDE = 1.2  # times a unit's factor: less than any two units of a channel are apart but knots and miles an hour
+BESIDE = 1.2  # times a unit's factor, and by which it is divided, where the record must fit worse
 FEW, SLOW = 500, 0.1  # samples and s between them that tell one frame from another
 ALIKE = 0.3  # logarithm of the misfit within which frames fit alike
 TRIED, APART = 16, 3.0  # frames of rates and angles that are followed up, and the same for these
@@ -205,7 +205,7 @@ def _distinct(best: Reading, tied: list[Reading]) -> list[Reading]:
 def _finding(
     record: FlightRecord, best: Reading, tied: list[Reading], before: dict[str, float], after: dict[str, float]
 ) -> HealthFinding:
-    relation = max((n for n in before if before[n] > 1.0), key=lambda n: min(before[n], 1e6) / max(after[n], 0.05))
+    relation = max(_mended(before, after), key=lambda n: min(before[n], 1e6) / max(after[n], 0.05))
     other = "".join(f", or {r.names} {r.looks}" for r in tied)
     sentence = f"{best.names} {best.looks}{other}: {_evidence(relation, before, after)}; {best.mend}"
     return found(record, best.channels[0], best.fault, sentence, at=(0, record.n - 1))

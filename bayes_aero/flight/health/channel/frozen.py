@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.across.kinematics import RELATIONS, view_of
+from bayes_aero.flight.health.across.controls import answers_unmoved
+from bayes_aero.flight.health.across.kinematics import RELATIONS, dead_heading, view_of
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
 from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, still_runs
 from bayes_aero.flight.record import FlightRecord
@@ -27,12 +28,15 @@ def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
     said = []
     view = view_of(record, card)
     for name, x in record.channels.items():
+        if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
+            said.append(found(record, name, "frozen", _dead_heading(card, x), at=(0, record.n - 1), grave=False))
         if np.ptp(x) == 0.0:
             said += _dead(record, card, name)
             continue
-        if name in CONTROLS and not _noisy_control(x):
-            continue
-        stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run) and not _cut_off(x, run)]
+        if name in CONTROLS:
+            stretches = _frozen_control(record, name, x)
+        else:
+            stretches = [run for run in still_runs(x) if _frozen(record, view, name, x, run) and not _cut_off(x, run)]
         if not stretches:
             continue
         first, last = max(stretches, key=lambda run: run[1] - run[0])
@@ -43,6 +47,13 @@ def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
         )
         said.append(found(record, name, "frozen", sentence, at=(first, last)))
     return said
+
+
+def _dead_heading(card: Card, x: np.ndarray) -> str:
+    return (
+        f"psi stays at {shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft: the heading is "
+        "dead, and the flight path is reconstructed without it; correct its column or label on the card, or take it off"
+    )
 
 
 def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
@@ -66,9 +77,27 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
     return bool(value in (x.max(), x.min()) and int(np.sum(x == value)) > 1.2 * (run[1] - run[0] + 1))
 
 
-def _noisy_control(x: np.ndarray) -> bool:
-    """Whether the deflection is a measurement that scatters from sample to sample, not a clean command."""
-    return noise_of(x) > 0.0 and float(np.mean(np.diff(x) == 0.0)) < CONTINUOUS
+def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
+    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved.
+
+    A surface may rest, at a stop or where the pilot holds it: equal samples say nothing of a clean or rounded signal.
+    """
+    found = []
+    for run in still_runs(x):
+        outside = np.delete(x, np.s_[run[0] : run[1] + 1])
+        if len(outside) < SHORTEST / record.dt or (run[1] - run[0]) * record.dt < SHORTEST:
+            continue
+        noisy = _scatters(outside) and float(np.mean(np.diff(outside) == 0.0)) < CONTINUOUS
+        if (noisy and _frozen(record, {}, name, x, run) and not _cut_off(x, run)) or answers_unmoved(record, name, run):
+            found.append(run)
+    return found
+
+
+def _scatters(x: np.ndarray) -> bool:
+    """Whether what is new at each sample is noise above the last digit, not motion: its differences grow with their
+    order, those of third and sixth order of white noise by the root of 924/20, those of motion shrink."""
+    third, sixth = (float(np.median(np.abs(np.diff(x, order)))) for order in (3, 6))
+    return noise_of(x) > ROUNDING * quantum(x) and sixth > 3.0 * third
 
 
 def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:

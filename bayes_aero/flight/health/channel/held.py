@@ -6,12 +6,16 @@ import numpy as np
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found
-from bayes_aero.flight.health.signals import still_runs
+from bayes_aero.flight.health.signals import runs_of, still_runs
 from bayes_aero.flight.record import FlightRecord
 
 FEWEST = 20  # changes of a channel that a pattern needs
 ALIKE = 0.9  # share of the changes that follow the pattern
 SLOWEST = 100  # samples between changes at most
+COMBED = 40  # the same of bends, of which the largest fiftieth is clipped
+CORNERS = 10  # between straight lines that a pattern needs
+SPARSE = 6.0  # samples between corners from which their order is no chance of rounding; fewer are found by their class
+STRAIGHT = 1e-3  # of the bend at a corner that a straight line may have
 ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
 FAST = frozenset(
     "ax ay az p q r phi theta alpha beta elevator stabilizer rudder aileron aileron_left aileron_right".split()  # noqa: SIM905
@@ -70,21 +74,25 @@ def interpolated_period(x: np.ndarray) -> float:
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any() or len(still_runs(x)) > 0.1 * len(x):
         return 0.0
-    if np.quantile(bends, 0.95) <= ROUNDED * _rounding(x):
+    large, rounding = float(np.sort(bends)[-CORNERS]), ROUNDED * _rounding(x)
+    if large <= rounding:
         return 0.0  # a smooth signal, rounded, bends by the last digit alone
-    corner = bends > 0.2 * np.quantile(bends, 0.95)
-    straight = np.median(bends) < 1e-3 * np.quantile(bends, 0.95) if np.mean(corner) < 0.5 else False
-    period = _comb(bends**2)
-    if period:
-        return float(period)
-    if not straight:
+    period = _between_corners(bends > max(STRAIGHT * large, rounding)) if large > 2.0 * rounding else 0.0
+    return period or float(_comb(bends**2))
+
+
+def _between_corners(bent: np.ndarray) -> float:
+    """Samples between corners that follow each other evenly; zero where they do not."""
+    corners = [first for first, _ in runs_of(bent)]
+    if len(corners) <= CORNERS or bent.sum() > 2.1 * len(corners):  # two samples, where a corner falls between them
         return 0.0
-    at = np.flatnonzero(bends > 1e-3 * np.quantile(bends, 0.95))
-    lengths = np.diff(at)
-    lengths = lengths[lengths > 1]  # the two samples beside a corner that falls between them
-    if len(lengths) < FEWEST or np.mean(np.abs(lengths - np.median(lengths)) <= 1.0) < ALIKE:
+    lengths = np.diff(corners)
+    middle = float(np.median(lengths))
+    order = np.maximum(np.round(lengths / middle), 1.0)  # a corner may be too flat to be seen
+    like = np.abs(lengths - order * middle) <= order
+    if middle < SPARSE or like.mean() < ALIKE or np.mean(order == 1.0) < 0.5:
         return 0.0
-    return float((at[-1] - at[0]) / len(lengths))
+    return float(lengths.sum() / order.sum())
 
 
 def _rounding(x: np.ndarray) -> float:
@@ -97,7 +105,7 @@ def _comb(energy: np.ndarray) -> int:
     """The largest period whose one class of samples has nearly all of the bending."""
     best = 0
     clipped = np.minimum(energy, np.quantile(energy, 0.98))
-    for period in range(2, min(SLOWEST, len(energy) // FEWEST) + 1):
+    for period in range(2, min(COMBED, len(energy) // FEWEST) + 1):
         shares = np.bincount(np.arange(len(energy)) % period, weights=clipped, minlength=period)
         if shares.max() > 0.97 * shares.sum():
             best = period

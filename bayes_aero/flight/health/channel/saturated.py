@@ -6,15 +6,16 @@ import numpy as np
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
-from bayes_aero.flight.health.signals import level_step, noise_of, quantum_of, runs_of
+from bayes_aero.flight.health.signals import level_step, noise_of, quantum, quantum_of, runs_of
 from bayes_aero.flight.record import FlightRecord
 
 SENSED = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed")
 FEWEST = 6  # samples at the limit
 LONGEST = 3  # samples in a row of which a noisy channel has none at its very extreme
 NOISELESS = 1e-6  # noise over range that no sensor has
-NEAR = 4  # samples beside the run from which the slope is read
+NEAR = 4  # samples beside the run, at least, from which the slope is read
 SCATTERS = 0.03  # share of equal neighbours elsewhere up to which equal samples at an extreme are no chance
+SURE = 3.0  # steps of recording that such a signal scatters by
 MORE = 5.0  # recording steps, or deviations of the noise, that the signal would have gone beyond
 MOST = 0.5  # share of the record at the limit at most: a channel that stands there is no cut-off peak
 
@@ -55,9 +56,10 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
     if noise_of(x) < NOISELESS * np.ptp(x):  # a simulation without noise has exact rests
         return None
     others = np.diff(x)[~(at[1:] & at[:-1])]
-    if np.mean(others == 0.0) < SCATTERS:
-        return first, last
-    return (first, last) if _beyond(x, first, last) > MORE * max(level_step(x), quantum_of(x), noise_of(x)) else None
+    if np.mean(others == 0.0) < SCATTERS and noise_of(x) > SURE * quantum(x):
+        return first, last  # a signal that moves by many of its steps from sample to sample rests nowhere by chance
+    step = max(level_step(x), quantum_of(x), quantum(x), noise_of(x))
+    return (first, last) if _beyond(x, first, last) > MORE * step else None
 
 
 def _jumps_away(x: np.ndarray, first: int, last: int) -> bool:
@@ -67,9 +69,12 @@ def _jumps_away(x: np.ndarray, first: int, last: int) -> bool:
 
 
 def _beyond(x: np.ndarray, first: int, last: int) -> float:
-    """How far the signal would have gone on beyond the run: half its length at the slope on both sides."""
+    """How far the signal would have gone on beyond the run: half its length at the slope on both sides.
+
+    A slope read over less than half the run would be that of one step of a rounded peak, which stays below four steps.
+    """
     length = last - first + 1
-    beside = min(length, NEAR)
+    beside = min(length, max(NEAR, length // 2))
     before, after = max(first - beside, 0), min(last + beside, len(x) - 1)
     into = abs(x[first] - x[before]) / max(first - before, 1)
     out = abs(x[after] - x[last]) / max(after - last, 1)
