@@ -149,8 +149,8 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], flo
 
     tried = []
     for delay in (round(d / record.dt) for d in DELAYS):
-        best = float(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, MAX_LAG))
-        tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, best)]
+        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, MAX_LAG))
+        tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.flat[0]))]
     _, lag, delay = min(tried)
     weights, left = law(lag, delay)
     noise = max(noise_of(u), noise_of(u[delay:] - weights @ _late(columns, lag, record.dt, delay)))
