@@ -21,6 +21,12 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.model.model import Model
 
+LEAST = {"airspeed": 1.0, "density": 1e-3}
+"""Signals that models divide by (q c/V, thrust over dynamic pressure), and what stands for them below it: m/s, kg/m3.
+
+A simulator may be at rest; forces vanish there with the dynamic pressure.
+"""
+
 
 @dataclass(frozen=True)
 class Draws:
@@ -128,7 +134,7 @@ class Identified:
 
         def outputs(given: Mapping[str, Any]) -> Mapping[str, Any]:
             values = {name: given[f"parameter.{name}"] for name in self.values}
-            signals = {name: given[f"signal.{name}"] for name in self.signals}
+            signals = {name: _floored(name, given[f"signal.{name}"]) for name in self.signals}
             aircraft = self.exported.actual_aircraft(values, _aircraft(self.aircraft, given))
             return function(values, signals, aircraft, {name: given[f"state.{name}"] for name in states})
 
@@ -171,6 +177,11 @@ class Identified:
         found = self.coefficients(values, signals, aircraft, [*states.values()] or static)
         found |= {f"{n}_static" if states else n: x for n, x in zip(self.points, static, strict=True)}
         return found | self.lag(values, signals, aircraft)
+
+
+def _floored(name: str, x: Any) -> Any:
+    """A signal, or the least value that a model may divide by."""
+    return jnp.maximum(x, LEAST[name]) if name in LEAST else x
 
 
 def _is_of_aircraft(effect: Effect) -> bool:

@@ -7,7 +7,7 @@ from importlib import metadata
 
 from bayes_aero.effect import Stage
 from bayes_aero.errors import plain_line
-from bayes_aero.export.identified import Identified
+from bayes_aero.export.identified import LEAST, Identified
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.physics.coefficient_names import LATERAL
 
@@ -75,6 +75,16 @@ def states(found: Identified) -> tuple[str, ...]:
     return tuple(said)
 
 
+def at_rest(found: Identified) -> tuple[str, ...]:
+    """Where the model stops following the signals that it divides by."""
+    floors = [
+        f"{name} below {LEAST[name]:g} {unit(name)}" for name in found.program.inputs_of("signal") if name in LEAST
+    ]
+    if not floors:
+        return ()
+    return (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",)
+
+
 def about(found: Identified) -> tuple[str, ...]:
     """All of them, a sentence or two each."""
     drawn = found.draws
@@ -88,6 +98,7 @@ def about(found: Identified) -> tuple[str, ...]:
         *lengths(found),
         *states(found),
         *validity(found),
+        *at_rest(found),
         *uncertain,
         *found.left_out,
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import subprocess
+import sys
 from importlib import resources
 from pathlib import Path
 
@@ -172,6 +174,24 @@ def test_a_card_that_states_all_values_is_a_model(program):
     assert set(facts["outputs"]) == {"CL", "CD", "Cm", "CY", "Cl", "Cn"}
     assert "not stated" in facts["validity"][0]
     refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", "t")
+
+
+MODULES = {"math": "math_model", "numpy": "numpy_model", "class": "class_model", "Json": "Json_model",
+           "my aircraft 2": "my_aircraft_2", "737": "_737"}  # fmt: skip
+
+
+@pytest.mark.parametrize(("card", "module"), MODULES.items())
+def test_the_python_module_is_no_word_and_no_module_of_python(program, card, module):
+    """It is imported from its own folder, as its README says."""
+    text = shipped_cards()["attas"].read_text()
+    names = [p.name for p in _parameters("attas")]
+    Path(f"{card}.toml").write_text(text.split("[parameters")[0] + "".join(VALUES % (n, 1.0) for n in names))
+    done = program("export", f"{card}.toml", "--to", "python", "--out", "out")
+    assert done.code == 0, done.err
+    assert (f"It is called {module}" in done.out.replace("\n", " ")) == module.endswith("_model")
+    code = f"import {module}, json; print(json.dumps({module}.PARAMETERS))"
+    ran = subprocess.run([sys.executable, "-c", code], cwd="out", capture_output=True, text=True, check=True)
+    assert json.loads(ran.stdout)["CLa"] == 1.0
 
 
 def _parameters(name):

@@ -150,3 +150,15 @@ def test_words_of_a_card_end_no_comment(tmp_path):
 
 def _second(v, s, *_):
     return {"CD": v["CDde"] * s["2nd surface"]}
+
+
+def test_an_aircraft_at_rest_falls(tmp_path):
+    """From 0 m/s with free fall of 0.5 s: every coefficient and state stays a number, and the speed is g t."""
+    sim = loaded(stall(5.0), tmp_path)
+    sim.set_dt(0.01)
+    started(sim, {"airspeed": 0.0, "altitude": 5000.0, "alpha": 0.0, "theta": 0.0, "q": 0.0})
+    for _ in range(50):
+        sim.run()
+    read = [sim[f"bayes-aero/coefficient/{n}"] for n in ("CL", "CD", "Cm")]
+    assert np.all(np.isfinite([*read, sim["velocities/q-rad_sec"], sim["bayes-aero/state/X"]]))
+    assert sim["velocities/vt-fps"] * FOOT == pytest.approx(9.80665 * sim["simulation/sim-time-sec"], rel=0.05)

@@ -42,6 +42,19 @@ def test_the_function_is_the_model(make):
             assert told[name] == pytest.approx(x[k], rel=1e-12, abs=1e-12), name
 
 
+@pytest.mark.parametrize("make", [lambda: stall(5.0), six, everything])
+def test_at_rest_the_coefficients_are_finite(make):
+    """Below 1 m/s they are those of 1 m/s; a lag is tau1 chords at it."""
+    found = make()
+    names, signals = loaded(found), random_signals(found, 3)
+    points = {n: np.full(3, 0.5) for n in found.points}
+    there = [called(names, found, signals | {"airspeed": np.full(3, V)}, points, 0) for V in (0.0, 0.4, 1.0)]
+    assert there[0] == there[1] == there[2]
+    assert np.all(np.isfinite([*there[0].values()]))
+    assert there[0]["lag"] == pytest.approx(found.values["tau1"] * found.aircraft.chord)
+    assert "airspeed below 1 m/s" in names["__doc__"].replace("\n", " ")
+
+
 @pytest.mark.parametrize("name", [e.name for e in CATALOGUE.values() if e.stage > Stage.INFLOW and not e.disturbance])
 def test_every_effect_is_exported_alone(name):
     """Without the others, so that nothing hides it; its parameters at their own sizes."""

@@ -6,8 +6,12 @@ import csv
 import io
 import re
 import shutil
+import sys
+import sysconfig
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.machinery import PathFinder
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +54,7 @@ def export(
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
     found, folder, told = read_identified(given, card)
-    found = replace(found, name=_name(found.name))
+    found = _renamed(found)
     if draws:
         found = replace(found, draws=drawn(found, folder, told, exported(found), draws, seed))
     target = out or Path(f"{found.name}_{form}")
@@ -63,7 +67,7 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
     Raises:
         InputError: the model has no counterpart in this form, or the folder exists.
     """
-    found = replace(found, name=_name(found.name))
+    found = _renamed(found)
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")
     part = beside(target.absolute())
@@ -85,10 +89,16 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
     return facts
 
 
-def _name(words: str) -> str:
-    """A name that is one in Python, in XML and for every system's files."""
-    name = re.sub(r"[^A-Za-z0-9_]", "_", words)
-    return safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}")
+def _renamed(found: Identified) -> Identified:
+    """The model under a name that is one in Python, in XML and for every system's files, and is no module's."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", found.name)
+    name = safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}")
+    own = {module.lower() for module in (*sys.stdlib_module_names, "bayes_aero")}
+    installed = [sysconfig.get_path(kind) for kind in ("purelib", "platlib")]
+    if iskeyword(name) or name.lower() in own or PathFinder.find_spec(name, installed) is not None:
+        said = f"It is called {name}_model, for {name} is a word or a module of Python."
+        return replace(found, name=f"{name}_model", sources=(*found.sources, said))
+    return replace(found, name=name)
 
 
 def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 from scipy.signal import lfilter
 
 from bayes_aero.flight.axes import Axis
@@ -198,8 +198,8 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], flo
 
     tried = []
     for delay in (round(d / record.dt) for d in DELAYS):
-        best = minimize_scalar(lambda lag, d=delay: np.var(law(lag, d)[1]), bounds=(0.0, MAX_LAG), method="bounded")
-        tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.x))]
+        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, MAX_LAG))
+        tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.flat[0]))]
     _, lag, delay = min(tried)
     weights, left = law(lag, delay)
     noise = max(noise_of(u), noise_of(u[delay:] - weights @ _late(columns, lag, record.dt, delay)))
