@@ -170,8 +170,10 @@ class Effect:
 
 @cache
 def sized(effect: Effect, card: Lengths) -> Effect:
-    """The effect with its sizes in the reference lengths of a card; always the same object, for models are hashed."""
-    times = {p.name: card.times(p) for p in effect.parameters}
+    """The effect with its sizes in the reference lengths of a card, those in metres as large as its span; always the
+    same object, for models are hashed."""
+    span = card.span if effect.disturbance is None else 1.0  # gusts are no part of the aircraft
+    times = {p.name: card.times(p) * (span if p.unit == "m" else 1.0) for p in effect.parameters}
     if all(x == 1.0 for x in times.values()):
         return effect
     return replace(effect, sizes={n: (times[n] * low, times[n] * high) for n, (low, high) in effect.sizes.items()})

@@ -34,11 +34,15 @@ class Length(StrEnum):
 
 @dataclass(frozen=True)
 class Lengths:
-    """How often a card's reference length goes into the usual one: chord, half span and span of `Length`."""
+    """How often a card's reference length goes into the usual one: chord, half span and span of `Length`.
+
+    `span`: the aircraft's, over that of the transport for which the catalogue states sizes in metres.
+    """
 
     rate: float = 1.0
     lateral_rate: float = 1.0
     lateral_moment: float = 1.0
+    span: float = 1.0
 
     def of(self, length: Length) -> float:
         """The factor of one of them."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
+from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
 from bayes_aero.diagnosis.result import (
     FLIGHT_PATH,
     Cause,
@@ -80,8 +81,9 @@ def diagnose(
     hardly = stand_ins(candidates, found.by_stage, within)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     conditional = tuple(c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond))
+    absurd, kept = beyond, tuple(name for name in kept if name not in {c.name for c in beyond})
     causes, beyond = tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
-    unknown = (*found.unknown, *structure_of(found, unnamed))
+    unknown = (*found.unknown, *structure_of(found, (*unnamed, *absurd)))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     sampled, unsampled = _sampled(found, seed, progress) if ask else ((), ())
     state, tested = found.model.state, None if found.testable_now else Tested({})
@@ -218,9 +220,12 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
 
 
 def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
-    """What the record shows and cannot attribute; without rivals it is likelier nothing."""
+    """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has.
+
+    A single unlikely cause is likelier nothing. An error that no sensor has is told as that, and is no structure.
+    """
     effects, extensions = {e.name: e for e in found.full.candidates}, found.by_stage
-    several = [c for c in unnamed if c.ambiguous_with]
+    several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
     return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
 
 

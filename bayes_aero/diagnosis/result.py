@@ -211,8 +211,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
-    # Errors larger than any sensor has, and what was estimated together with one: no causes, but in the model where
-    # confirmed.
+    # Larger than on any aircraft, and out of the model; and what was estimated together with one.
     beyond: tuple[Cause, ...] = ()
     tested: Tested | None = None  # of a diagnosis by trajectories alone
     compared: str = COEFFICIENTS  # with what the model was compared: the name of its stage

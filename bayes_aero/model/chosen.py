@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from difflib import get_close_matches
 
 from bayes_aero.effect import Effect
@@ -12,11 +13,15 @@ from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.parameter import Lengths, Parameter
 
+TRANSPORT_SPAN = 21.5  # m, of the transport of some 20 t for which `effects` states sizes
+
 
 def lengths_of(a: Aircraft) -> Lengths:
     """How often the card's reference lengths go into chord, half span and span."""
     given = (a.chord, a.rate_length), (a.half_span, a.lateral_rate_length), (2.0 * a.half_span, a.lateral_length)
-    return Lengths(*(1.0 if length is None else float(usual) / float(length) for usual, length in given))
+    span = 2.0 * float(a.half_span) / TRANSPORT_SPAN
+    rate, lateral_rate, moment = (1.0 if length is None else float(usual) / float(length) for usual, length in given)
+    return Lengths(rate, lateral_rate, moment, span if math.isfinite(span) else 1.0)
 
 
 def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:

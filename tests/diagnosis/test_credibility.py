@@ -10,18 +10,23 @@ import pytest
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design.standard import standard
-from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, verdict_of
+from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, structure_of, verdict_of
 from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.collinear import cancelling
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.chosen import lengths_of
 from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
@@ -92,7 +97,33 @@ def test_more_than_five_names_are_no_name():
 def test_an_error_that_no_sensor_has_is_no_cause():
     scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
     of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
-    assert attributed([of_a_sensor, of_the_model]) == ((of_the_model,), (of_a_sensor,), ())
+    assert attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
+
+
+def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
+    d = diagnosed.view.diagnosis
+    found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
+    searched = SearchResult(d.aerodynamics.state.full, ((found.stage, d.aerodynamics),), (), d.noise, (), ())
+    large = replace(found, implausible={"Cma2": 0.1})
+    (left,) = structure_of(searched, [large])
+    assert (left.coefficient, left.channel, left.rivals) == ("Cm", "alpha", ("alpha_squared_moment",))
+    assert structure_of(searched, [replace(large, kind="measurement")]) == ()
+    said = diagnosis_sentences(replace(d, beyond=(replace(large, implausible=dict.fromkeys(large.parameters, 0.1)),)))
+    assert any("On this aircraft" in one and "left out of the model" in one for one in said)
+
+
+def test_limits_in_metres_are_as_large_as_the_aircraft():
+    """Of the catalogue's transport with 21.5 m of span a vane stands 20 m ahead at most, of a trainer with 10 m 9.3."""
+    vane = CATALOGUE["vane_position"]
+    transport, trainer = (
+        sized(vane, lengths_of(replace(read_card("attas").aircraft, half_span=x))) for x in (10.75, 5.0)
+    )
+    assert transport is vane
+    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
+    recorded = {"vane_position": Size(15.0, 1.0, "m")}
+    assert not implausible(transport, recorded)
+    assert implausible(trainer, recorded)
+    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
 
 
 def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same_output(diagnosed):

@@ -18,6 +18,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.chosen import lengths_of
 from bayes_aero.model.joined_records import Joined, joined, repaired
 from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
@@ -57,7 +58,8 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
     if why := no_flight_path(records, card):
         raise InputError(why)
     flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
-    whole = candidate_model(Model((), (), axes=tuple(Axis)), flights, tuple(own_effects(card.effect_files).values()))
+    plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
+    whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
     model = Model(sensors, tuple(p for e in sensors for p in e.parameters), axes=tuple(Axis))
     full = CandidateModel(model, (), sensors, {})

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
 from bayes_aero.diagnosis.result import LITTLE, Cause, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
@@ -49,12 +48,12 @@ def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
 def attributed(
     causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
 ) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
-    """Causes that the record can attribute; errors larger than any sensor has, behind which is another fault; others.
+    """Causes that the record can attribute; those larger than on any aircraft, behind which is another fault; others.
 
     The others have more equals than the record can choose among, or are neither confirmed nor likelier than not, or are
     `stand_ins` (see there).
     """
-    beyond = tuple(c for c in causes if c.kind in SENSOR_KINDS and c.implausible)
+    beyond = tuple(c for c in causes if c.implausible)
     rest = [c for c in causes if c not in beyond]
     few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
     named = tuple(c for c in few if c.name not in stand_ins)

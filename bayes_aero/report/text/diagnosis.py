@@ -161,12 +161,13 @@ def _absorbed(d: Diagnosis) -> list[str]:
 
 def _beyond(d: Diagnosis) -> list[str]:
     return [
-        f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, but sensor errors are at most "
-        f"{size_text(cause.implausible[name], 0.0, x.unit)}: suspect another fault of the record. The estimate stays "
-        "in the model and is not a cause."
+        f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}. On this aircraft {large} is at most "
+        f"{size_text(cause.implausible[large], 0.0, x.unit)}: suspect another fault of the record or of the model. It "
+        "is not a cause, and is left out of the model."
         for cause in d.beyond
         for name, x in cause.parameters.items()
-        if name in cause.implausible
+        for large in (name, f"1/{name}")
+        if large in cause.implausible
     ] + [
         f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, together with {joint_text(cause.joint)}: "
         "neither size holds without the other, and none of them is a cause or a correction by itself."
