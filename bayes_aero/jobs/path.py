@@ -77,7 +77,7 @@ def path_records(
 ) -> Flight:
     """`flight_path` with its options in one."""
     found = fly_records(records, card, options, out=out, progress=progress)
-    if out is not None and found.flown.converged:
+    if out is not None and found.flown.converged and not found.flown.worse:
         folder = out / CORRECTED
         folder.mkdir(exist_ok=True)
         for left in folder.glob("*.csv"):  # of an earlier run

@@ -16,7 +16,7 @@ from bayes_aero.model.model import Model
 
 COMMON = (
     "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_scale", "sideslip_bias", "airspeed_scale",
-    "pitch_attitude_bias", "bank_angle_bias",
+    "airspeed_bias", "pitot_pressure_bias", "pitch_attitude_bias", "bank_angle_bias",
 )  # fmt: skip
 """Errors of an installation, equal in all manoeuvres."""
 OWN = (
