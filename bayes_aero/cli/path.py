@@ -10,6 +10,7 @@ import typer
 from bayes_aero.cli.choices import InitialState
 from bayes_aero.cli.fly import print_fit
 from bayes_aero.cli.terminal import (
+    DOUBT,
     FAILED,
     RECORDS,
     JsonOption,
@@ -84,4 +85,6 @@ def path(
     if not found.flown.converged:
         raise typer.Exit(FAILED)
     exit_if_failed(found.failures)
+    if found.flown.worse:
+        raise typer.Exit(DOUBT)
     exit_in_doubt(found.consistency, found.health, corrects=True)

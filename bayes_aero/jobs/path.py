@@ -85,7 +85,7 @@ def path_records(
     """`flight_path` with its options in one."""
     targets = [] if out is None else corrected_files(records, out / CORRECTED)
     found = fly_records(records, card, options, out=out, progress=progress)
-    if out is not None and found.flown.converged:
+    if out is not None and found.flown.converged and not found.flown.worse:
         folder = out / CORRECTED
         folder.mkdir(exist_ok=True)
         for left in written_before(folder):

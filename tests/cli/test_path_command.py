@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+
 CARD = """
 title = "Invented aircraft"
 
@@ -125,6 +127,33 @@ def test_errors_of_sensors_are_found_and_taken_out(program, flight, tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert "was not made" not in page
     assert "Recorded accelerations and rates drive the simulation" in page
+
+
+def test_an_airspeed_with_a_pitot_offset_is_made_true(program, flight, tmp_path):
+    """300 Pa is 3.2 m/s at 90 m/s and 1.05 kg/m^3; three errors of the airspeed share it, and their sum is right."""
+    card, record, truth = flight
+    table, density = pd.read_csv(record), 1.05
+    table["airspeed"] = np.sqrt(table["airspeed"] ** 2 + 2.0 * 300.0 / density)
+    table.to_csv(tmp_path / "leak.csv", index=False)
+    (tmp_path / "leak.toml").write_text(card.read_text() + f'\n[constants]\ndensity = "{density} kg/m^3"\n')
+    done = program("path", "leak.csv", "--model", "leak.toml", "--out", "out", "--no-figures", "--json")
+    assert done.code == 0, done.err
+    found = json.loads(done.out)["parameters"]
+    for name, true in {"pitot_pressure_bias": 300.0, "airspeed_bias": 0.0, "airspeed_scale": 0.0}.items():
+        assert abs(found[name]["estimate"] - true) < 3.5 * found[name]["sd_corrected"], name
+    corrected = pd.read_csv(tmp_path / "out" / "corrected" / "leak.csv")["airspeed"].to_numpy()
+    assert np.mean(table["airspeed"].to_numpy() - truth["airspeed"]) > 3.0
+    assert abs(np.mean(corrected - truth["airspeed"])) < 0.3
+
+
+def test_a_fit_that_is_worse_than_the_record_is_not_used(program, flight, tmp_path, monkeypatch):
+    card, record, _ = flight
+    errors = {"airspeed": (0.84, 1.6)}
+    monkeypatch.setattr(TrajectoryFit, "rms_errors", property(lambda _: errors | dict.fromkeys(["alpha"], (0.1, 0.1))))
+    done = program("path", record, "--model", card, "--out", "out", "--no-figures")
+    assert done.code == 3
+    assert "V 0.84 to 1.6 m/s" in done.out.replace("\n", " ")
+    assert not (tmp_path / "out" / "corrected").exists()
 
 
 def test_a_record_of_symmetric_flight_has_no_errors_of_lateral_sensors(program, flight, tmp_path):

@@ -1,17 +1,20 @@
 """Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bayes_aero.api import read
 from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_diagnosis, errors_of_path
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.report.text.consistency import open_sentences
+from bayes_aero.report.text.consistency import consistency_sentences, open_sentences
+from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import flyable
 
 G = 9.80665
@@ -80,6 +83,74 @@ def test_nothing_is_asked_for_where_nothing_is_hidden(bare, seed):
     assert found.agreement is Agreement.AGREE
     assert not [e for e in known.errors.values() if not e["minor"]]
     assert not [e.name for e in found.open if e.asked]
+
+
+def misread(card, *, bias: float = 0.0, scale: float = 0.0, pressure: float = 0.0) -> FlightRecord:
+    """A simulated stall whose airspeed has errors: of the impact pressure (Pa), then in proportion, then a constant."""
+    flown = simulate_stall(0, card=card)
+    channels = {name: np.array(x) for name, x in flown.channels.items()}
+    V = channels["airspeed"]
+    channels["airspeed"] = np.sqrt(V**2 + 2.0 * pressure / channels["density"]) * (1.0 + scale) + bias
+    channels["mach"] *= channels["airspeed"] / V
+    return FlightRecord.from_arrays("stall", np.asarray(flown.time), channels, "simulated")
+
+
+@pytest.mark.parametrize(
+    ("hidden", "name", "true"),
+    [
+        ({"pressure": -200.0}, "pitot_pressure_bias", -200.0),
+        ({"scale": 0.03}, "airspeed_scale", 0.03),
+        ({"bias": -3.0}, "airspeed_bias", -3.0),
+    ],
+)
+def test_an_offset_of_the_pitot_line_is_none_of_the_airspeed(card, hidden, name, true):
+    """rho V dV = dp: the three errors of the airspeed differ by how they go with speed."""
+    known, _ = found_in(misread(card, **hidden), card)
+    assert list(known.errors) == [name]
+    size = known.errors[name]["parameters"][name]
+    assert size["mean"] == pytest.approx(true, abs=4.0 * size["sd"])
+    assert size["sd"] < 0.02 * abs(true)
+
+
+PITOT = Path(__file__).resolve().parents[3] / "shared" / "trials" / "pitot_zero_offset.csv"
+
+
+@pytest.mark.skipif(not PITOT.exists(), reason="needs ../shared/trials")
+def test_a_pitot_line_that_is_off_is_named_and_explains_the_record(card):
+    """300 Pa; the scale of the airspeed is right."""
+    (record,) = read(PITOT, card)
+    known, found = found_in(record, card)
+    assert list(known.errors) == ["pitot_pressure_bias"]
+    size = known.errors["pitot_pressure_bias"]["parameters"]["pitot_pressure_bias"]
+    assert size["mean"] == pytest.approx(300.0, abs=3.0 * size["sd"])
+    assert size["sd"] < 10.0
+    assert found.agreement is Agreement.EXPLAINED
+
+
+def test_two_errors_of_a_sensor_are_one_joint_estimate(card):
+    known, found = found_in(misread(card, bias=6.0, scale=0.05), card)
+    assert set(known.errors) == {"airspeed_bias", "airspeed_scale"}
+    for name, other, true in (("airspeed_bias", "airspeed_scale", 6.0), ("airspeed_scale", "airspeed_bias", 0.05)):
+        assert -1.0 < known.errors[name]["joint"][other] < -0.9
+        size = known.errors[name]["parameters"][name]
+        assert size["mean"] == pytest.approx(true, abs=4.0 * size["sd"])
+    assert found.agreement is Agreement.EXPLAINED
+    (answer, *_) = consistency_sentences(found, corrects=False)
+    assert answer.count("estimated together with") == 2
+    assert not {e.name for e in found.open} & set(known.errors)
+
+
+def test_half_of_a_joint_estimate_is_no_correction(card):
+    """A bias of 13 m/s is larger than sensors have, and the scale was estimated beside it."""
+    known, found = found_in(misread(card, bias=13.0, scale=0.05), card)
+    assert not known.errors
+    assert found.agreement is Agreement.UNEXPLAINED
+    assert not found.corrected
+    joint = {e.name: e.joint for e in found.open if e.joint}
+    assert set(joint) == {"airspeed_bias", "airspeed_scale"}
+    assert -1.0 < joint["airspeed_scale"]["airspeed_bias"] < -0.9
+    assert any("estimated together" in one and "airspeed_scale" in one for one in open_sentences(found))
+    assert consistency_results(found)["open"]["airspeed_scale"]["joint"] == joint["airspeed_scale"]
 
 
 @pytest.mark.recovery

@@ -25,7 +25,6 @@ from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
-from bayes_aero.report.text.fly import errors_of_all
 
 DEGREE = np.deg2rad(1.0)
 
@@ -92,7 +91,7 @@ def test_errors_of_a_known_offset():
     assert rows[1][1:4] == ("4.0", "2.0", "2.0")
     assert rows[1][5:] == ("100%", "0%", "0%")
     assert rows[3][1:4] == ("3.0", "1.5", "1.5")
-    (before, after) = errors_of_all(flown)["alpha"]
+    (before, after) = flown.rms_errors["alpha"]
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
     assert [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")] == [

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.result import NOT_NOISE
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
@@ -206,6 +207,30 @@ class TrajectoryFit:
     def path(self, manoeuvre: str, model: str) -> Path:
         """The path of one manoeuvre and model (`start` or `fitted`)."""
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
+
+    @property
+    def rms_errors(self) -> dict[str, tuple[float, float]]:
+        """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
+
+        def rms(model: str, output: str) -> float:
+            paths = [p for p in self.paths if p.model == model]
+            samples = np.array([len(p.time) for p in paths])
+            return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
+
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulation with the first values may diverge
+            return {output: (rms(START, output), rms(FITTED, output)) for output in self.outputs}
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Outputs most of whose mean square error a fitted flight path has added to that of the record as it is.
+
+        Kinematics has no other errors than those of the sensors: the fit lacks one, and others stand for it.
+        """
+        if not self.of_path:
+            return ()
+        errors = self.rms_errors
+        fitted = (name for name in self.fit.flown.outputs if name in errors)
+        return tuple(n for n in fitted if errors[n][1] ** 2 * (1.0 - NOT_NOISE) > errors[n][0] ** 2)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from bayes_aero.model.model import Model
 
 COMMON = (
     "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_vane_position", "sideslip_vane_height",
-    "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "pitch_attitude_bias", "bank_angle_bias",
+    "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "airspeed_bias", "pitot_pressure_bias",
+    "pitch_attitude_bias", "bank_angle_bias",
 )  # fmt: skip
 """Errors of an installation, equal in all manoeuvres."""
 OWN = (

@@ -38,7 +38,6 @@ from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measure
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
 from bayes_aero.report.text.drift import drift_sentences
-from bayes_aero.report.text.fly import errors_of_all
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.process_noise import prediction_sentences
 from bayes_aero.report.text.samplers import unfinished
@@ -103,7 +102,7 @@ def _lead(flown: TrajectoryFit) -> tuple[Block, ...]:
     if not flown.converged:
         return (Text("Do not use the numbers on this page: the fit stopped there without converging.", "warning"),)
     listed = []
-    for output, (before, after) in errors_of_all(flown).items():
+    for output, (before, after) in flown.rms_errors.items():
         unit, factor = for_people(flown.units[output])
         item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
         listed.append(item.replace(" ", "\u00a0"))  # never broken in the middle
@@ -112,7 +111,7 @@ def _lead(flown: TrajectoryFit) -> tuple[Block, ...]:
 
 def _opening(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
     """The output that the fit follows least: whose error is the largest share of its movement."""
-    errors = {n: pair for n, pair in errors_of_all(flown).items() if stem_of(n) in figures and pair[1] > 0.0}
+    errors = {n: pair for n, pair in flown.rms_errors.items() if stem_of(n) in figures and pair[1] > 0.0}
     if not errors:
         return ()
     flights = [flown.path(name, FITTED).measured for name in flown.manoeuvres]

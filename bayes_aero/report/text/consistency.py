@@ -49,13 +49,9 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
 
 
 def _beside(found: Consistency, name: str) -> str:
-    """What an error was estimated together with, and what it cannot be told from."""
+    """What an error was estimated together with."""
     listed = joint_text((found.errors or {})[name].get("joint", {}))
-    text = f"; estimated together with {listed}: neither holds alone" if listed else ""
-    for one in found.open:
-        if one.name == name and one.imitators:
-            text += f"; or {several(one.imitators)} instead, ± {among_text(one)} if possible"
-    return text
+    return f"; estimated together with {listed}: neither holds alone" if listed else ""
 
 
 def joint_text(joint: Mapping[str, float]) -> str:
@@ -103,6 +99,11 @@ def open_sentences(found: Consistency) -> list[str]:
             "Errors that would explain much of the residual of the flight path, but that hold-out data do not "
             f"confirm, each as the only error; none is corrected: {listed}."
         )
+    if either := [e for e in found.open if e.imitators and e.name in (found.errors or {})]:
+        listed = "; ".join(
+            f"{e.name} or {several(e.imitators)} (± {among_text(e)} of {e.name} if all are possible)" for e in either
+        )
+        sentences.append(f"Errors that were found, and others with the same effect along this flight path: {listed}.")
     if joint := [e for e in found.open if e.joint]:
         listed = "; ".join(f"{_estimate(e)}, together with {joint_text(e.joint)}" for e in joint)
         sentences.append(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, Disagreement, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, plus_minus, several, short
 from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
@@ -20,18 +20,6 @@ ADVICE = (
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
-def errors_of_all(flown: TrajectoryFit) -> dict[str, tuple[float, float]]:
-    """Root mean square error of each output over all manoeuvres, SI: at the starting values, and of the fit."""
-
-    def rms(model: str, output: str) -> float:
-        paths = [p for p in flown.paths if p.model == model]
-        samples = np.array([len(p.time) for p in paths])
-        return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
-
-    with np.errstate(over="ignore", invalid="ignore"):  # a simulation with the starting values may diverge
-        return {output: (rms(START, output), rms(FITTED, output)) for output in flown.outputs}
-
-
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
     """Sentences on the end of the fit, its errors, the variance inflation, unidentified parameters, and manoeuvres
     outside the envelope.
@@ -43,6 +31,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     sentences = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         sentences = [f"The fit failed: {fit.status.value}."]
+    sentences += _worse(flown)
     sentences += _settings(flown)
     sentences += _wanting(flown, hindered)
     if flown.variance_inflation >= MIN_INFLATION and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
@@ -73,6 +62,21 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     if lost:
         sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return sentences
+
+
+def _worse(flown: TrajectoryFit) -> list[str]:
+    """A sentence on outputs that a flight path fits worse than without errors of sensors."""
+    if not flown.worse:
+        return []
+    listed = []
+    for output in flown.worse:
+        unit, factor = for_people(flown.units[output])
+        before, after = (short(factor * x) for x in flown.rms_errors[output])
+        listed.append(f"{SYMBOLS.get(output, output)} {before} to {after}{'' if unit == '1' else ' ' + unit}")
+    return [
+        f"The fit is worse than the record as it is (RMS {several(listed)}): an error of a sensor that is not among "
+        "the parameters is behind it. The estimates are not usable, and no corrected record is written."
+    ]
 
 
 def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
@@ -146,7 +150,7 @@ def _off(flown: TrajectoryFit) -> str:
     if flown.fit.status is not OutputErrorStatus.CONVERGED:
         return ""
     listed = []
-    for output, (_, rms) in errors_of_all(flown).items():
+    for output, (_, rms) in flown.rms_errors.items():
         unit, factor = for_people(flown.units[output])
         listed.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
     return f"; the RMS error of the trajectories is {several(listed)}"
