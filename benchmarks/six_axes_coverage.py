@@ -3,12 +3,14 @@
     python benchmarks/six_axes_coverage.py run 100 --kind calm --out six_coverage      # goes on where it stopped
     python benchmarks/six_axes_coverage.py run 100 --kind gusts --out six_coverage
     python benchmarks/six_axes_coverage.py run 100 --kind stall --out six_coverage
+    python benchmarks/six_axes_coverage.py run 4 --kind coloured --out six_coverage
     python benchmarks/six_axes_coverage.py report --out six_coverage
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
 aileron and rudder inputs, 25 s each at 25 Hz, with white noise of every sensor. The card has the true model. `calm`:
 still air. `gusts`: gusts of 1 m/s along each axis. `stall`: a stall and two in bank as well (`wing_first.py`), each
-half of the wing with a separation point that lags, one of which stalls first.
+half of the wing with a separation point that lags, one of which stalls first. `coloured`: still air, 26 s at 50 Hz,
+the noise of every sensor and of the surfaces (.06 deg) half white and half with a time constant of .15 s.
 
 Methods: `coefficients` is maximum likelihood as `identify` does it, with corrected bounds; `trajectories` is output
 error as `fly` does it, with corrected bounds; `process noise` is its extended Kalman filter (`gusts`).
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import six_axes
@@ -40,8 +43,9 @@ from bayes_aero.jobs import fly as flying
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 
-KINDS = ("calm", "gusts", "stall")
-FIRST = {"calm": 31_000, "gusts": 32_000, "stall": 33_000}
+KINDS = ("calm", "gusts", "stall", "coloured")
+FIRST = {"calm": 31_000, "gusts": 32_000, "stall": 33_000, "coloured": 34_000}
+SURFACES, SLOW = 1e-3, 0.15  # rad, s: noise of the recorded surfaces of `coloured`, and its time constant
 GUST = 1.0  # m/s
 Z95 = 1.959963984540054
 WING_FIRST = (*EFFECTS, "wing_asymmetry")
@@ -61,10 +65,23 @@ def records(kind: str, plane: Plane, rng: np.random.Generator) -> list[FlightRec
     """The manoeuvres as recorded."""
     gust = GUST if kind == "gusts" else 0.0
     flown = STALLS if kind == "stall" else dict.fromkeys(("elevator", "aileron", "rudder"), 120.0)
+    if kind == "coloured":
+        return [coloured(name, fly(plane, name, rng, V=V, dt=0.02, seconds=26.0), rng) for name, V in flown.items()]
     return [
         six_axes.record(name, fly(plane, "stall_in_bank" if name == "again" else name, rng, V=V, gust=gust), rng)
         for name, V in flown.items()
     ]
+
+
+def coloured(name: str, flight: dict[str, np.ndarray], rng: np.random.Generator) -> FlightRecord:
+    """As recorded with noise half of whose variance is of first order with the time constant `SLOW`."""
+    n, keep = len(flight["time"]), np.exp(-(flight["time"][1] - flight["time"][0]) / SLOW)
+    shown = {c: flight[c] for c in six_axes.RECORDED}
+    for channel, sd in (six_axes.NOISE | dict.fromkeys(("elevator", "aileron", "rudder"), SURFACES)).items():
+        slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(n + 400))[400:]
+        shown[channel] = shown[channel] + sd * np.sqrt(0.5) * (rng.standard_normal(n) + slow)
+    shown["thrust"] = shown["thrust_left"] + shown["thrust_right"]
+    return FlightRecord.from_arrays(name, flight["time"], shown, "simulated")
 
 
 def truth(plane: Plane, model: Model) -> dict[str, float]:

@@ -29,6 +29,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, Priors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.inference.variance.coloured_bounds import FIXED_SHARE, corrected_covariance
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
@@ -267,12 +268,27 @@ def test_corrected_intervals_cover_the_truth_under_coloured_noise():
     assert 0.82 <= np.mean(corrected) <= 0.98
 
 
-def test_corrected_deviations_are_the_plain_ones_under_white_noise():
-    """On average: each flight's autocovariance is itself uncertain, and fitted residuals vary a little less."""
+def test_corrected_deviations_are_nearly_the_plain_ones_under_white_noise():
+    """On average: wider by what the estimated autocovariance is uncertain, less what a fit takes out of residuals."""
     fits = [fit_output_error(coloured_flown([8, seed], 0.0), held={"az0": 0.0}) for seed in range(12)]
     own = [k for k, name in enumerate(fits[0].names) if name != "az0"]
     ratio = np.mean([(found.sd_corrected / np.where(found.sd > 0, found.sd, 1.0))[own] for found in fits], axis=0)
-    assert np.all((ratio > 0.78) & (ratio < 1.08))
+    assert np.all((ratio > 0.95) & (ratio < 1.08 * FIXED_SHARE))
+
+
+@pytest.mark.parametrize(("rho", "n"), [(0.0, 200), (0.7, 400)])
+def test_corrected_intervals_of_a_mean_hold_95_percent(rho, n):
+    """Of 2000 first-order autoregressions; by the unscaled variance they hold less, however long the record."""
+    rng, D, S = np.random.default_rng(14), np.array([[1.0 / n]]), np.ones((n, 1, 1))
+    start, one, inside = np.arange(n) == 0, np.zeros(n, int), []
+    for _ in range(2000):
+        noise = np.asarray(lfilter([1.0], [1.0, -rho], rng.standard_normal(n + 100)))[100:, None]
+        mean = noise.mean()
+        sd = np.sqrt(corrected_covariance(D, S, np.ones(1), noise - mean, one, start)[0, 0])
+        inside.append((abs(mean) < 1.96 * sd, abs(mean) < 1.96 * FIXED_SHARE * sd))
+    plain, scaled = np.mean(inside, axis=0)
+    assert plain < 0.92
+    assert 0.935 < scaled < 0.965
 
 
 def test_corrected_deviations_are_no_less_than_those_of_leaving_stretches_out():

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced_equations
 from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
-from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
+from bayes_aero.inference.variance.coloured_bounds import FIXED_SHARE, corrected_covariance
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.inference.variance.variance_inflation import median_inflation, variance_inflation
 from bayes_aero.parameter import Parameter
@@ -105,9 +105,10 @@ class OutputErrorResult:
         """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent.
 
         With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
-        of the priors; D itself where residuals are white. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and
-        Klein, J. Aircraft 1997. Where residuals are coloured, no variance is below that of the block jackknife
-        (`_jackknife_variances`): a trajectory integrates disturbances, and the fit absorbs most of them.
+        of the priors. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and Klein, J. Aircraft 1997. M is scaled
+        for 1.96 standard errors to hold 95 % (`FIXED_SHARE`), so of white residuals it is larger than D's. Where
+        residuals are coloured, no variance is below that of the block jackknife (`_jackknife_variances`): a trajectory
+        integrates disturbances, and the fit absorbs most of them.
         """
         if not math.isfinite(self.cost):
             return self.covariance
@@ -120,10 +121,11 @@ class OutputErrorResult:
         said = np.diag(self.priors.precision)
         said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
         known = weight * D @ said @ D
-        found = known + corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
+        spread = corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
+        inflation, found = variance_inflation(np.diag(known + spread), np.diag(D)), known + FIXED_SHARE**2 * spread
         own = np.diag(found)
         moving = own > 0.0
-        if median_inflation(variance_inflation(own, np.diag(D))[moving]) < COLOURED_INFLATION:
+        if median_inflation(inflation[moving]) < COLOURED_INFLATION:
             return found
         wider = np.ones(k)
         wider[moving] = np.sqrt(np.maximum(1.0, (self._jackknife_variances(S) + np.diag(known))[moving] / own[moving]))
