@@ -10,6 +10,7 @@ import numpy as np
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
 from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
     FLIGHT_PATH,
     Cause,
     Diagnosis,
@@ -37,7 +38,7 @@ from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.terms.result import SampledTerms
 from bayes_aero.diagnosis.terms.sampled import sampled_terms
-from bayes_aero.effect import Effect
+from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -278,6 +279,16 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
         for i, name in enumerate(after.full.model.names)
         if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
     }
+
+
+def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
+    """Errors of sensors that coefficients confirm and held-out flights do not miss.
+
+    Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
+    flight has no regressors.
+    """
+    asked = {c.name for c in found.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
+    return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
 
 
 def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:

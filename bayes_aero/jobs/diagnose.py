@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
-from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights
+from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.noise_check import with_tested
@@ -148,6 +148,9 @@ def _stages(
             kept.judged(_judged(kept.outcome.view, records, card))
             if not options.trajectories and diagnosis.causes:
                 kept.note("Without trajectories no cause was tested on hold-out flights.")
+        elif flown := kept.outcome.view.trajectories:
+            doubtful = sensors_not_missed(diagnosis, flown.asked)
+            kept.judged(judged_on_held_out_flights(diagnosis, doubtful) if doubtful.missed else diagnosis)
         drawn = following.result()
     if kept.path is not None:
         drawn |= drawings(kept, late, progress)

@@ -10,7 +10,12 @@ import pytest
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design.standard import standard
-from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights, structure_of, verdict_of
+from bayes_aero.diagnosis.diagnose import (
+    judged_on_held_out_flights,
+    sensors_not_missed,
+    structure_of,
+    verdict_of,
+)
 from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
@@ -158,6 +163,19 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
     assert judged_on_held_out_flights(d, Confirmation((), {})) == d
+
+
+def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(diagnosed):
+    """Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none."""
+    d = diagnosed.view.diagnosis
+    scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
+    of_the_path = replace(scale, name="alpha_scale", stage="flight path")
+    d = replace(d, causes=(scale, of_the_path, *d.causes))
+    flights = Confirmation((), {c.name: (-4.0, 16.0) for c in d.causes})
+    doubtful = sensors_not_missed(d, flights)
+    assert set(doubtful.missed) == {"accel_y_scale"}
+    assert [c.name for c in judged_on_held_out_flights(d, doubtful).causes if not c.confirmed] == ["accel_y_scale"]
+    assert not sensors_not_missed(d, replace(flights, kept=("accel_y_scale",))).missed
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,17 @@ import pytest
 
 from bayes_aero.diagnosis import diagnose
 from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.screening import accuracy
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection import forward_selection
 from bayes_aero.diagnosis.selection.forward_selection import Extension, worth
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.axes import Axis
 from bayes_aero.model.model import Model
 
 
@@ -69,14 +72,55 @@ def test_the_whole_covariance_does_not_ask_which_outputs_were_chosen(projected):
     assert given.deviance(mixed) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.3, 1.0])
+def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_permit(monkeypatch, share):
+    """y = a x, x recorded with noise: least squares gives a V/(V + s2), and a true slope is within the bounds.
+
+    `share` of what is left is that noise, of whatever colour. Closed form: the lowest bias is -r2/(a var(x)), r2 what
+    is left and a, var(x) as estimated and recorded; to first order in it.
+    """
+    rng, n, slope, sd = np.random.default_rng(8), 40_000, -0.8, 0.02
+    true = 0.1 * np.sin(np.arange(n) / 9.0)
+    beta = true + sd * rng.standard_normal(n)
+    y = slope * true + abs(slope) * sd * np.sqrt(1.0 / share - 1.0) * rng.standard_normal(n)
+    found = float(beta @ y / (beta @ beta))
+    left = float(np.mean((y - found * beta) ** 2))
+
+    def linearise(x):
+        return lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None])
+
+    responses = SimpleNamespace(
+        flights=SimpleNamespace(channels={"beta": beta}, n=n),
+        with_channels=lambda channels: SimpleNamespace(linearise=linearise(channels["beta"])),
+        outputs=("CY",),
+    )
+    monkeypatch.setattr(accuracy, "recording_noise", lambda _: {"beta": sd})
+    effect = CATALOGUE["sideslip_side_force"]
+    full = part(CandidateModel, candidates=(effect,), model=Model.of([effect], axes=(Axis.LATERAL,)))
+    state = part(
+        SelectionState, active=(effect.name,), full=full, responses=responses, outputs=("CY",), folds=(slice(0, n),),
+        theta=np.array([found]), residual=(y - found * beta)[:, None], S=beta[:, None, None],
+        noise_growth=np.ones((n, 1)),
+    )  # fmt: skip
+    fit = Fit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
+    ((low, high),) = accuracy.largest_noise_bias(state, fit).values()
+    exact = -left / (found * np.mean(beta**2))
+    assert sorted((low, high)) == pytest.approx(sorted((0.0, exact)), rel=0.05, abs=1e-6)
+    assert found - high <= slope + 0.01 <= found - low + 0.02 or share < 0.1
+    if share == 1.0:
+        assert found - exact == pytest.approx(slope, rel=0.02)
+
+
 @pytest.mark.parametrize(("scores", "named"), [((0.2, 2.4), False), ((2.6, 30.0), True)])
-def test_a_size_that_may_as_well_be_none_is_no_cause(scores, named):
+def test_a_size_that_may_as_well_be_none_is_no_cause(monkeypatch, scores, named):
     score = np.random.default_rng(int(1e3 * scores[0])).uniform(*scores)
     least = CATALOGUE["cg_shift"].sizes["cg_shift"][0]
     size = 2.0 * least
     full = part(CandidateModel, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
     state = part(SelectionState, active=("cg_shift",), full=full)
-    causes, minor = worth(state, {"cg_shift": Size(size, size / score, "m")})
+    monkeypatch.setattr(forward_selection, "largest_noise_bias", lambda *_: {})
+    fit = Fit(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.ones(1), 0.0)
+    causes, minor = worth(state, fit, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
     assert scores[0] > DEFAULT.least_score or not named
 

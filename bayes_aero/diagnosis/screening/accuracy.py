@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import linprog
 
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import Fit, inverse
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.flight.health.signals import noise_of
@@ -24,6 +25,7 @@ from bayes_aero.model.joined_records import Recorded
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
 AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
+SLOW = 100.0  # largest variance of slow noise over that of the white noise beside it: ten times its size; our choice
 FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
 
 
@@ -100,6 +102,46 @@ def noise_effect(
     bias[parameters] = np.mean(even, axis=0) - step({}, 0.0)
     spread[parameters] = np.sqrt(np.mean(np.square(odd), axis=0))
     return bias, spread
+
+
+def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[str, tuple[float, float]]:
+    """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
+    the residuals permit.
+
+    What is left of an output holds the noise of the channels that enter it, so their variances, each times what it adds
+    to the output, sum up to no more than is left. The bias is linear in these variances, too. Slow noise cannot be told
+    from motion in a channel by itself, so it is not estimated: it may be `SLOW` times what is read off as white.
+
+    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables).
+    """
+    flights, rng = state.responses.flights, np.random.default_rng(seed)
+    parameters = fit.columns < len(state.theta)
+    at, own = fit.columns[parameters], state.full.own_columns(*state.active)
+    covariance = inverse(fit.normal)[np.isin(fit.columns, own)]
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
+    biases, added = [], []
+    for name, sd in recording_noise(flights).items():
+        channel = flights.channels[name]
+        if not sd > 0.0:
+            continue
+        noisy = flights.channels | {name: channel + sd * rng.standard_normal(flights.n)}
+        residual, slopes = state.responses.with_channels(noisy).linearise(state.theta, at)
+        dr = ((residual[:, keep] - state.residual) / state.noise_growth)[state.inside]
+        dS = np.zeros_like(S)
+        dS[:, :, parameters] = (slopes[:, keep] / state.noise_growth[:, :, None])[state.inside] - S[:, :, parameters]
+        added.append(np.mean(dr**2, axis=0) * weight)
+        biases.append(covariance @ np.einsum("mck,mc,c->k", dS, dr, weight))
+    if not np.any(added):
+        return {}
+    scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either
+    limits, whole = np.array(added).T / scale, np.ones(len(fit.variance))
+    most = [(0.0, min(1.0, SLOW * float(x))) for x in scale]
+    found = {}
+    for column, row in zip(fit.columns[np.isin(fit.columns, own)], np.array(biases).T / scale, strict=True):
+        lowest, highest = (sign * linprog(sign * row, limits, whole, bounds=most).fun for sign in (1.0, -1.0))
+        found[state.full.model.names[column]] = (float(lowest), float(highest))
+    return found
 
 
 def sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:

@@ -116,6 +116,6 @@ def widened(found: Extension, state: SelectionState, fit: Fit) -> Extension:
         wide = np.zeros(len(standing.sd)) if pair is None else np.sqrt(np.diag(pair[1]))
         candidate_scores.append(replace(standing, sd=tuple(np.maximum(standing.sd, wide))))
     closing = Step(None, float("nan"), replace(last, candidate_scores=tuple(candidate_scores)), float("nan"))
-    causes, minor = worth(state, told)
+    causes, minor = worth(state, fit, told)
     steps = (*found.steps, closing)
     return replace(found, state=state, fit=fit, steps=steps, sizes=told, causes=causes, minor=minor)

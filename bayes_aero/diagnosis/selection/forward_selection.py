@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.screening.accuracy import Size, sizes
+from bayes_aero.diagnosis.screening.accuracy import Size, largest_noise_bias, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
 from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
@@ -30,6 +30,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
+from bayes_aero.parameter import Parameter
 from bayes_aero.progress import Progress
 
 
@@ -101,12 +102,15 @@ def selected(
     state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
-    for number in range(most):
+    barred: tuple[str, ...] = ()
+    for number in range(most + state.settings.candidates_tried):
+        if len(state.active) - len(first.active) >= most:
+            break
         if progress:
-            progress("causes", number / most)
+            progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
-            step = _election(state, fit, seed + number, first=number == 0)
+            step = _election(state, fit, seed + number, barred, first=number == 0)
             winner = None if step.chosen is None else step.screening.of(step.chosen)
             standing_in = () if winner is None else _offsets_instead(state, fit, winner)
             if standing_in:
@@ -114,8 +118,12 @@ def selected(
         steps.append(step)
         if winner is None:
             break
-        state, fit = refitted(added(state, winner))
-        state, fit = _reconsidered(state, fit)
+        wider, wider_fit = refitted(added(state, winner))
+        if _of_noise(wider, wider_fit, winner.effect):
+            barred, steps[-1] = (*barred, winner.effect), replace(step, chosen=None)
+            continue
+        state, fit = _reconsidered(wider, wider_fit)
+        barred = ()  # with less left, noise can make less
     return Selected(first, first_fit, *_without_idle_offsets(state, fit), tuple(steps))
 
 
@@ -154,7 +162,7 @@ def sized(found: Selected) -> Extension:
     """What was added, with sizes, and which of it are causes."""
     state, fit = found.state, found.fit
     sizes_found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
-    causes, minor = worth(state, sizes_found)
+    causes, minor = worth(state, fit, sizes_found)
     return Extension(*found, sizes_found, causes, minor)
 
 
@@ -173,8 +181,21 @@ def _inflation(state: SelectionState, fit: Fit) -> float:
     )
 
 
-def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
+def _of_noise(state: SelectionState, fit: Fit, effect: str) -> bool:
+    """Whether noise of the recorded channels can make most of an addition: it is then none, and stays out.
+
+    Noise in a regressor makes of whatever moves with it a second recording of the same. In the model it would take over
+    much of the regressor's own slope.
+    """
+    bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
+    own = [name for name in state.full.parameters_of(effect) if name in bias]
+    return bool(own) and all(abs(away[n]) < 2.0 * abs(bias[n][int(away[n] > 0.0)]) for n in own)
+
+
+def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str], first: bool) -> Step:
     """The most explaining candidate that is beyond chance, large enough to matter and useful on folds left out.
+
+    Those that are `barred` do not stand.
 
     Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
     reported for every candidate.
@@ -183,12 +204,12 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
     found = screen(state, fit, seed=seed, nulls=first, noise=noise)
     able: list[tuple[CandidateScore, float]] = []
-    seen: set[str] = set()
+    seen = set(barred)
     for standing in found.candidate_scores:
         if standing.effect in seen:
             continue
         seen.add(standing.effect)
-        if len(seen) > settings.candidates_tried:
+        if len(seen) > settings.candidates_tried + len(barred):
             break
         if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
             continue
@@ -217,7 +238,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, first: bool) -> Step:
             continue
         if (p := look.p_value()) <= settings.refit_false_alarm_rate:
             return Step(standing.effect, p, found, gain)
-    highest = max((s.score for s in found.candidate_scores), default=0.0)
+    highest = max((s.score for s in found.candidate_scores if s.effect not in barred), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
 
 
@@ -286,7 +307,9 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
         elif best.effect != effect:
             more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
-                state, fit = refitted(added(removed(state, effect), best))
+                other, other_fit = refitted(added(removed(state, effect), best))
+                if not _of_noise(other, other_fit, best.effect):
+                    state, fit = other, other_fit
     return state, fit
 
 
@@ -301,18 +324,33 @@ def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float
     return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.variance_inflation)
 
 
-def worth(state: SelectionState, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(state: SelectionState, fit: Fit, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance.
 
-    One that was elected may turn out uncertain once the noise of the regressors is counted: then it is a nuisance, too.
+    One that was elected may turn out uncertain once the noise of the regressors is counted, or be no more than noise of
+    the recorded channels can make of nothing (see `largest_noise_bias`): then it is a nuisance, too.
     """
-    causes, minor = [], []
-    for name in state.active:
-        effect = next(e for e in state.full.candidates if e.name == name)
-        sized = [p for p in effect.parameters if p.name in effect.sizes and p.name in found]
-        away = {p.name: p.away(found[p.name].mean, found[p.name].sd) for p in sized}
-        (causes if large(effect, away, state.settings.least_score) else minor).append(name)
-    return tuple(causes), tuple(minor)
+    added = {e.name: e for e in state.full.candidates if e.name in state.active}
+
+    def large_ones(bias: Mapping[str, tuple[float, float]]) -> list[str]:
+        chosen = []
+        for name in state.active:
+            sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in found]
+            away = {p.name: _least_away(p, found[p.name], bias.get(p.name, (0.0, 0.0))) for p in sized}
+            if large(added[name], away, state.settings.least_score):
+                chosen.append(name)
+        return chosen
+
+    causes = large_ones(largest_noise_bias(state, fit)) if large_ones({}) else []
+    return tuple(causes), tuple(name for name in state.active if name not in causes)
+
+
+def _least_away(parameter: Parameter, size: Size, bias: tuple[float, float]) -> tuple[float, float]:
+    """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
+    ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
+    passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
+    nearest = min(ends, key=lambda end: abs(end[0]))
+    return (0.0, nearest[1]) if passes else nearest
 
 
 def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
