@@ -93,11 +93,11 @@ class Plane:
         star = self.alpha_star + np.array([-self.first, 0.0])
         return local, 0.5 * (1.0 - np.tanh(self.a1 * (local - star))) if self.stalls else np.ones(2)
 
-    def loads(self, x: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force (N) and moment (N m) of air and engines, body axes."""
+    def coefficients(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """CL, CD, CY, Cl, Cm, Cn."""
         V, alpha, beta = self.air_data(x)
         p, q, r = x[3:6]
-        elevator, aileron, rudder, left, right = controls
+        elevator, aileron, rudder = controls[:3]
         local, steady = self.halves(x)
         X = x[10:12] if self.tau1 else steady
         tail = (self.CLde_extra - self.Cmde * self.c / self.tail) * elevator
@@ -108,7 +108,13 @@ class Plane:
         Cl = self.Clbe * beta + self.Clp * ph + self.Clr * rh + self.Clda * aileron + self.Cldr * rudder
         Cn = self.Cnbe * beta + self.Cnbbb * beta**3 + self.Cnp * ph + self.Cnr * rh
         Cn += self.Cnda * aileron + self.Cndr * rudder
-        Cl, Cn = Cl + roll, Cn + yaw
+        return np.array([CL, CD, CY, Cl + roll, Cm, Cn + yaw])
+
+    def loads(self, x: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force (N) and moment (N m) of air and engines, body axes."""
+        V, alpha, _ = self.air_data(x)
+        left, right = controls[3:]
+        CL, CD, CY, Cl, Cm, Cn = self.coefficients(x, controls)
         pressure = 0.5 * self.density(x[9]) * V**2 * self.S
         left, right = left * (1.0 + self.uneven), right * (1.0 - self.uneven)
         thrust = left + right
@@ -179,6 +185,47 @@ class Strips(Plane):
         forward, down = lift * np.sin(alpha) - drag * np.cos(alpha), -lift * np.cos(alpha) - drag * np.sin(alpha)
         y = np.array([-1.0, 1.0]) * 2.0 / (3.0 * np.pi)  # spans
         return np.array([self.CL0 + tail + lift.sum(), CD, y @ down, -y @ forward])
+
+
+@dataclass(frozen=True)
+class Fighter(Plane):
+    """A small fighter whose coefficients are polynomials of the angle of attack, sideslip, rates and controls; nothing
+    separates. Form and size are those of a published global model, numbers rounded, the centre of gravity 5 % of the
+    chord ahead of the reference. Source: E. A. Morelli, "Global nonlinear parametric modeling with application to F-16
+    aerodynamics", American Control Conference, 1998."""
+
+    mass: float = 9300.0
+    Ix: float = 12.9e3
+    Iy: float = 75.7e3
+    Iz: float = 85.6e3
+    Ixz: float = 1.3e3
+    S: float = 27.9
+    c: float = 3.45
+    b: float = 9.14
+    engine_arm: float = 0.0
+    engine_drop: float = 0.0
+    tail: float = 5.0
+    station: float = 0.0
+    stalls: bool = False
+
+    def coefficients(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        V, a, beta = self.air_data(x)
+        de, da, dr = controls[:3]
+        ph, qh, rh = x[3] * self.b / (2.0 * V), x[4] * self.c / (2.0 * V), x[5] * self.b / (2.0 * V)
+
+        def of(*factors: float) -> float:
+            return float(np.polyval(factors[::-1], a))
+
+        CX = of(-0.02, 0.21, 0.70, -0.90) - 0.29 * de**2 - 0.21 * a * de + of(0.5, 8.6, 11.0, -74.0, 61.0) * qh
+        CZ = of(-0.14, -4.2, 4.8, -10.0, 8.4) * (1.0 - beta**2) - 0.44 * de + of(-30.0, -4.0, 50.0) * qh
+        CY = -1.15 * beta + 0.06 * da + 0.16 * dr + of(-0.1, 0.5) * ph + of(0.9, 0.5, -4.0) * rh
+        Cl = of(-0.106, -0.58, 0.0, 3.5, -2.8) * beta + of(-0.41, 0.2, 1.3) * ph + of(0.06, 0.5, 0.6) * rh
+        Cl += of(-0.13, 0.02, 0.3) * da + of(0.02, 0.03, -0.1) * dr
+        Cm = of(-0.02, 0.05, 0.0) + of(-0.6, -0.08, 0.5) * de + 0.08 * de**2 + of(-5.2, -3.6, -10.0) * qh + 0.05 * CZ
+        Cn = of(0.30, 0.07, -2.1, 0.85) * beta + of(-0.03, -0.4, 0.6) * ph + of(-0.37, -0.2, 0.5) * rh
+        Cn += of(-0.03, 0.1) * da + of(-0.09, 0.05, 0.2) * dr
+        lift, drag = CX * np.sin(a) - CZ * np.cos(a), -CX * np.cos(a) - CZ * np.sin(a)
+        return np.array([lift, drag, CY, Cl, Cm, Cn])
 
 
 def _kept(X: np.ndarray) -> np.ndarray:

@@ -61,6 +61,7 @@ class DiagnosisSettings:
     unnamed_false_alarm_rate: float = 0.015  # of each family: functions of a channel, periods, terms
     unnamed_tried: int = 5  # leaders whose hold-out gain is measured
     unnamed_most: int = 3  # functions taken one after another
+    terms_most: int = 6  # of one coefficient; our choice
     unnamed_share: float = 0.1  # of the remaining variance: less is not worth a verdict
     periodic_share: float = 0.25  # the same of a sinusoid: noise alone draws a fifth of the variance into one
     single_share: float = 0.3  # the same on a single manoeuvre: its parts share their slow noise and confirm little

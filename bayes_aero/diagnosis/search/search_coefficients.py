@@ -62,7 +62,7 @@ def search_coefficients(
     return SearchResult(
         full,
         (*named, (COEFFICIENTS, aerodynamics)),
-        (*_described(left.unknown, found), *offsets_found(aerodynamics)),
+        (*_described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
         noise_report(aerodynamics, outliers),
         (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
         (*failures, *failed),
@@ -74,9 +74,10 @@ def search_coefficients(
 
 def _described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
     """Structure by the first function that shows it, where terms describe all of it."""
-    known = {term.coefficient for term in found.terms}
+    known = {term.coefficient: term for term in reversed(found.terms)}
     first = {u.coefficient: u for u in reversed(unknown)}
-    return tuple(u for u in unknown if u.coefficient not in known or u is first[u.coefficient])
+    more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
+    return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
 
 
 def _filtered(flights: Flights) -> tuple[str, ...]:

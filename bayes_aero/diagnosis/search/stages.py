@@ -55,7 +55,7 @@ def search_in_stages(
             begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
         state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
         found = forward_selection(state, seed=seed + 1000, progress=progress)
-        while left := offsets_left(found.state, seed=seed + 1500):
+        if left := offsets_left(found.state, seed=seed + 1500):
             state = moved(state, begin, apart=(*found.state.apart, *left))
             found = forward_selection(state, seed=seed + 1000, progress=progress)
         return found

@@ -137,16 +137,21 @@ def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
 
 
 def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out."""
+    narrow = state.columns() if narrow is None else narrow
+    return holdout_deviance(state, narrow) - holdout_deviance(state, wide)
+
+
+def holdout_deviance(state: SelectionState, columns: np.ndarray) -> float:
+    """Deviance of folds that were left out, each with these columns fitted to the others.
 
     From inner products alone, for thousands of fits; `LeftOut` has the residuals.
     """
-    narrow = state.columns() if narrow is None else narrow
-    used = np.unique(np.concatenate([wide, narrow, state.offsets]))
+    used = np.unique(np.concatenate([columns, state.offsets]))
     products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
-    wide, narrow, offsets = (np.searchsorted(used, columns) for columns in (wide, narrow, state.offsets))
+    columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
 
-    def deviance(fold: int, columns: np.ndarray) -> float:
+    def deviance(fold: int) -> float:
         """n log(mean square) over outputs of the fold; offsets are its own."""
         step = products.without(fold).fit(columns, mean, precision).step
         parameters = ~np.isin(columns, offsets)
@@ -156,7 +161,7 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
         n = float(left.count.sum())
         return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
 
-    return float(np.sum([deviance(fold, narrow) - deviance(fold, wide) for fold in range(len(state.folds))]))
+    return float(np.sum([deviance(fold) for fold in range(len(state.folds))]))
 
 
 def addition_gain(state: SelectionState, wide: np.ndarray) -> float:

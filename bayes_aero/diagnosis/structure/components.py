@@ -20,7 +20,7 @@ from bayes_aero.physics.coefficient_names import LATERAL
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 _OVER_TIME = " over time, period "
-ODD = ("beta", "p", "r", "phi", "aileron", "rudder", "ay")
+ODD = ("beta", "p", "r", "aileron", "rudder")
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
 
 

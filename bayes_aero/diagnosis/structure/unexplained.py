@@ -34,6 +34,7 @@ from bayes_aero.diagnosis.structure.components import (
     share_of,
     with_components,
 )
+from bayes_aero.diagnosis.terms.columns import term_of
 from bayes_aero.inference.variance.variance_inflation import nats
 
 
@@ -62,22 +63,27 @@ class _Found(NamedTuple):
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
     state, found = extension.state, list[_Found]()
-    for number in range(state.settings.unnamed_most):
+    for number in range(max(state.settings.unnamed_most, len(state.outputs))):
         one = _best(state, [f.component for f in found], seed + number)
         if one is None:
             break
         found.append(one)
         state = one.state
     if found:
-        return _left(extension, found, superfluous(state, extension.causes, [f.component for f in found]))
+        replaced = superfluous(state, extension.causes, [f.component for f in found])
+        labels = {f.component.label for f in found}
+        return _left(extension, found, tuple(name for name in replaced if not _is_line(state, name, labels)))
     stand_in = _proxies(extension, seed)
     return Left((), ()) if stand_in is None else _left(extension, [stand_in], extension.causes)
 
 
-def offsets_found(extension: Extension) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient whose constant differs between manoeuvres, and additions that explain that about as well."""
+def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
+    """Each coefficient whose constant differs between manoeuvres, and additions that explain that about as well.
+
+    Terms explain the `idle` ones.
+    """
     state, found = extension.state, []
-    for name in state.apart:
+    for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
         less, fit = fewer.fit(), state.fit()
         ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
@@ -119,6 +125,15 @@ def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ..
             unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
     functions = tuple(one.component for one in found if one.change is None)
     return Left(tuple(unknown), replaced, tuple(changes), functions)
+
+
+def _is_line(state: SelectionState, effect: str, labels: set[str]) -> bool:
+    """Whether an effect is a term of a channel, of which a function of the same channel has all."""
+    term = term_of(state, effect)
+    if term is None:
+        return False
+    coefficient = term.component.label.split(" over ")[0]
+    return any(f"{coefficient} over {channel}" in labels for channel in term.term.channels)
 
 
 def _constants(state: SelectionState) -> set[str]:

@@ -21,6 +21,9 @@ from bayes_aero.residuals.output_error import OutputError
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
 
 
+SAME = 0.999  # squared cosine of what an effect and a term do to a coefficient, beyond which they are one; our choice
+
+
 @dataclass(frozen=True)
 class Column:
     """A term of one coefficient as these flights show it: `component` is what `scale` times the term adds to the
@@ -76,6 +79,20 @@ def _flown(state: SelectionState, coefficient: str) -> list[Column]:
         for term, S, size, x in zip(terms, slopes, scale, series, strict=True)
         if np.isfinite(size) and size > 0.0
     ]
+
+
+def term_of(state: SelectionState, effect: str) -> Column | None:
+    """The term of one coefficient that an effect of one parameter is, by another name; None where it is none."""
+    one = next(e for e in state.full.model.effects if e.name == effect)
+    acts_on = {name.removesuffix("_attached") for name in one.example.increments}
+    if len(one.parameters) > 1 or len(acts_on) > 1 or not acts_on <= set(state.outputs):
+        return None
+    (coefficient,) = acts_on
+    at, found = state.outputs.index(coefficient), columns_of(state, coefficient)
+    L = np.stack([column.component.basis[:, at, 0] for column in found])
+    x = state.S[:, at, state.full.own_columns(effect)[0]]
+    alike = (L @ x) ** 2 / np.maximum(np.sum(L**2, axis=1) * (x @ x), 1e-300)
+    return found[int(np.argmax(alike))] if np.max(alike, initial=0.0) > SAME else None
 
 
 def _component(coefficient: str, term: Term, basis: Float[np.ndarray, "m c 1"]) -> Component:

@@ -217,4 +217,4 @@ def _told(
     gain = holdout_deviance_gain(trial, np.concatenate([trial.columns(), columns]))
     others = tuple((r.column.term, r.weight) for r in own[1:])
     share = share_of(trial, columns)
-    return Found(first.column, gain, share, standing.variance_inflation, first.weight, others, p), elsewhere
+    return Found(first.column, gain, share, standing.variance_inflation, first.weight, others, p, 1), elsewhere

@@ -42,6 +42,7 @@ class Found:
     weight: float
     others: tuple[tuple[Term, float], ...]
     p_value: float
+    among: int  # terms of which it was chosen
 
 
 def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: int) -> list[Found]:
@@ -57,7 +58,7 @@ def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: i
         The terms, the first added first; empty where none predicts as well.
     """
     columns, found = columns_of(state, coefficient), list[Found]()
-    for number in range(state.settings.unnamed_most):
+    for number in range(state.settings.terms_most):
         one = _next(state, columns, [f.column for f in found], seed + number)
         if one is None:
             break
@@ -110,7 +111,7 @@ def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Col
         return None
     others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
     others.sort(key=lambda other: -other[1])
-    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others), p)
+    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others), p, len(columns))
 
 
 def _ranked(trial: SelectionState, fit: Fit) -> tuple[list[int], Float[np.ndarray, " j"], float]:

@@ -205,8 +205,9 @@ def _offsets(u: UnexplainedStructure) -> str:
     rivals = f" {several(u.rivals)} would explain them about as well and cannot be told from them." if u.rivals else ""
     return (
         f"Offset: the constant of {u.coefficient} differs between manoeuvres ({u.share:.0%} of the remaining "
-        f"variance), from that of the first by {sizes}. A sensor bias, a wrong weight, or a trim, flap or throttle "
-        f"set between them makes such offsets; only what moves within a manoeuvre tells which.{rivals}"
+        f"variance), from that of the first by {sizes}. A sensor bias, a wrong weight, a trim, flap or throttle "
+        f"set between them, or a form of {u.coefficient} that does not hold over all of them makes such offsets; only "
+        f"what moves within a manoeuvre tells which.{rivals}"
     )
 
 
