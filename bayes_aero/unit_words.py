@@ -70,7 +70,7 @@ _WORDS: dict[str, str] = {
     "kg m^2": "kgm2",
     "kg/m^3": "kgm3",
     "Hz": "hz",
-    "%": "% pct percent prct pc %rpm %n1",
+    "%": "% pct percent prct pc %rpm %n1 %n2",
     "1": "1 - -- none nd n/d nondim dimensionless unitless ratio fraction frac mach",
 }
 _FOLDED: dict[str, tuple[str, ...]] = {word: (unit,) for unit, text in _WORDS.items() for word in text.split()}

@@ -74,7 +74,14 @@ def check(
 
 
 def _tell(console: Console, report: CheckReport) -> None:
-    from bayes_aero.report.text.check import card_sentences, headline, left_over, sensor_sentences, use_sentences
+    from bayes_aero.report.text.check import (
+        card_sentences,
+        headline,
+        left_over,
+        sensor_sentences,
+        unused_columns,
+        use_sentences,
+    )
     from bayes_aero.report.text.consistency import sizes
 
     doubt, told = report.consistency.disagrees, sensor_sentences(report)
@@ -82,8 +89,8 @@ def _tell(console: Console, report: CheckReport) -> None:
         console.print(f"! {caution}", style="yellow")
     if doubt:
         console.print(f"! {told[0]}", style="yellow")
-    for record in report.records:
-        _tell_record(console, record)
+    for record, unused in zip(report.records, unused_columns(report), strict=True):
+        _tell_record(console, record, unused)
     for sentence in (*card_sentences(report), *use_sentences(report), *told[doubt:]):
         console.print(sentence)
     for name, error in report.sensors.errors.items():
@@ -95,7 +102,7 @@ def _tell(console: Console, report: CheckReport) -> None:
     console.print(headline(report), style=f"bold {colour}")
 
 
-def _tell_record(console: Console, r: RecordReport) -> None:
+def _tell_record(console: Console, r: RecordReport, unused: tuple[str, ...]) -> None:
     from bayes_aero.report.tables.channels import channel_table, sampling
     from bayes_aero.report.text.check import part_sentences
 
@@ -106,8 +113,8 @@ def _tell_record(console: Console, r: RecordReport) -> None:
     console.print(channel_table(r).terminal())
     if r.missing:
         console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
-    if r.unused:
-        console.print(f"in the file, not on the card: {', '.join(r.unused)}")
+    if unused:
+        console.print(f"in the file, not on the card: {', '.join(unused)}")
     for sentence in (*r.remarks, *part_sentences(r)):
         console.print(sentence, soft_wrap=True)
     for problem in r.problems:

@@ -21,11 +21,12 @@ from bayes_aero.errors import InputError
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     """Why a single manoeuvre of so many seconds (of whole blocks) has no folds; empty where it has."""
     shortest = settings.shortest_part * settings.gap
+    enough = 2.0 * shortest + 1.0  # whole blocks are less than the record
     if int(seconds / shortest) >= 2:
         return ""
     return (
-        f"a single manoeuvre of {seconds:.3g} s is too short to be predicted from its own parts; give one of "
-        f"{2 * shortest:.0f} s at least, or a second one"
+        f"a single manoeuvre of {seconds:.3g} s is too short to be predicted from its own parts; "
+        f" give one of {enough:.0f} s at least, or a second one"
     )
 
 

@@ -8,7 +8,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.unit_words import spellings
 from bayes_aero.units import canonical
 
-__all__ = ["ALIASES", "is_command", "plain_heading", "split_heading", "symbol_of"]
+__all__ = ["ALIASES", "is_command", "plain_heading", "side_of", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
@@ -97,8 +97,10 @@ ALIASES: dict[str, str] = (
 )
 """Channel by what a heading is called in lower case, without blanks, underscores and units."""
 
-_NO_UNIT_OF_A_NAME = frozenset("1 - -- none nd ratio fraction frac mach min mins minute h hr hour rpm bar".split())  # noqa: SIM905
-"""Words that end names for other reasons: "thrust_1", "alpha_min"."""
+_NO_UNIT_OF_A_NAME = frozenset(
+    "1 - -- none nd ratio fraction frac mach min mins minute h hr hour rpm bar n1 n2 n3".split()  # noqa: SIM905
+)
+"""Words that end names for other reasons: "thrust_1", "alpha_min", "engine_N2"."""
 
 _IN_NAME = {"ktas": "kt", "kcas": "kt", "kias": "kt", "nx": "g", "ny": "g", "nz": "g", "nzcg": "g", "loadfactor": "g"}
 _IN_NAME |= dict.fromkeys(("rpm", "enginerpm", "proprpm"), "rpm")
@@ -120,6 +122,22 @@ def plain_heading(heading: str) -> str:
     kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
     named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
     return "_".join(kept) + unit if named else heading
+
+
+_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
+_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
+_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
+_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
+
+
+def side_of(heading: str) -> tuple[str, str] | None:
+    """The heading without the word for one of two sides or engines, and "left" or "right": "net_thrust_1"."""
+    bracketed = _BRACKETS.match(heading.strip())
+    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    words = _PARTS.split(_NUMBERED.sub(r"\1 \2", " ".join(filter(None, _PARTS.split(name.lower())))))
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    rest = [word for word in words if word not in _SIDES and word not in _AROUND]
+    return ("_".join(rest) + unit, sides[0]) if len(sides) == 1 and rest else None
 
 
 def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:

@@ -168,3 +168,17 @@ def test_a_sign_or_unit_that_other_channels_refute_is_doubted(program, flights, 
     for record, doubted in ((flights.sound, False), ("other.csv", True)):
         cautions = json.loads(program("check", record, "--no-sensors", "--json").out)["cautions"]
         assert any(words in caution for caution in cautions) == doubted, cautions
+
+
+def test_columns_that_the_card_does_not_map_are_listed_once(program, flights):
+    """Two parts of one file, and one with another column."""
+    table = pd.read_csv(flights.sound).assign(spare=1.0)
+    table.iloc[:500].to_csv("a.csv", index=False)
+    table.iloc[500:].to_csv("b.csv", index=False)
+    table.iloc[500:].assign(other=2.0).to_csv("c.csv", index=False)
+    out = " ".join(program("check", "a.csv", "b.csv", "c.csv", "--no-sensors").out.split())
+    listed = [part.split(".csv")[0] for part in out.split("in the file, not on the card: ")[1:]]
+    assert len(listed) == 2
+    assert "'spare'" in listed[0]
+    assert "'other'" not in listed[0]
+    assert "'spare', 'other'" in listed[1]

@@ -82,7 +82,7 @@ def test_some_seconds(program, tmp_path):
     short = Short(25.0, 6.0, derived=("density", "mach"), sections=("sensors", "tolerances"))
     found = climbed(program, tmp_path, short, quick=True)
     assert "diagnose: not possible, a single manoeuvre of 6 s is too short" in found["check"][1]
-    assert "give one of 12 s at least, or a second one" in found["diagnose"][1]
+    assert "give one of 13 s at least, or a second one" in found["diagnose"][1]
 
 
 @pytest.mark.verify

@@ -101,6 +101,22 @@ def test_a_narrow_terminal_folds_changes_and_loses_no_digit():
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_words_keep_room_on_a_terminal_of_80_columns():
+    """A long name, unit and range beside them do not press them to two letters a line."""
+    shown = printed(
+        Table([
+            Column(["calibrated_airspeed", "density"], terminal="channel"),
+            Column(["'Calibrated airspeed, boom, corrected [kt]'", "'rho'"], terminal="taken from", words=True),
+            Column(["lbf/ft^2 → kg/m^3", "slug/ft^3 → kg/m^3"], terminal="unit → inside"),
+            Column(["-0.0015791 to -0.0016104", "0.0015791 to 0.0016104"], terminal="range in the file"),
+            Column(["sign reversed, does not move", ""], terminal="", words=True),
+        ])
+    )  # fmt: skip
+    assert max(map(len, shown.splitlines())) <= 80
+    for word in ("calibrated_airspeed", "corrected", "reversed,", "slug/ft^3", "-0.0016104"):
+        assert word in shown
+
+
 def test_a_terminal_shows_the_units_of_outputs():
     """Units in square brackets are no markup."""
     text = printed(error_table(flight().flown), 100)

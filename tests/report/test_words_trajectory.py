@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
+
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.trajectories.results import LagTest
+from bayes_aero.report.text.phrases import nats_text
 from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 
@@ -73,3 +76,11 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
 def test_a_cause_without_which_nothing_flies_needs_no_number(simulated):
     alone = replace(simulated, asked=Confirmation(("a",), {"a": (float("inf"), 0.0)}))
     assert cause_sentences(alone) == ["Removing a degrades the prediction of hold-out trajectories."]
+
+
+@pytest.mark.parametrize(
+    ("gain", "sd", "text"),
+    [(-269.3, 34.8, "-269 ± 35 nats"), (0.04, 0.02, "less than 0.1 nats"), (0.31, 0.24, "+0.3 ± 0.2 nats")],
+)
+def test_a_gain_is_never_nothing_plus_or_minus_nothing(gain, sd, text):
+    assert nats_text(gain, sd, "+") == text

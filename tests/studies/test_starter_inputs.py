@@ -63,3 +63,73 @@ def test_legacy_units_come_through(tmp_path, layout, density):
     assert ("density" in card.derived) == (not density)
     assert card.aircraft.mass == pytest.approx(390 * LB * G / FOOT)
     assert [f.sentence for f in channel_health([read], card) if f.grave] == []
+
+
+def starter_of(tmp_path, *, without=(), **columns):
+    """The starter card of a flight with these columns beside, as TOML, and its text."""
+    record = flight(0, seconds=30.0)
+    base = {"time": record.time, "alpha_deg": np.rad2deg(record["alpha"]), "theta_deg": np.rad2deg(record["theta"])}
+    base |= {"ax": record["ax"], "az": record["az"], "TAS [m/s]": record["airspeed"], "alt [m]": record["altitude"]}
+    both = {name: x for name, x in (base | columns).items() if name not in without}
+    path = tmp_path / "run.csv"
+    np.savetxt(path, np.stack(list(both.values()), axis=1), delimiter=",", header=",".join(both), comments="")
+    text = starter_card(path).text
+    return tomllib.loads(text), text
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("net_thrust_1", "net_thrust_2"), ("Thrust Eng1", "Thrust Eng2"), ("thrust_port", "thrust_stbd"),
+        ("engine_thrust_left", "engine_thrust_right"), ("Left engine net thrust", "Right engine net thrust"),
+        ("netthrst_l", "netthrst_r"),
+    ],
+)  # fmt: skip
+def test_the_thrust_of_one_side_is_never_the_whole(tmp_path, left, right):
+    thrust = 3000.0 + 100.0 * np.sin(flight(0, seconds=30.0).time)
+    made, _ = starter_of(tmp_path, **{left: thrust, right: thrust + 50.0})
+    assert {n: c["label"] for n, c in made["channels"].items() if "thrust" in n} == {
+        "thrust_left": left, "thrust_right": right,
+    }  # fmt: skip
+    assert made["sums"]["thrust"] == ["thrust_left", "thrust_right"]
+
+
+def test_what_the_file_has_is_not_said_to_be_missing(tmp_path):
+    thrust = np.full(751, 3000.0) + np.arange(751)
+    made, text = starter_of(tmp_path, thrust_left=thrust, **{"rho [kg/m^3]": np.full(751, 830.0) + np.arange(751)})
+    assert made["constants"]["thrust"] == "TODO"
+    assert "only thrust_left was" in text
+    assert 'density = "standard atmosphere" # guess; what the file has was not taken' in text
+    assert "ot recorded" not in text
+
+
+@pytest.mark.parametrize("altitude", [True, False])
+@pytest.mark.parametrize(
+    ("unit", "size"), [("kg/m^3", 1.0), ("slug/ft^3", 515.3788), ("lb/ft^3", 16.018463), ("g/m^3", 1e-3)]
+)
+def test_the_unit_of_a_density_is_that_of_the_air(tmp_path, unit, size, altitude):
+    rho = standard_air(flight(0, seconds=30.0)["altitude"])[0]
+    made, _ = starter_of(tmp_path, without=() if altitude else ("alt [m]",), rho=rho / size)
+    assert made["channels"]["density"]["unit"] == unit
+
+
+@pytest.mark.parametrize("unit", ["rad/s", "deg/s"])
+def test_rates_of_one_instrument_have_one_unit(tmp_path, unit):
+    """The roll rate shows its unit by the bank angle; pitch and yaw rate, by themselves, could be of either."""
+    record, size = flight(0, seconds=30.0), 1.0 if unit == "rad/s" else np.rad2deg(1.0)
+    rates = {"p": size * record["p"], "q": size * record["q"], "r": size * record["r"]}
+    made, _ = starter_of(tmp_path, without=("theta_deg",), phi_deg=np.rad2deg(record["phi"]), **rates)
+    assert [made["channels"][name]["unit"] for name in "pqr"] == [unit] * 3
+    told = {"r [rad/s]": record["r"], "p": rates["p"], "q": rates["q"]}
+    made, _ = starter_of(tmp_path, without=("theta_deg",), phi_deg=np.rad2deg(record["phi"]), **told)
+    assert made["channels"]["r"]["unit"] == "rad/s"  # what the file says itself stays
+    assert made["channels"]["p"]["unit"] == unit  # and so does what the data say
+
+
+@pytest.mark.parametrize(
+    ("heading", "size", "unit"), [("eng N2", 85.0, "%"), ("N1", 80.0, "%"), ("N2", 14000.0, "rpm")]
+)
+def test_spool_speeds_are_no_forces(tmp_path, heading, size, unit):
+    _, text = starter_of(tmp_path, **{heading: size + 0.01 * np.arange(751)})
+    (line,) = [line for line in text.splitlines() if f'label = "{heading}"' in line]
+    assert f'unit = "{unit}"' in line

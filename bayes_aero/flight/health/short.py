@@ -30,8 +30,9 @@ def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
         if motion >= ends
         else f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
     )
+    least, has = np.ceil(10.0 * needed) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
     sentence = (
-        f"the record is too short: {lasts:.3g} s, and {needed:.2g} s are needed ({why}); estimates can be off by "
+        f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by "
         "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
     )
     return [found(record, "record", "short", sentence, at=(0, record.n - 1))]

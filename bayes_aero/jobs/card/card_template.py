@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,7 @@ LATERAL = ("p", "r")
 HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
 LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
 STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
+SPOOL = re.compile(r"(?<![A-Za-z0-9])N[123](?![0-9])", re.IGNORECASE)  # a heading's word for the speed of a spool
 KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
 
 
@@ -138,7 +140,7 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
             yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
             yield f"# {entry}"
             if name in NEEDED:
-                yield from _absent(name, place)
+                yield from _absent(name, place, "what the file has was not taken")
             continue
         yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
     if unknown:
@@ -150,11 +152,19 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if column.values is None:
             yield comment(f"{column.place}: no numbers")
             continue
-        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        said = column.unit or (split_heading(column.label)[1] if column.label else None) or _of_spool(column)
         unit = _text(canonical(said) or said)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
+
+
+def _of_spool(column: RawColumn) -> str:
+    """Unit of an engine speed, N1 or N2, by its size; "?" of anything else."""
+    if column.label is None or column.values is None or not SPOOL.search(column.label):
+        return "?"
+    size = float(np.nanmax(np.abs(column.values), initial=0.0))
+    return "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
 
 
 def _place(column: RawColumn) -> str:
@@ -166,14 +176,14 @@ def _range(values: np.ndarray) -> str:
     return f"{sound.min():.5g} to {sound.max():.5g}" if len(sound) else "no finite number"
 
 
-def _absent(name: str, place: str) -> Iterator[str]:
+def _absent(name: str, place: str, why: str = "was not found in the file") -> Iterator[str]:
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
     if name in ACCELERATIONS:
         yield comment(f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:")
         yield f'# {name} = {{ {place} = "...", unit = "{unit}" }}'
         return
-    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(what + "; was not found in the file")}'
+    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(f"{what}; {why}")}'
 
 
 def _implausible(name: str, guess: Guess) -> str:
@@ -234,9 +244,10 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
         yield from (f'# {name} = "{ATMOSPHERE}"' for name in absent)
         yield ""
     if derived:
-        yield "# Not recorded; formed from other channels. The day's air is unlike a standard one by some per cent."
+        yield "# Formed from other channels. The day's air is unlike a standard one by some per cent."
         yield "[derived]"
-        yield from (f'{name} = "{rule}" # guess' for name, rule in derived.items())
+        for name, rule in derived.items():
+            yield f'{name} = "{rule}" # guess; {"what the file has was not taken" if name in found else "not found"}'
         yield ""
     lines = []
     engine = next((name for name in ENGINE if name in found), None)
@@ -245,13 +256,21 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
     if "density" not in found and "density" not in derived:
         lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
     if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
-        lines.append(
-            'thrust = "TODO" # total net thrust, e.g. "2500 N"; was not found in the file. Drag is as good as this'
-        )
-    lines += [f'{name} = "0 rad/s" # guess: not recorded, taken as zero' for name in LATERAL if name not in found]
+        lines.append(f'thrust = "TODO" # total net thrust, e.g. "2500 N"; {_thrust_of(found)}. Drag is as good as this')
+    lines += [
+        f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
+    ]
     lines += _still(found)
     if lines:
         yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
+
+
+def _thrust_of(found: Mapping[str, Guess]) -> str:
+    """What the file has of the thrust."""
+    sides = [name for name in ("thrust_left", "thrust_right") if name in found]
+    if not sides:
+        return "was not found in the file"
+    return f"only {sides[0]} was" if len(sides) == 1 else "both sides were found, but not taken"
 
 
 def _still(found: Mapping[str, Guess]) -> Iterator[str]:
@@ -260,9 +279,11 @@ def _still(found: Mapping[str, Guess]) -> Iterator[str]:
     if not absent or "theta" not in found or "altitude" not in found:
         return
     if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
-        yield from (f'{name} = "0 {LEVEL[name]}" # guess: not recorded; it did not roll or yaw' for name in absent)
+        yield from (
+            f'{name} = "0 {LEVEL[name]}" # guess: found under no heading; it did not roll or yaw' for name in absent
+        )
     else:
-        yield f"# {', '.join(absent)}: not recorded, and it rolled or yawed. Without them sensors go unchecked."
+        yield f"# {', '.join(absent)}: found under no heading, and it rolled or yawed. Sensors go unchecked."
 
 
 def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:

@@ -11,7 +11,8 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.aliases import ALIASES, is_command, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.aliases import ALIASES, is_command, plain_heading, side_of, split_heading, symbol_of
+from bayes_aero.flight.health.standard import standard_air
 from bayes_aero.flight.reading.raw import RawColumn
 from bayes_aero.jobs.card.column_statistics import FAINT, SI, Guess, alike, largest, slope_of, smooth, step_of
 from bayes_aero.physics.atmosphere import GRAVITY
@@ -20,7 +21,6 @@ from bayes_aero.units import canonical, to_si
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
 TURN, TURNING = 6.4, ("phi", "psi")  # rad; a heading in radians reaches 6.28, a bank in a roll, too
-THIN = 0.004  # kg/m3; slug/ft3 at sea level are 0.0024, and no aircraft flies where air is as thin in kg/m3
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
 USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
 UNTOLD = 0.2  # logarithm of a ratio, within which short records cannot tell two pairs; our choice
@@ -47,6 +47,7 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
     found = _rates_of_rates(found)
     found = _accelerations(found)
     found = _speed_and_height(found)
+    found = _density(found)
     found = _dynamic_pressure(found)
     found = {name: _by_size(guess) for name, guess in found.items()}
     found = _elevator(found)
@@ -69,9 +70,15 @@ def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
         heading = plain_heading(name)
         key = split_heading(heading)[0]
         channel = ALIASES.get(key)
+    if channel is None and (sided := side_of(name)) is not None:
+        channel = ALIASES.get(split_heading(sided[0])[0])
+        channel = f"{channel}_{sided[1]}" if f"{channel}_{sided[1]}" in SI else None
+        heading, evidence = (sided[0], f"{evidence}, the {sided[1]} one") if channel else (heading, evidence)
     if channel is None and loose and len(key) > 3 and not is_command(name):
         close = get_close_matches(key, ALIASES, n=1, cutoff=ALIKE)
         channel = ALIASES[close[0]] if close else None
+        if sided is not None and f"{channel}_{sided[1]}" in SI:
+            channel = f"{channel}_{sided[1]}"  # one of two, not the whole
         evidence += f" resembles {close[0]!r}" if close else ""
     symbol = symbol_of(name) if channel is None and loose else None
     if symbol is not None:
@@ -120,25 +127,34 @@ def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
 
 
 def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
-    """Unit and sign of a rate from the attitude that it changes."""
+    """Unit and sign of each rate from the attitude that it changes; what that does not tell goes with the others.
+
+    One instrument gives all three: a small rate in degrees is as large as another in radians.
+    """
     step = step_of(found)
-    for name, attitude in (("p", "phi"), ("q", "theta"), ("r", "psi")):
+    for name, attitude in (("p", "phi"), ("q", "theta")):  # heading alone tells little of the yaw rate
         guess, angle = found.get(name), found.get(attitude)
-        if guess is None:
+        if guess is None or angle is None or step is None:
             continue
-        slope = None
-        if step is not None and angle is not None:
-            turning = np.gradient(smooth(np.unwrap(angle.si))) / step
-            slope = slope_of(guess.values, turning) if alike(smooth(guess.values), turning) else None
-        if slope is None or abs(slope) < 1e-3 or name == "r":  # heading alone tells little of the yaw rate
-            unit = guess.unit or ("deg/s" if largest(guess) > ANGLE or _degrees(found) else "rad/s")
-            found[name] = guess if guess.unit else guess.because(f"it reaches {largest(guess):.3g}", unit=unit)
+        turning = np.gradient(smooth(np.unwrap(angle.si))) / step
+        slope = slope_of(guess.values, turning) if alike(smooth(guess.values), turning) else None
+        if slope is None or abs(slope) < 1e-3:
             continue
         unit = guess.unit or ("rad/s" if abs(slope) > math.sqrt(math.pi / 180.0) else "deg/s")
         expected = 1.0 if unit == "rad/s" else math.pi / 180.0
         found[name] = guess.because(
             f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
         )
+    rates = [found[name] for name in ("p", "q", "r") if name in found]
+    known = {guess.unit: guess.channel for guess in rates if guess.unit is not None}
+    reach = max((largest(guess) for guess in rates), default=0.0)
+    for guess in rates:
+        if guess.unit is None and len(known) == 1:
+            unit, beside = next(iter(known.items()))
+            found[guess.channel] = guess.because(f"as {beside}", unit=unit)
+        elif guess.unit is None:
+            unit = "deg/s" if reach > ANGLE or _degrees(found) else "rad/s"
+            found[guess.channel] = guess.because(f"the rates reach {reach:.3g}", unit=unit)
     return found
 
 
@@ -235,6 +251,27 @@ def _turning_speed(found: Mapping[str, Guess]) -> float | None:
     return slope_of(turn, normal)
 
 
+def _density(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit in which it is that of a standard atmosphere at the altitude, else what dynamic pressure and airspeed make,
+    else that of some air."""
+    guess, height = found.get("density"), found.get("altitude")
+    speed, pressure = found.get("airspeed"), found.get("dynamic_pressure")
+    middle = 0.0 if guess is None else float(np.median(guess.values))
+    if guess is None or guess.unit is not None or not middle > 0.0:
+        return found
+    rho, why = MIDDLING, "flight goes on"
+    if height is not None:
+        rho, why = float(np.median(standard_air(height.si)[0])), "a standard atmosphere has at the altitude"
+    elif speed is not None and pressure is not None and pressure.unit is not None:
+        rho = float(np.median(2.0 * pressure.si / np.maximum(speed.si, 1.0) ** 2))
+        why = "dynamic pressure and airspeed make"
+    units = ["kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3", *(["g/cm^3"] if height is not None else [])]
+    sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # slug/ft^3 and g/cm^3 are a factor 2 apart
+    unit = min(sizes, key=lambda u: abs(math.log(middle * sizes[u] / max(rho, 1e-3))))
+    why = f"it is {middle * sizes[unit] / max(rho, 1e-3):.2g} times what {why} in {unit}"
+    return found | {"density": guess.because(why, unit=unit)}
+
+
 def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:
     """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
     guess, speed = found.get("dynamic_pressure"), found.get("airspeed")
@@ -262,7 +299,6 @@ def _by_size(guess: Guess) -> Guess:
         **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
         **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
         "engine_speed": "rpm",
-        "density": "slug/ft^3" if middle < THIN else "kg/m^3",
         "calibrated_airspeed": "m/s",
         "radio_altitude": "ft" if size > 13_000.0 else "m",
     }

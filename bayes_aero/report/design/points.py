@@ -19,7 +19,9 @@ def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
     columns = [
         Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
         Column([str(p["manoeuvre"]).replace("_", " ") for p in points], "manoeuvre", "manoeuvre", "manoeuvre"),
-        Column([p["amplitude"] for p in points], "amplitude", "amplitude", "size", form=".1f"),
+        Column(
+            [p["amplitude"] for p in points], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"
+        ),
         Column([p["airspeed"] for p in points], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
         Column([p["altitude"] for p in points], "altitude", "from altitude\n[m]", form=".0f"),
         Column([p["seconds"] for p in points], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
@@ -68,8 +70,8 @@ def _of_people(name: str, pair: Sequence[float] | None) -> str:
 def order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
     """What to fly, in the order of flying."""
     flown = [
-        f"{str(p['manoeuvre']).replace('_', ' ')} (amplitude {p['amplitude']:g}, {p['airspeed']:.0f} m/s, "
-        f"{p['seconds']:.0f} s)"
+        f"{str(p['manoeuvre']).replace('_', ' ')} ({p['amplitude']:g} times the standard input, "
+        f"{p['airspeed']:.0f} m/s, {p['seconds']:.0f} s)"
         for p in points
     ]
     return f"Next test points, in this order: {several(flown)}."

@@ -22,6 +22,7 @@ from bayes_aero.report.text.check import (
     left_over,
     part_sentences,
     sensor_sentences,
+    unused_columns,
     use_sentences,
 )
 from bayes_aero.report.text.consistency import sizes
@@ -95,10 +96,11 @@ def _sensors(report: CheckReport) -> tuple[Block, ...]:
 
 
 def _channels(report: CheckReport) -> tuple[Block, ...]:
-    return (*(_table(r) for r in report.records), *bullets(card_sentences(report)))
+    tables = (_table(r, unused) for r, unused in zip(report.records, unused_columns(report), strict=True))
+    return (*tables, *bullets(card_sentences(report)))
 
 
-def _table(r: RecordReport) -> Fold:
+def _table(r: RecordReport, columns: tuple[str, ...]) -> Fold:
     absent = [f"On the card, not in the file (not required): {', '.join(r.missing)}."] if r.missing else []
-    unused = [f"In the file, not on the card: {', '.join(r.unused)}."] if r.unused else []
+    unused = [f"In the file, not on the card: {', '.join(columns)}."] if columns else []
     return Fold(r.path, (page_table(channel_table(r)).lean(), *bullets([*absent, *unused, *r.remarks])))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # check shows tables, and does not wait for pandas
 
 NONE = "–"
 NORMAL95 = 1.959964
+NARROWEST = 12  # letters that a column of words keeps, if a word is as long
 Form = str | int | Callable[[Any], str]
 """How a value is written: a format specification, how many significant digits, or a function."""
 Heads = str | tuple[str, ...] | None
@@ -147,12 +148,15 @@ class Table:
         for k, c in enumerate(columns):
             left = k == 0 or c.words or any(isinstance(x, str) for x in c.values)
             most = 12 if self.dense and not left else None
-            folds = bool(most) or c.words or any(isinstance(x, Change) for x in c.values)
+            spaced = left and any(isinstance(x, str) and " " in x for x in c.values)
+            folds = bool(most) or c.words or spaced or any(isinstance(x, Change) for x in c.values)
+            longest = max((len(word) for x in c.values if isinstance(x, str) for word in x.split()), default=0)
             shown.add_column(
                 Text(c.terminal or ""),
                 justify="left" if left else "right",
                 overflow="fold" if folds else "ellipsis",
                 max_width=most,
+                min_width=min(longest, NARROWEST) if folds and left else None,
                 no_wrap=not folds,
             )
         cells = ([cell_text(x, c.terminal_form or c.form, concise, "\n") for x in c.values] for c in columns)

@@ -27,6 +27,12 @@ def part_sentences(record: RecordReport) -> list[str]:
     return sentences
 
 
+def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
+    """Columns of each record that the card does not map; of records with the same ones, at the first of them."""
+    seen: set[tuple[str, ...]] = set()
+    return [() if r.unused in seen or seen.add(r.unused) else r.unused for r in report.records]
+
+
 def card_sentences(report: CheckReport) -> list[str]:
     """Channels that the card adds to the files."""
     card = report.card

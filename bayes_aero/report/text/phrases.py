@@ -75,6 +75,14 @@ def plus_minus(value: float, sd: float) -> str:
     return f"{value:z.{places}f} ± {sd:.{places}f}"
 
 
+def nats_text(gain: float, sd: float, sign: str = "") -> str:
+    """A gain in log density with its standard error: "−269 ± 35 nats", "0.4 ± 0.3 nats", "less than 0.1 nats"."""
+    if max(abs(gain), sd) < 0.1:
+        return "less than 0.1 nats"
+    places = 0 if sd >= 0.5 else 1
+    return f"{gain:{sign}z.{places}f} ± {sd:.{places}f} nats"
+
+
 def concise(value: float, sd: float) -> str:
     """`value(sd)` with two digits of sd, counted in the last digits of the value: -0.391(16)."""
     if not (np.isfinite(sd) and sd > 0.0):

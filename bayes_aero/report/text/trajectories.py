@@ -12,7 +12,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.tolerances import TOLERANCES
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short, size_text
+from bayes_aero.report.text.phrases import SYMBOLS, for_people, nats_text, several, short, size_text
 
 MODELS = ("card", "extended")
 STOPPED = "stopped before the optimum, so its errors may be too large"
@@ -105,7 +105,7 @@ def lag_sentences(flown: Trajectories) -> list[str]:
         return []
     elpd, elpd_se = lag.unseen
     if not lag.kept:
-        asked = f", hold-out {elpd:+z.0f} ± {elpd_se:.0f} nats" if math.isfinite(elpd) else ""
+        asked = f", hold-out {nats_text(elpd, elpd_se, '+')}" if math.isfinite(elpd) else ""
         gained = f"fit {lag.gain:+.1f} nats{asked}" if math.isfinite(lag.gain) else "its fit did not converge"
         why = "give a size that is too small to be named" if lag.slight else "do not support it"
         return [f"The coefficients do not decide on {lag.effect}; the trajectory data {why} ({gained})."]
@@ -116,7 +116,7 @@ def lag_sentences(flown: Trajectories) -> list[str]:
     return [
         f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on "
         f"it; it "
-        f"gains {lag.gain:.0f} nats in the trajectory fit and {elpd:z.0f} ± {elpd_se:.0f} nats on hold-out flights."
+        f"gains {lag.gain:.0f} nats in the trajectory fit and {nats_text(elpd, elpd_se)} on hold-out flights."
     ]
 
 
@@ -124,7 +124,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
     """Which confirmed causes the hold-out trajectories need, and by how much."""
     missed, kept, sentences = flown.asked.missed, flown.asked.kept, []
     if flown.out:
-        gains = [f"{e} (by {missed[e][0]:+z.0f} ± {missed[e][1]:.0f} nats)" for e in flown.out]
+        gains = [f"{e} (by {nats_text(*missed[e], '+')})" for e in flown.out]
         them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
         sentences.append(
             f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
@@ -134,7 +134,7 @@ def cause_sentences(flown: Trajectories) -> list[str]:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
         least_of = f"least for {least}, " if len(kept) > 1 else ""
-        listed = f" ({least_of}by {missed[least][0]:z.0f} ± {missed[least][1]:.0f} nats)" if least else ""
+        listed = f" ({least_of}by {nats_text(*missed[least])})" if least else ""
         sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
     return sentences
 

@@ -13,6 +13,8 @@ from scipy.ndimage import uniform_filter1d
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import UNITS, G, card, changed, flight, put, smooth
 
+from bayes_aero.diagnosis.folds import too_short
+from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.dynamics.path.flight_path import path_states
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
@@ -432,6 +434,16 @@ def test_two_rates_are_said_in_hertz():
 @pytest.mark.parametrize(("seconds", "short"), [(2.4, True), (4.0, True), (8.0, False)])
 def test_a_record_must_cover_what_the_aircraft_does(seconds, short):
     assert (("short", "record") in told(flight(21, seconds=seconds))) == short
+
+
+@pytest.mark.parametrize("seconds", [2.96, 3.0, 4.76])
+def test_what_is_needed_is_never_what_there_is(seconds):
+    """120 chords of 2 m at some 80 m/s are 3 s; 30 samples of 0.04 s are a quarter of 4.8 s."""
+    found = [f for f in channel_health([flight(21, seconds=seconds)], card()) if f.fault == "short"]
+    has, needed = re.search(r"too short: ([\d.]+) s, and ([\d.]+) s are needed", found[0].sentence).groups()
+    assert float(has) < float(needed)
+    asked = [float(x) for x in re.findall(r"([\d.]+) s", too_short(2.0 * DEFAULT.shortest_part * DEFAULT.gap - 0.01))]
+    assert asked[0] < asked[1]
 
 
 def test_time_in_seconds_that_the_card_takes_for_milliseconds():
