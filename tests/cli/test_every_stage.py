@@ -1,5 +1,5 @@
-"""Every command on records of some seconds with channels and entries of the card left out: it ends in a sentence, and
-the page says what could not be done.
+"""Every command on records of some seconds, with every shipped card, and with channels and entries of a card left out:
+it ends in a sentence, and the page says what could not be done.
 
 A few are fixed. `make verify` draws three at random, other ones each time, and says their seed; with `FUZZ=20` in the
 environment twenty.
@@ -9,11 +9,24 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
 from fuzzing import FACTOR
 from short_records import Short, drawn
+
+from bayes_aero.diagnosis import candidate_set
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
+from bayes_aero.inference.likelihood.disturbed import GUSTS
+from bayes_aero.model.joined_records import plain_marks
+from bayes_aero.model.model import Model
+from bayes_aero.simulate.sensor_faults import misrecorded
 
 CODES = {0, 1, 2, 3}
 DEFECT = re.compile(r"defect of the program|Traceback|\b[A-Z]\w*(Error|Warning|Exception)\b")
@@ -95,3 +108,87 @@ def test_any_short_record(program, tmp_path, capsys):
         folder = tmp_path / str(number)
         folder.mkdir()
         climbed(program, folder, short, quick=False)
+
+
+CARDS = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*.toml"))
+SLOW = ("attas", "basic_lateral", "stall_six")  # minutes; the others are of every kind
+SOUND = 324.6  # m/s, at 4000 m
+
+
+@pytest.fixture(scope="module")
+def gusty():
+    """Two short manoeuvres of the aircraft of `full_six` in gusts, with all that the shipped cards read."""
+    a, rng, found = read_card("full_six").aircraft, np.random.default_rng(5), {}
+    same = {"mass": a.mass, "Ix": a.Ix, "Iy": a.Iy, "Iz": a.Iz, "Ixz": a.Ixz, "S": a.wing_area, "c": a.chord}
+    same |= {"b": 2.0 * a.half_span, "tail": a.tail_arm, "engine_arm": a.engine_arm, "engine_drop": a.engine[2]}
+    absent = dict.fromkeys(("CLde_extra", "CYr", "CYdr", "Cldr", "Cnda"), 0.0)
+    plane = stranger_six.Plane(**six.ATTACHED, **same, **absent, nose=a.accelerometer)
+    for kind in ("elevator", "rudder"):
+        flight = stranger_six.fly(plane, kind, rng, seconds=9.0, gust=0.5)
+        shown = six.recorded(flight, rng)
+        t, V = shown.pop("time"), shown["airspeed"]
+        shown |= {f"{n}_dot": np.gradient(flight[n], t) + 1e-3 * rng.standard_normal(len(t)) for n in "pqr"}
+        shown |= {"v": V * np.sin(shown["beta"]), "w": V * np.sin(shown["alpha"]), "mach": V / SOUND}
+        shown |= {"aileron_right": shown["aileron"], "aileron_left": -shown["aileron"]}
+        found[kind] = shown | {"thrust": shown["thrust_left"] + shown["thrust_right"]}
+    return t, found
+
+
+def read_by(name, gusty, folder):
+    """The card and files that it reads, with the errors of sensors that it states."""
+    card, (t, flights) = read_card(name), gusty
+    suffix, paths = ".csv" if all(c.label for c in card.channels) else ".asc", []
+    for kind, true in flights.items():
+        shown, paths = true, [*paths, folder / f"{kind}{suffix}"]
+        if card.linear is None:
+            model = Model.from_card(card)
+            stated = {p.name: p.start for p in model.free} | dict(model.fixed)
+            shown = misrecorded(model, stated, true, plain_marks(len(t), t[1] - t[0], 0), card.aircraft)
+        write_record(FlightRecord.from_arrays(kind, t, shown, "simulated"), paths[-1], card.channels)
+    return card, paths
+
+
+def stages_of(found):
+    """Stages in which effects were screened."""
+    return {row["stage"] for row in found["screening"]}
+
+
+def of_cards(slow):
+    return [pytest.param(n, marks=[pytest.mark.verify] if n in slow else []) for n in CARDS]
+
+
+@pytest.mark.parametrize("noise", ["--process-noise", "--no-process-noise"])
+@pytest.mark.parametrize("name", of_cards(SLOW))
+def test_every_shipped_card_is_flown_to_the_end(name, noise, gusty, program, tmp_path):
+    card, paths = read_by(name, gusty, tmp_path)
+    found = told(program, tmp_path, "fly", *paths, "--model", name, noise, "--no-figures", out="flown")[2]
+    assert found is not None
+    assert (found.get("process_noise") is not None) == (noise == "--process-noise" and found["converged"])
+    if found.get("process_noise") and len(card.axes) == 2:
+        assert {"phi", "theta", "psi"} <= set(found["process_noise"]["process_noise"])
+
+
+@pytest.mark.parametrize("noise", ["--process-noise", "--no-process-noise"])
+@pytest.mark.parametrize("name", of_cards((*SLOW, "full_six", "hfb320")))
+def test_every_shipped_card_is_diagnosed_to_the_end(name, noise, gusty, program, tmp_path):
+    card, paths = read_by(name, gusty, tmp_path)
+    asked = ("diagnose", *paths, "--model", name, noise, "--no-predictors", "--no-figures")
+    code, said, found = told(program, tmp_path, *asked, out="diagnosed")
+    if card.linear is not None:
+        assert code == 2
+        assert f"card {name} states a linear system, which has no effects; use one with [model]" in said
+        return
+    assert found is not None
+    assert ("innovations" in stages_of(found)) == (noise == "--process-noise")
+
+
+@pytest.mark.recovery
+def test_a_card_of_six_axes_is_diagnosed_in_gusts(gusty, program, tmp_path, monkeypatch):
+    """The filter's states are angles of attitude, those of a simulation a quaternion. Few candidates compile sooner."""
+    card, paths = read_by("full_six", gusty, tmp_path)
+    kept = (*card.effects, "sideslip_scale", "elevator_lift", "aileron_yaw", *GUSTS, "lateral_gust")
+    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in kept})
+    asked = ("--process-noise", "--no-predictors", "--no-trajectories", "--no-figures", "--max-effects", 1)
+    _, said, found = told(program, tmp_path, "diagnose", *paths, "--model", "full_six", *asked, out="diagnosed")
+    assert found is not None, said
+    assert stages_of(found) == {"innovations"}
