@@ -148,9 +148,10 @@ def _stages(
             kept.judged(_judged(kept.outcome.view, records, card))
             if not options.trajectories and diagnosis.causes:
                 kept.note("Without trajectories no cause was tested on hold-out flights.")
-        elif flown := kept.outcome.view.trajectories:
-            doubtful = sensors_not_missed(diagnosis, flown.asked)
-            kept.judged(judged_on_held_out_flights(diagnosis, doubtful) if doubtful.missed else diagnosis)
+        elif (flown := kept.outcome.view.trajectories) and (
+            doubtful := sensors_not_missed(diagnosis, flown.asked)
+        ).missed:
+            kept.judged(judged_on_held_out_flights(diagnosis, doubtful))
         drawn = following.result()
     if kept.path is not None:
         drawn |= drawings(kept, late, progress)
