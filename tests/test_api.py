@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.figure
 import numpy as np
@@ -13,8 +15,11 @@ import xarray as xr
 
 import bayes_aero as ba
 from bayes_aero.cli.identify import identify as command
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.health import channel_health
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
 from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.report.tables.comparison import ordered
 
@@ -105,5 +110,28 @@ def test_diagnosed_says_what_the_view_holds(diagnosed, card):
     assert found.verdict == a_view.diagnosis.verdict.value
     assert set(found.table()["cause"]) == set(found.causes)
     assert found.sentences[0]
+    assert found.doubts == []
     assert {"name", "score", "p_value"} <= set(found.screen().columns)
     assert isinstance(ba.plot(found), matplotlib.figure.Figure)
+
+
+def test_a_record_given_twice_is_a_doubt_of_a_diagnosis(diagnosed, card):
+    record = diagnosed.records[0]
+    checks = RecordChecks(channel_health([record, replace(record, name="copy")], card), Consistency("not asked for"))
+    found = ba.Diagnosed(diagnosed.view, card, checks)
+    assert any("copy: is the same record as" in said for said in found.doubts)
+    assert found.sentences[: len(found.doubts)] == found.doubts
+
+
+def test_whatever_reads_records_makes_the_same_checks():
+    """Health, identity and consistency are asked for at one place, and every command gets there."""
+    package = Path(ba.__file__).parent
+    source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
+    alone = re.compile(r"(?<!def )\b(channel_health|consistency|same_records)\(")
+    assert {name for name, text in source.items() if alone.search(text)} == {
+        "flight/health/__init__.py",
+        "jobs/steps/record_checks.py",
+    }
+    makes = {name for name, text in source.items() if "record_checks(" in text}
+    jobs = {f"jobs/{name}.py" for name in ("check", "identify", "fly", "diagnose", "handover/qualify")}
+    assert makes == {"jobs/steps/record_checks.py", "explore/opened.py", "api.py", *jobs}

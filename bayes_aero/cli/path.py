@@ -58,8 +58,8 @@ def path(
 
     Recorded accelerations and rates are integrated. Their biases, scale and bias of flow angles and airspeed, the
     position and delay of the vane and the wind are fitted to airspeed, flow angles, attitude and altitude by output
-    error. corrected/ has the records without these errors. Exit code 0: converged; 1: not; 3: the
-    records are in doubt.
+    error. corrected/ has the records without these errors. Exit code 0: converged; 1: not; 3: a
+    channel is faulty.
 
     With --process-noise gusts.csv has the gusts that vane and pitot tube met.
 
@@ -80,11 +80,11 @@ def path(
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
     print_failures(console, found.failures)
-    print_doubts(console, found.consistency, found.health, corrects=True)
+    print_doubts(console, None, found.health, corrects=False)  # whether sensors agree is what the fit answers
     print_fit(console, found, out)
     if not found.flown.converged:
         raise typer.Exit(FAILED)
     exit_if_failed(found.failures)
     if found.flown.worse:
         raise typer.Exit(DOUBT)
-    exit_in_doubt(found.consistency, found.health, corrects=True)
+    exit_in_doubt(None, found.health, corrects=False)

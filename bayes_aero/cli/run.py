@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from bayes_aero.cli.terminal import FAILED, JsonOption, bar, interruptible, loading, print_failures, print_json, teller
+from bayes_aero.cli.terminal import (
+    DOUBT,
+    FAILED,
+    JsonOption,
+    bar,
+    interruptible,
+    loading,
+    print_failures,
+    print_json,
+    teller,
+)
 from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 
@@ -64,7 +74,8 @@ def run(
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
     with loading():
-        from bayes_aero.study.run import leftovers, plan
+        from bayes_aero.study.run import UNITS, leftovers, plan
+        from bayes_aero.study.summary import doubts_of
 
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
@@ -84,11 +95,14 @@ def run(
         told, verdict, unwritten = _done(asked, folder, planned, (workers, memory, scheduler))
         rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
         failed = [row for row in rows if row["state"] != "done"]
-        _tell(console, folder, failed, (len(told), len(planned)), (verdict, unwritten))
+        doubts = {p.unit.name: doubts_of(p.unit, folder / UNITS) for p in planned}
+        _tell(console, folder, failed, doubts, (len(told), len(planned)), (verdict, unwritten))
         if json:
             print_json(_content(asked, folder, rows))
         if failed or unwritten:
             raise typer.Exit(FAILED)
+        if any(doubts.values()):
+            raise typer.Exit(DOUBT)
 
 
 def _done(
@@ -128,11 +142,15 @@ def _tell(
     console: Console,
     folder: Path,
     failed: list[dict[str, Any]],
+    doubts: Mapping[str, list[str]],
     counts: tuple[int, int],
     report: tuple[str, tuple[str, ...]],
 ) -> None:
-    """Failures, how many of all units were done now, the verdict, and where the results are."""
+    """Doubts, failures, how many of all units were done now, the verdict, and where the results are."""
     (now, every), (verdict, unwritten) = counts, report
+    for name, said in doubts.items():
+        for sentence in said:
+            console.print(f"! {name}: {sentence}", soft_wrap=True)
     for row in failed:
         console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
     print_failures(console, unwritten)

@@ -15,7 +15,8 @@ from bayes_aero.study.case import MANIFEST
 from bayes_aero.study.study import Unit
 
 UNIT_COLUMNS = (
-    "unit", "state", "task", "records", "card", "effects", "noise", "split", "seed", "seconds", "verdict", "error",
+    "unit", "state", "task", "records", "card", "effects", "noise", "split", "seed", "seconds", "verdict", "doubts",
+    "error",
 )  # fmt: skip
 RESULT_COLUMNS = (
     "unit", "records", "card", "effects", "noise", "split", "seed", "method", "cause", "parameter", "unit_of_value",
@@ -42,6 +43,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
                 **about,
                 "seconds": manifest.get("seconds"),
                 "verdict": _verdict(unit, found),
+                "doubts": "; ".join(doubts_of(unit, folder)),
                 "error": manifest.get("error", ""),
             }
         )
@@ -70,6 +72,16 @@ def _json(path: Path) -> dict[str, Any]:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
+
+
+def doubts_of(unit: Unit, folder: Path) -> list[str]:
+    """What the results of a unit in `folder` say against its records, a sentence each; nothing of sound ones."""
+    found = _json(folder / unit.name / RESULTS[unit.task])
+    said = [str(finding["sentence"]) for finding in found.get("health", ()) if finding["grave"]]
+    outcome = str((found.get("consistency") or {}).get("outcome", ""))
+    corrected = unit.task == "diagnose" and outcome == "disagree_explained"
+    disagree = outcome.startswith("disagree") and not corrected
+    return said + (["the sensors disagree along the flight path (see the unit's report)"] if disagree else [])
 
 
 def _verdict(unit: Unit, found: dict[str, Any]) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -92,6 +95,22 @@ def test_a_report_of_the_check_is_written_on_request_only(program, flights, tmp_
         assert words in html
     assert "was not made" not in html
     assert json.loads((tmp_path / "checked" / "check.json").read_text())["usable"]
+
+
+@pytest.mark.parametrize("file", ["check.json", "report.html"])
+def test_a_full_disk_is_one_sentence(program, flights, tmp_path, monkeypatch, file):
+    write = Path.write_bytes
+
+    def full(path, content):
+        if file in path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    done = program("check", flights.sound, "--no-sensors", "--out", "checked")
+    assert done.code == 2
+    assert done.err == f"error: checked/{file}: No space left on device; check the path and the disk\n"
+    assert not (tmp_path / "checked" / file).exists()
 
 
 def test_an_unusable_record_has_a_report_that_says_why(program, flights, tmp_path):

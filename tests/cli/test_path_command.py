@@ -6,12 +6,21 @@ The flight is made of smooth attitudes and velocities; accelerations and rates f
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs import path as job
+from bayes_aero.jobs.io.fly_json import Flight
+from bayes_aero.jobs.options import FlyOptions
 
 CARD = """
 title = "Invented aircraft"
@@ -180,6 +189,45 @@ def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path):
     assert "no channel az" in done.err
     assert "Traceback" not in done.err
     assert not (tmp_path / "out" / "trajectories.json").exists()
+
+
+@pytest.fixture
+def corrected(monkeypatch):
+    """`path_records` of records that need no correction: what is left of it writes files."""
+    fit = Mock(spec=Flight, flown=Mock(spec=TrajectoryFit, converged=True))
+    monkeypatch.setattr(job, "fly_records", lambda *_, **__: fit)
+    monkeypatch.setattr(job, "corrected_records", lambda records, _: list(records))
+
+    def run(out, *names):
+        record = FlightRecord.from_arrays("flight", 0.02 * np.arange(60), {"q": np.zeros(60)})
+        card = replace(read_card("attas"), channels=(Channel("time", "s"), Channel("q", "rad/s")))
+        options = FlyOptions(flight_path=True)
+        out.mkdir(exist_ok=True)
+        job.path_records([replace(record, name=name) for name in names], card, options, out=out)
+        return sorted(p.name for p in (out / "corrected").iterdir())
+
+    return run
+
+
+def test_files_that_path_did_not_write_stay(tmp_path, corrected):
+    folder = tmp_path / "out" / "corrected"
+    assert corrected(tmp_path / "out", "one", "two") == ["one.csv", "two.csv", "written.json"]
+    (folder / "mine.csv").write_text("of the user\n")
+    (folder / "two.csv").write_text("changed by the user\n")
+    assert corrected(tmp_path / "out", "three") == ["mine.csv", "three.csv", "two.csv", "written.json"]
+    assert (folder / "mine.csv").read_text() == "of the user\n"
+    for name in ("mine", "two"):
+        with pytest.raises(InputError, match=rf"{name}\.csv is not as bayes-aero path wrote it, and would be replaced"):
+            corrected(tmp_path / "out", name)
+    assert (folder / "three.csv").is_file()
+    (folder / "written.json").write_text('{"files": {"../mine.csv": 3}}')
+    (tmp_path / "out" / "mine.csv").write_text("elsewhere")
+    assert corrected(tmp_path / "out", "four") == ["four.csv", "mine.csv", "three.csv", "two.csv", "written.json"]
+    assert (tmp_path / "out" / "mine.csv").is_file()
+
+
+def test_records_of_one_name_have_a_corrected_file_each(tmp_path, corrected):
+    assert corrected(tmp_path / "out", "run/1", "run_1") == ["run_1.csv", "run_1_2.csv", "written.json"]
 
 
 def first_order(rng, t, sd, seconds):

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from importlib import resources
 from pathlib import Path
 
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
 from calling import called
 
-from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.reading.read_record import read_records, write_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.handover.fitted_records import fitted_records
+from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.options import FlyOptions
+from bayes_aero.jobs.provenance.provenance import as_json, provenance
 
 QUICK = ("--no-sample", "--no-gp", "--no-figures")
 FEW = ("--draws", "100")
@@ -113,8 +122,94 @@ def test_bad_input_is_one_sentence(here, arguments, words):
 
 
 def test_records_that_changed_are_refused(here):
-    with Path("fitted.csv").open("a") as file:
-        file.write("\n")
-    refused(here("qualify", "results", *FEW), "the record fitted to which the model")
+    table = pd.read_csv("fitted.csv")
+    table.assign(ALCG=table["ALCG"] + 1e-6).to_csv("fitted.csv", index=False)
+    refused(here("qualify", "results", *FEW), "record fitted.csv has changed since results/results.json was made")
     Path("fitted.csv").unlink()
-    refused(here("qualify", "results", *FEW), "give all records of that run with --fitted")
+    refused(here("qualify", "results", *FEW), "give it with --records (open) or --fitted (qualify)")
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda t: t[[*reversed(t.columns)]], "is the same record as fitted"),
+        (lambda t: t.round(4), "is the same record as fitted"),
+        (lambda t: t.iloc[300:700], "is part of the same record as fitted"),
+        (lambda t: t.assign(T=t["T"] + 1000.0).iloc[::2], "is the same record as fitted"),
+    ],
+)
+def test_a_copy_of_a_fitted_record_is_no_new_one(here, changed, words):
+    changed(pd.read_csv("fitted.csv")).to_csv("new.csv", index=False)
+    refused(here("qualify", "results", "new.csv", *FEW), f"new {words}")
+
+
+def test_faults_of_a_new_record_are_told_first(here):
+    """In knots no flight can be simulated; an altitude in feet costs nothing that is compared."""
+    table = pd.read_csv("other.csv")
+    table.assign(VTASCG=table["VTASCG"] * 3600.0 / 1852.0).to_csv("knots.csv", index=False)
+    done = here("qualify", "results", "knots.csv", *FEW)
+    assert done.code == 2
+    assert done.err.startswith("error: knots: airspeed is in kt and not in m/s")
+    assert "leave this record out" in done.err
+    table.assign(HQNH=table["HQNH"] / 0.3048).to_csv("feet.csv", index=False)
+    done = here("qualify", "results", "feet.csv", *FEW)
+    assert done.code == 3, done.err
+    assert done.out.startswith("! feet: altitude is in ft and not in m")
+    found = json.loads(Path("qualification/qualification.json").read_text())
+    assert ("altitude", "unit") in {(f["channel"], f["fault"]) for f in found["health"] if f["grave"]}
+    assert "altitude is in ft" in Path("qualification/qualification.html").read_text()
+
+
+@pytest.fixture
+def reread(tmp_path, card, monkeypatch):
+    """`reread(made, *files)`: the records of a result made of `made`, found again as its JSON names them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["bayes-aero", "fly", "x@1:0", "--model", "other.toml", "--resample=7", "'"])
+
+    def again(made, *files):
+        source = json.loads(as_json(provenance(card, made, 0, {}, FlyOptions())))
+        return fitted_records(source, Path("results/trajectories.json"), card, files=files), source
+
+    return again
+
+
+def test_records_are_read_again_as_they_were_whatever_the_command_said(folder, card, reread):
+    shutil.copy(folder / "fitted.csv", "fitted.csv")
+    (part,) = read_records(["fitted.csv@30:60"], card.channels, resample=0.1)
+    cut = read_records(["fitted.csv"], card.channels)[0].window(40.0, 50.0)
+    found, source = reread([part, cut])
+    assert [r.content for r in found] == [part.content, cut.content]
+    assert [r.name for r in found] == ["fitted_30-60", cut.name]
+    assert source["inputs"][0]["read"] == {
+        "path": "fitted.csv", "part": "30:60", "resample": 0.1, "windows": [], "split": False,
+    }  # fmt: skip
+    assert source["options"]["windows"] == 12.0
+
+
+def test_records_are_found_by_their_content_and_not_by_their_name(folder, card, reread):
+    shutil.copy(folder / "fitted.csv", "fitted.csv")
+    made = read_records(["fitted.csv"], card.channels)
+    table = pd.read_csv("fitted.csv", dtype=str)
+    table[[*reversed(table.columns)]].to_csv("moved.csv", index=False)
+    Path("fitted.csv").unlink()
+    with pytest.raises(InputError, match=r"record fitted\.csv of .* is not where it was"):
+        reread(made)
+    with pytest.raises(InputError, match=r"record fitted\.csv of .* is not where it was"):
+        reread(made, folder / "other.csv")
+    ((found,), _) = reread(made, folder / "other.csv", Path("moved.csv"))
+    assert (found.name, found.content) == ("fitted", made[0].content)
+    with pytest.raises(InputError, match="was made in memory"):
+        reread([FlightRecord.from_arrays("mine", made[0].time, made[0].channels)])
+
+
+@pytest.mark.usefixtures("reread")
+def test_a_card_is_found_where_the_result_says(tmp_path):
+    text = shipped_cards()["attas"].read_text()
+    (tmp_path / "cards").mkdir()
+    (tmp_path / "cards" / "mine.toml").write_text(text)
+    own = read_card("cards/mine.toml")
+    source = json.loads(as_json(provenance(own, [], 0, {})))
+    assert card_of(source, Path("elsewhere/results.json"), None).path == "cards/mine.toml"
+    (tmp_path / "cards" / "mine.toml").write_text(text + "\n")
+    with pytest.raises(InputError, match="not found here unchanged"):
+        card_of(source, Path("elsewhere/results.json"), None)

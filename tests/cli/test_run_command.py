@@ -108,6 +108,29 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
 
 
 @pytest.mark.usefixtures("calls")
+def test_doubts_about_the_records_of_a_unit_are_told(program, folder, monkeypatch):
+    quick = units.run_task
+
+    def doubtful(unit, out, *_):
+        quick(unit, out)
+        biased = unit.shown[0].endswith("biased.csv")
+        fault = {"sentence": "biased: q is in deg/s", "grave": True}
+        told = json.loads((out / "results.json").read_text()) | {"health": [fault] * biased}
+        write_json(
+            told | {"consistency": {"outcome": "disagree_explained" if biased else "agree"}}, out / "results.json"
+        )
+
+    monkeypatch.setattr(units, "run_task", doubtful)
+    done = program("run", "study.toml")
+    assert done.code == 3, done.err
+    first, second = (line for line in done.out.splitlines() if line.startswith("! biased"))
+    assert first.endswith(": biased: q is in deg/s")
+    assert "the sensors disagree along the flight path" in second
+    table = pd.read_csv(folder / "study_results" / "units.csv").set_index("unit")["doubts"].fillna("")
+    assert [bool(said) for said in table] == [name.startswith("biased") for name in table.index]
+
+
+@pytest.mark.usefixtures("calls")
 def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatch):
     quick = units.run_task
 

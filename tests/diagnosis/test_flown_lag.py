@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from bayes_aero.diagnosis.candidate_set import candidate_model, lag_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
+from bayes_aero.diagnosis.search import search_trajectories
+from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
 from bayes_aero.diagnosis.trajectories.lag_test import confirmed, with_lag
 from bayes_aero.diagnosis.trajectories.results import LagTest, Path
@@ -48,6 +51,14 @@ def asked(card, hidden, seed):
         fits[name].append(found)
     without, within = (holdout_fits(c, fits[c.name], {}) for c in (plain, lagged))
     return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.variance_inflation), lagged
+
+
+@pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
+def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, broken):
+    monkeypatch.setattr(search_trajectories, "lag_of", broken)
+    lagged, failures = search_trajectories._asked_of_a_lag(Mock(spec=CandidateModel), Mock(spec=Extension), 0, None)
+    assert lagged is None
+    assert [told.split(":")[0] for told in failures] == ["Whether the separation point lags was not tested"]
 
 
 @pytest.mark.verify

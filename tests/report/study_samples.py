@@ -21,6 +21,7 @@ def told(folder, n=N, failed=(), seed=5):
             "state": ["failed" if k in failed else "done" for k in range(n)],
             "seconds": [float("nan") if k in failed else 2.0 for k in range(n)],
             "verdict": ["" if k in failed else "converged" for k in range(n)],
+            "doubts": ["the sensors disagree" if k == 1 else "" for k in range(n)],
             "error": ["no samples" if k in failed else "" for k in range(n)],
         }
     )

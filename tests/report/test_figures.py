@@ -101,7 +101,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     figure = Figure()
 
     def fails(partial, **_):
-        partial.write_bytes(b"half")
+        partial.write(b"half")
         raise OSError("disk full")
 
     monkeypatch.setattr(figure, "savefig", fails)

@@ -196,7 +196,7 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     def breaks(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr("bayes_aero.report.html.page.os.replace", breaks)
+    monkeypatch.setattr("bayes_aero.atomic_write.os.replace", breaks)
     with pytest.raises(OSError, match="disk full"):
         write_page(page_of(Text("second")), path)
     assert "first" in path.read_text()

@@ -52,6 +52,11 @@ def test_units_that_failed_come_first_with_their_reason(tmp_path):
     assert [row[1] for row in units.rows[1:]] == [str(k) for k in (1, 2, 3, 4, 6, 7)]
 
 
+def test_a_unit_whose_records_are_in_doubt_is_named(tmp_path):
+    page = study_page(told(tmp_path))
+    assert "Records are in doubt in 1 of 7 units: flight2-&lt;b&gt;: the sensors disagree." in render(page)
+
+
 def test_a_unit_leads_to_its_own_page_and_nothing_else_to_anywhere(tmp_path):
     (tmp_path / "units" / "flight2-<b>").mkdir(parents=True)
     (tmp_path / "units" / "flight2-<b>" / "report.html").write_text("x")

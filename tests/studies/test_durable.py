@@ -1,10 +1,11 @@
-"""Folders that appear whole: what a kill at any moment leaves, and a disk on which nothing can be written."""
+"""Files and folders that appear whole: what a kill at any moment leaves, and a disk on which nothing can be written."""
 
 from __future__ import annotations
 
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bayes_aero import atomic_write as durable
-from bayes_aero.atomic_write import beside, put_folder, sweep
+from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import InputError, no_space
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study.case import ERROR, MANIFEST, fail_unit, run_unit
@@ -150,6 +151,53 @@ def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path, given):
     )  # fmt: skip
     assert ended.stdout.startswith(f"InputError the disk of {tmp_path / 'units'} is full"), ended.stderr
     assert not list((tmp_path / "units").iterdir())
+
+
+@pytest.mark.parametrize("point", ["Path.write_bytes", "durable.sync", "durable.os.replace"])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES])
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch, point, number):
+    path = write_whole("before", tmp_path / "numbers.json")
+
+    def fails(*_):
+        raise OSError(number, os.strerror(number))  # as the system says it of an open file: without a name
+
+    owner, name = point.rsplit(".", 1)
+    monkeypatch.setattr({"Path": Path, "durable": durable, "durable.os": os}[owner], name, fails)
+    with pytest.raises(OSError, match=r"numbers\.json") as told:
+        write_whole(b"after", path, flush=True)
+    assert (told.value.errno, told.value.filename) == (number, str(path))
+    monkeypatch.undo()
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_histories_on_a_full_disk_are_an_error_and_no_crash(tmp_path):
+    """The system's own refusal, in a process of its own, which must end as any other does."""
+    code = (
+        "import resource, sys; from pathlib import Path; import numpy as np, xarray as xr\n"
+        "from bayes_aero.jobs.io.time_histories import put_histories\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "group = xr.Dataset({'x': ('sample', np.random.default_rng(0).normal(size=100_000))})\n"
+        "try: put_histories(lambda: {'one': group}, Path(sys.argv[1]))\n"
+        "except OSError as reason: print(reason.errno, reason.filename)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == f"{errno.EFBIG} {tmp_path / 'histories.nc'}\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_libraries_are_never_given_the_name_of_a_result_to_write_to():
+    """What they write goes to memory, and from there to the disk at one place."""
+    package, lone = (
+        Path(durable.__file__).parent,
+        re.compile(r"to_netcdf\((?!engine)|\.to_csv\((?!index|lineterm|\))|write_bytes\("),
+    )
+    found = {str(p.relative_to(package)) for p in package.rglob("*.py") if lone.search(p.read_text(encoding="utf-8"))}
+    assert found == {"atomic_write.py"}
 
 
 def test_a_page_that_finds_no_space_is_not_left_out_in_silence(tmp_path):

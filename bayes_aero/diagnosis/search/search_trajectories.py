@@ -73,9 +73,7 @@ def search_trajectories(
     whole = candidate_model(model, flights, extra, settings)
     state = _state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
     found = forward_selection(state, seed=seed, progress=progress)
-    lagged, failures = attempted(
-        "Whether the separation point lags was not tested", lambda: _with_lag(whole, found, seed, progress), None
-    )
+    lagged, failures = _asked_of_a_lag(whole, found, seed, progress)
     found = lagged or found
     left, failed = attempted(
         "The form of what the catalogue does not explain was not sought",
@@ -131,6 +129,15 @@ def _state(
     dynamics = replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
     return linearised(full, responses, responses.outputs, theta, active)
+
+
+def _asked_of_a_lag(
+    whole: CandidateModel, found: Extension, seed: int, progress: Progress | None
+) -> tuple[Extension | None, tuple[str, ...]]:
+    """`_with_lag`; or the sentence of a failure, which is no answer. Numbers that overflow are one."""
+    what = "Whether the separation point lags was not tested"
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        return attempted(what, lambda: _with_lag(whole, found, seed, progress), None)
 
 
 def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:

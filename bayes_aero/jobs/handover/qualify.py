@@ -111,10 +111,11 @@ def qualify_result(
     if progress:
         progress("do the sensors agree?", 0.0)
     checks = record_checks([*records, *new], card, options.seed, out)
-    flown, bands = _segments(source, card, records)
-    tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
-    unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
-    results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
+    with checks.behind():
+        flown, bands = _segments(source, card, records)
+        tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
+        unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
+        results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
     further = _further(source, card, flown, results.undecided, unknown)
     outside, region = _outside(flown, tested, results.strips)
     qualification = Qualification(

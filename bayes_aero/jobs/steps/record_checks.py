@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency
-from bayes_aero.errors import attempted
+from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding, channel_health
@@ -21,6 +22,15 @@ class RecordChecks:
     health: tuple[HealthFinding, ...]
     consistency: Consistency
     failures: tuple[str, ...] = ()
+
+    @contextmanager
+    def behind(self) -> Iterator[None]:
+        """Bad input that is found later is told with the faults that may be behind it."""
+        try:
+            yield
+        except InputError as reason:
+            faults = [finding.sentence for finding in self.health if finding.grave]
+            raise InputError(". ".join([*faults, str(reason)])) from None
 
 
 def record_checks(

@@ -114,6 +114,10 @@ def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
     if causes:
         listed = several(f"{cause} {n}" for cause, n in causes.most_common())
         sentences.append(f"Causes, in how many units of {done}: {listed}.")
+    doubtful = context.units[context.units["doubts"] != ""]
+    if len(doubtful):
+        listed = "; ".join(f"{name}: {said}" for name, said in zip(doubtful["unit"], doubtful["doubts"], strict=True))
+        sentences.append(f"Records are in doubt in {len(doubtful)} of {done} units: {listed}.")
     _, beyond = _beyond(found)
     if beyond:
         listed = several(f"{e.label} ({e.scatter / e.claimed:.1f} times)" for e in beyond)
