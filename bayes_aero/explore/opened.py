@@ -115,7 +115,9 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     whose = card_of(told["provenance"], file, card)
     command = COMMANDS[told["schema"].split("/")[1]]
     try:
-        records = fitted_records(told["provenance"], file, whose, folders=folders)
+        records = fitted_records(
+            told["provenance"], file, whose, remedy="give its folder with --records", folders=folders
+        )
         known = _errors(told, command), _departures(told, command)
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):

@@ -126,7 +126,9 @@ def test_records_that_changed_are_refused(here):
     table.assign(ALCG=table["ALCG"] + 1e-6).to_csv("fitted.csv", index=False)
     refused(here("qualify", "results", *FEW), "record fitted.csv has changed since results/results.json was made")
     Path("fitted.csv").unlink()
-    refused(here("qualify", "results", *FEW), "give it with --records (open) or --fitted (qualify)")
+    refused(
+        here("qualify", "results", *FEW), "is not where it was, nor beside the result, nor here; give it with --fitted"
+    )
 
 
 @pytest.mark.parametrize(
@@ -168,7 +170,7 @@ def reread(tmp_path, card, monkeypatch):
 
     def again(made, *files):
         source = json.loads(as_json(provenance(card, made, 0, {}, FlyOptions())))
-        return fitted_records(source, Path("results/trajectories.json"), card, files=files), source
+        return fitted_records(source, Path("results/trajectories.json"), card, remedy="give it", files=files), source
 
     return again
 

@@ -20,6 +20,7 @@ def fitted_records(
     result: Path,
     card: Card,
     *,
+    remedy: str,
     files: Sequence[Path] = (),
     folders: Sequence[Path] = (),
 ) -> list[FlightRecord]:
@@ -29,6 +30,7 @@ def fitted_records(
         provenance: of the result.
         result: its file.
         card: of the result.
+        remedy: what to do where one is not found, e.g. "give it with --fitted".
         files: where they are looked for first, whatever their names.
         folders: the same by their names; then at the paths that the result states, from the working directory, the
             result's folder and the one above it.
@@ -36,12 +38,26 @@ def fitted_records(
     Raises:
         InputError: one is not found, or its samples differ.
     """
-    return [_found(one, result, card, files, folders) for one in provenance["inputs"]]
+    found = []
+    for one in provenance["inputs"]:
+        _refuse_lost(one, result)
+        there = [path for path in _places(Path(one["read"]["path"]), result, files, folders) if path.is_file()]
+        record = _same(one, card, there)
+        if record is None:
+            changed = [path for path in there if path not in files]
+            where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
+            raise InputError(
+                f"record {changed[0]} has changed since {result} was made (its content differs); run the command "
+                f"again, or {remedy} as it was"
+                if changed
+                else f"record {Path(one['read']['path']).name} of {result} is not {where}; {remedy}"
+            )
+        found.append(replace(record, name=one["name"]))
+    return found
 
 
-def _found(
-    one: Mapping[str, Any], result: Path, card: Card, files: Sequence[Path], folders: Sequence[Path]
-) -> FlightRecord:
+def _refuse_lost(one: Mapping[str, Any], result: Path) -> None:
+    """Refuse a record that cannot be read again wherever it may be."""
     if "content" not in one:
         raise InputError(
             f"{result} was written by an earlier version, which did not state how it read its records; run the command "
@@ -52,26 +68,21 @@ def _found(
             f"record {one['name']} of {result} was made in memory, so that it cannot be read again; write it to a "
             "file, and run the command with that"
         )
-    there = [path for path in _places(Path(one["read"]["path"]), result, files, folders) if path.is_file()]
+
+
+def _same(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
+    """The record from the first file that is unchanged; else from one with the same samples, as written anew."""
     for path in there:
         if hashlib.sha256(path.read_bytes()).hexdigest() == one["sha256"]:
-            return replace(read_again(one["read"], path, card.channels), name=one["name"])
-    for path in there:  # written anew, with other columns or another format
+            return read_again(one["read"], path, card.channels)
+    for path in there:
         try:
             record = read_again(one["read"], path, card.channels)
         except InputError:
             continue
         if record.content == one["content"]:
-            return replace(record, name=one["name"])
-    option = "--fitted" if files else "--records" if folders else "--records (open) or --fitted (qualify)"
-    named = [path for path in there if path not in files]
-    if named:
-        raise InputError(
-            f"record {named[0]} has changed since {result} was made (its content differs); run the command again, or "
-            f"give the unchanged record with {option}"
-        )
-    where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
-    raise InputError(f"record {Path(one['read']['path']).name} of {result} is not {where}; give it with {option}")
+            return record
+    return None
 
 
 def _places(path: Path, result: Path, files: Sequence[Path], folders: Sequence[Path]) -> Iterator[Path]:

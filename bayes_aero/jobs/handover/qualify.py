@@ -102,7 +102,7 @@ def qualify_result(
     found, folder, told = read_finished(str(file), options.card)
     assert folder is not None
     card = card_of(told["provenance"], file, options.card)
-    records = fitted_records(told["provenance"], file, card, files=options.fitted)
+    records = fitted_records(told["provenance"], file, card, remedy="give it with --fitted", files=options.fitted)
     new = _new_records(tests, records, card)
     source = Source(found, folder, told)
     _flyable(source, new, options.gusts)
