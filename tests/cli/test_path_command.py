@@ -194,7 +194,7 @@ def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path):
 @pytest.fixture
 def corrected(monkeypatch):
     """`path_records` of records that need no correction: what is left of it writes files."""
-    fit = Mock(spec=Flight, flown=Mock(spec=TrajectoryFit, converged=True))
+    fit = Mock(spec=Flight, flown=Mock(spec=TrajectoryFit, converged=True, worse=False))
     monkeypatch.setattr(job, "fly_records", lambda *_, **__: fit)
     monkeypatch.setattr(job, "corrected_records", lambda records, _: list(records))
 
