@@ -81,9 +81,8 @@ def diagnose(
     within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
     hardly = stand_ins(candidates, found.by_stage, within)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
-    conditional = tuple(c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond))
     absurd, kept = beyond, tuple(name for name in kept if name not in {c.name for c in beyond})
-    causes, beyond = tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
+    causes, beyond = without_conditional(causes, beyond)
     unknown = (*found.unknown, *structure_of(found, (*unnamed, *absurd)))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     sampled, unsampled = _sampled(found, seed, progress) if ask else ((), ())
@@ -149,6 +148,14 @@ def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
 def _unasked(found: SearchResult) -> Asked:
     """The same where unseen data were not asked."""
     return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
+
+
+def without_conditional(
+    causes: Sequence[Cause], beyond: Sequence[Cause]
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+    """Causes, and `beyond` with those that were estimated together with one of them: these hold only beside it."""
+    conditional = [c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond)]
+    return tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
 
 
 def loses(cause: Cause, settings: DiagnosisSettings) -> bool:

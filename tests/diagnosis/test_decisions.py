@@ -212,3 +212,25 @@ def test_what_is_named_is_not_called_untestable_along_the_flight_path(diagnosed,
     unsure = replace(d, causes=(doubtful,))
     assert not contradictions(unsure)
     assert [e.name for e in errors_of_diagnosis(unsure).open] == ["accel_x_bias"]
+
+
+def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
+    """A bias of 10.7 m/s is larger than any sensor has; the scale holds only beside it."""
+    pair = ("airspeed_scale", "airspeed_bias")
+    scale, bias = (
+        replace(
+            cause(name, size, sd), kind="measurement", stage="flight path", joint={other: -0.97}, missed=(90.0, 5.0)
+        )
+        for name, other, size, sd in zip(pair, reversed(pair), (-0.0614, 10.7), (0.0043, 0.48), strict=True)
+    )
+    bias = replace(bias, implausible={"airspeed_bias": 8.0})
+    d = replace(diagnosed.view.diagnosis, causes=(scale,), beyond=(bias,))
+    assert contradictions(d)
+    causes, beyond = decided.without_conditional((scale,), (bias,))
+    assert (causes, beyond) == ((), (bias, scale))
+    d = replace(d, causes=causes, beyond=beyond)
+    assert not contradictions(d)
+    assert not advised(d, "airspeed_scale")
+    told = [s for s in diagnosis_sentences(d) if s.startswith("The estimate of airspeed_scale")]
+    assert "airspeed_bias (correlation -0.97)" in told[0]
+    assert decided.without_conditional((scale,), ()) == ((scale,), ())
