@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -298,13 +298,18 @@ def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
     return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
 
 
-def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation) -> Diagnosis:
-    """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are."""
-    causes = tuple(
-        replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
-        if c.name in confirmation.missed
-        else c
-        for c in found.causes
-    )
+def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()) -> Diagnosis:
+    """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are.
+
+    A cause with parameters that were `held` at their joint estimate in place of a fit was not tested: that estimate has
+    seen the flight, and confirms nothing.
+    """
+
+    def judged(c: Cause) -> Cause:
+        if c.name in confirmation.missed:
+            return replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
+        return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
+
+    causes = tuple(judged(c) for c in found.causes)
     verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
     return replace(found, causes=causes, verdict=verdict)

@@ -163,7 +163,10 @@ def _stages(
 def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
     """A diagnosis by trajectories alone with what hold-out flights and the sensors' noise say of it."""
     flown = view.trajectories
-    found = view.diagnosis if flown is None else judged_on_held_out_flights(view.diagnosis, flown.asked)
+    found = view.diagnosis
+    if flown is not None:
+        held = {name for names in flown.held.values() for name in names}
+        found = judged_on_held_out_flights(found, flown.asked, held)
     return with_tested(found, flown, records, card)
 
 

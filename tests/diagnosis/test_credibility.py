@@ -35,6 +35,7 @@ from bayes_aero.model.chosen import lengths_of
 from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.report.text.verdict import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
@@ -163,6 +164,15 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
     assert judged_on_held_out_flights(d, Confirmation((), {})) == d
+
+
+def test_a_cause_held_at_its_joint_estimate_is_not_tested_and_not_confirmed(diagnosed):
+    """The joint estimate has seen the flight that is left out."""
+    d = diagnosed.view.diagnosis
+    untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
+    found = judged_on_held_out_flights(untested, Confirmation((), {}), {"Cma2"})
+    assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
+    assert "named, but not tested on hold-out data: alpha_squared_moment" in verdict_sentence(found)
 
 
 def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(diagnosed):

@@ -125,5 +125,5 @@ def _why_not(cause: Cause) -> str:
     if cause.implausible:
         return "larger than on any aircraft: suspect another cause"
     if not cause.confirmed:
-        return "named, but not confirmed on hold-out data"
+        return f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
     return "named, but no more probable than its rivals"
