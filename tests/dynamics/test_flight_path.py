@@ -16,6 +16,7 @@ import scipy.io
 
 from bayes_aero.dynamics.path.flight_path import PathDynamics, path_states
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.inference.likelihood.output_error import fit_output_error
@@ -74,7 +75,7 @@ def gravity(monkeypatch):
 
 def fitted(flights, effects, own=(), fixed=None):
     """No priors; the boom's length is given."""
-    model = Model.of((*effects, "vane_position"), {"vane_position": BOOM})
+    model = Model.of((*effects, "vane_position"), {"vane_position": BOOM}, tuple(Axis))
     dynamics = PathDynamics(model, path_states(flights), flights.lengths, own)
     return fit_output_error(segments(flights, dynamics, fixed=fixed), prior_weight=0.0)
 
