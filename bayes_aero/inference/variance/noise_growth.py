@@ -7,6 +7,7 @@ weight.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -70,5 +71,5 @@ def _growth(residual: Float[np.ndarray, " m"], separated: Float[np.ndarray, " m"
 
     if not residual.any():  # no error, or no output
         return 0.0
-    found = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")
+    found: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")  # it has no types of its own
     return float(found.x) if found.fun < cost(0.0) else 0.0
