@@ -111,7 +111,6 @@ def test_any_short_record(program, tmp_path, capsys):
 
 
 CARDS = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*.toml"))
-SLOW = ("attas", "basic_lateral", "stall_six")  # minutes; the others are of every kind
 SOUND = 324.6  # m/s, at 4000 m
 
 
@@ -153,23 +152,26 @@ def stages_of(found):
     return {row["stage"] for row in found["screening"]}
 
 
-def of_cards(slow):
-    return [pytest.param(n, marks=[pytest.mark.verify] if n in slow else []) for n in CARDS]
+def each(*effects):
+    """Every card with and without process noise; of those with effects only these in every run, for they take long."""
+    pairs = [(name, noise) for name in CARDS for noise in ("--process-noise", "--no-process-noise")]
+    quick = [read_card(pair[0]).linear is not None or pair in effects for pair in pairs]
+    marks = [[] if soon else [pytest.mark.verify] for soon in quick]
+    given = [pytest.param(*pair, marks=own) for pair, own in zip(pairs, marks, strict=True)]
+    return pytest.mark.parametrize(("name", "noise"), given)
 
 
-@pytest.mark.parametrize("noise", ["--process-noise", "--no-process-noise"])
-@pytest.mark.parametrize("name", of_cards(SLOW))
+@each(("full_six", "--no-process-noise"), ("hfb320", "--no-process-noise"))
 def test_every_shipped_card_is_flown_to_the_end(name, noise, gusty, program, tmp_path):
     card, paths = read_by(name, gusty, tmp_path)
     found = told(program, tmp_path, "fly", *paths, "--model", name, noise, "--no-figures", out="flown")[2]
     assert found is not None
     assert (found.get("process_noise") is not None) == (noise == "--process-noise" and found["converged"])
     if found.get("process_noise") and len(card.axes) == 2:
-        assert {"phi", "theta", "psi"} <= set(found["process_noise"]["process_noise"])
+        assert {"phi", "theta", "psi"} <= set(found["process_noise"]["F"])
 
 
-@pytest.mark.parametrize("noise", ["--process-noise", "--no-process-noise"])
-@pytest.mark.parametrize("name", of_cards((*SLOW, "full_six", "hfb320")))
+@each()
 def test_every_shipped_card_is_diagnosed_to_the_end(name, noise, gusty, program, tmp_path):
     card, paths = read_by(name, gusty, tmp_path)
     asked = ("diagnose", *paths, "--model", name, noise, "--no-predictors", "--no-figures")
