@@ -148,5 +148,5 @@ def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_nois
     found = json.loads(done.out)
     assert found["process_noise"]["converged"]
     first = found["sentences"][0]
-    assert first.startswith("The coefficients and output error disagree on Cmq, CLa and CDa.")
+    assert first.startswith("The coefficients and output error disagree on Cmq and CLa.")
     assert "With process noise Cmq still differs from the coefficients" in first

@@ -123,13 +123,17 @@ def test_a_record_is_in_gusts_whatever_moves_the_aircraft(seed):
     assert 0.4 < size < 1.4
 
 
-@pytest.mark.parametrize(
-    "error", ["airspeed_scale", "alpha_scale", "sideslip_delay", "vane_position", "yaw_rate_scale"]
-)
+@pytest.mark.parametrize("error", ["airspeed_scale", "alpha_scale", "vane_position", "yaw_rate_scale"])
 def test_an_error_of_one_sensor_is_no_gust(card, error):
     (parameter,) = CATALOGUE[error].parameters
     usual = parameter.neutral + parameter.prior.scale
     assert in_gusts(hidden_records({error: {parameter.name: usual}}, seed=5), card) == {}
+
+
+def test_a_late_sideslip_is_no_gust(card):
+    records = hidden_records({}, seed=5)
+    late = [changed(r, beta=np.interp(r.time - 0.25, r.time, r["beta"])) for r in records]
+    assert in_gusts(late, card) == {}
 
 
 def test_a_known_error_explains(card):

@@ -122,6 +122,9 @@ class Independent:
     def holdout_gain(self, before, after):
         return after - before, 1.0
 
+    def coefficient_gains(self, before, after):  # noqa: ARG002
+        return {}
+
 
 def test_additions_go_out_the_least_missed_first_until_all_are_missed():
     unseen = Independent({"a": 9.0, "b": 1.0, "c": -3.0, "d": 2.0})

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_banded
 from scipy.optimize import fminbound
-from scipy.signal import lfilter
 
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
@@ -214,7 +214,9 @@ def _late(x: Float[np.ndarray, "k n"], lag: float, dt: float, delay: int) -> Flo
     """Signals behind a lag of first order, without the last `delay` samples; then how the lag began, and a constant."""
     late = x[:, : x.shape[1] - delay]
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
-    late = late[:, :1] + lfilter([1.0 - pole], [1.0, -pole], late - late[:, :1])
+    # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
+    bands = np.array([np.ones(late.shape[1]), np.full(late.shape[1], -pole)])
+    late = late[:, :1] + solve_banded((1, 0), bands, (1.0 - pole) * (late - late[:, :1]).T).T
     return np.concatenate([late, [pole ** np.arange(late.shape[1])], np.ones((1, late.shape[1]))])
 
 
