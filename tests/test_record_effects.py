@@ -120,7 +120,18 @@ def test_every_effect_on_the_record_has_its_sign_tested():
         "vane_position", "pitot_position", "sideslip_vane_position", "sideslip_vane_height",
         "accel_y_position", "accel_y_height", "accelerometer_position", "accelerometer_height",
     }  # fmt: skip
-    assert measured == {row[0] for row in RECORDED} | places
+    assert measured == {row[0] for row in RECORDED} | places | {"pitot_pressure_bias"}
+
+
+@pytest.mark.parametrize("size", [300.0, -150.0])
+def test_an_airspeed_from_an_impact_pressure_that_is_off_becomes_the_true_one(card, size):
+    t = np.arange(N) * DT
+    V, density = 80.0 + 20.0 * wave(t), 0.75 + 0.1 * wave(t + 1.0)
+    recorded = np.sqrt(V**2 + 2.0 * size / density)
+    given = marks(N, DT) | {"airspeed": jnp.asarray(recorded), "density": jnp.asarray(density)}
+    model = Model.of(["pitot_pressure_bias"])
+    true = model.corrected({"pitot_pressure_bias": jnp.asarray(size)}, given, card.aircraft)["airspeed"]
+    np.testing.assert_allclose(true, V, rtol=1e-12)
 
 
 @pytest.mark.parametrize("x", [13.08, -4.0])
