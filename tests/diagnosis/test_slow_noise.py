@@ -22,11 +22,23 @@ SLOW, DT = 0.15, 0.02  # s
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize(("seed", "times", "left_out"), [(1, 3.0, None), (2, 3.0, None), (3, 1.0, "rudder_side_force")])
+@pytest.mark.parametrize(
+    ("seed", "times", "left_out"),
+    [
+        (1, 3.0, None),
+        (2, 3.0, None),
+        (3, 1.0, "rudder_side_force"),
+        pytest.param(
+            3, 3.0, "rudder_side_force",
+            marks=pytest.mark.xfail(strict=True, reason="`accelerometer_position` is named: slopes that noise has made "
+                                    "small make the bound of its bias too small"),
+        ),
+    ],
+)  # fmt: skip
 def test_noise_of_the_regressors_is_no_error_of_a_sensor(tmp_path, seed, times, left_out):
     """Half of its variance with a time constant of .15 s, 26 s at 50 Hz. r_dot, which is recorded well, then tells
     more of sideslip and rudder than their own channels: a lateral accelerometer 2 to 3 m away, were it believed. With
-    the usual noise what is missing is named; with three times as much it is not always."""
+    the usual noise the missing effect is named. With three times as much an accelerometer is named in its place."""
     rng = np.random.default_rng([seed, 17])
     plane, keep = drawn(rng, **six_axes.ATTACHED), np.exp(-DT / SLOW)
     effects = [e for e in (*six_axes.LONGITUDINAL, *six_axes.LATERAL) if e != left_out]

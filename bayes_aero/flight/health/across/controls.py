@@ -143,9 +143,8 @@ def _answers(control: _Control, record: FlightRecord, card: Card) -> list[Health
 def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]:
     """Findings for surfaces that follow the outputs, to within noise, in every record in which they move.
 
-    Then the law of the feedback fits the record as well as the aircraft does; a slow manoeuvre, in which the surface
-    is the trim, has the same want. A pilot's input beside the feedback, in
-    one of the records, parts the two.
+    Then the law of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface
+    only trims, is no better. A pilot's input beside the feedback in one of the records separates the two.
 
     Source: L. Ljung, System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft).
     """
