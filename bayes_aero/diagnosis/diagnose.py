@@ -230,7 +230,7 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
 def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has.
 
-    A single unlikely cause is likelier nothing. An error that no sensor has is told as that, and is no structure.
+    A single unlikely cause is likelier nothing. An error that no sensor has is reported as such, and is no structure.
     """
     effects, extensions = {e.name: e for e in found.full.candidates}, found.by_stage
     several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]

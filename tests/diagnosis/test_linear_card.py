@@ -35,7 +35,7 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path):
     """A fighter of polynomials, by a simulator that shares no code, from 2 to 24 deg: what is found are forms.
 
     With the linear card `drag_offset` and `flow_separation` explain most of what is left. Neither is there. CZq is
-    -30 per q c/2V, so lift by pitch rate is 15 qhat, whether it is called a term or by its name. One seed was flown, and
+    -30 per q c/2V, so lift by pitch rate is 15 qhat, whether it is called a term or by its name. One seed was flown;
     that `pitch_rate_lift` may be named was allowed after that run.
     """
     plane, rng, records = Fighter(), np.random.default_rng([1, 54]), []
