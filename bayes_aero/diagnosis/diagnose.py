@@ -31,7 +31,7 @@ from bayes_aero.diagnosis.selection.absorbed import absorbed
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
 from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling, correlated
 from bayes_aero.diagnosis.selection.cross_validation import split_name
-from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise
+from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
 from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
@@ -189,16 +189,17 @@ def causes_of(
         sure = confirmations.get(stage)
         measured = {} if sure is None else gains_of(extension, searched.model, sure.kept, progress)
         joint = correlated(extension, extension.causes)
+        noise = noise_shares(extension.state, extension.fit)
         undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
-            probability, others = rivals_of(extension, name)
+            probability, others = rivals_of(extension, name, noise=noise[name])
             in_place: dict[str, tuple[float, float]] = {}
             if sure is not None and name in sure.kept:
                 in_place = rival_gains(extension, name, others, sure.kept)
                 worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
                 if worse:
-                    probability, others = rivals_of(extension, name, worse)
+                    probability, others = rivals_of(extension, name, worse, noise[name])
             found.append(
                 Cause(
                     name=name,
@@ -256,10 +257,13 @@ def _excited(state: SelectionState, name: str) -> bool:
     return bool(spread.min() >= state.settings.least_excitation * spread.max())
 
 
-def rivals_of(extension: Extension, name: str, worse: Sequence[str] = ()) -> tuple[float, tuple[str, ...]]:
+def rivals_of(
+    extension: Extension, name: str, worse: Sequence[str] = (), noise: float = 0.0
+) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close.
 
-    Of both those are left out that predict hold-out data `worse` in its place.
+    Of both those are left out that predict hold-out data `worse` in its place. `noise` is the share of the cause that
+    noise of the recorded channels can make: it may outdo its rivals by recording the same motion with less of it.
     What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
     """
     state, fit = extension.state, extension.fit
@@ -272,6 +276,7 @@ def rivals_of(extension: Extension, name: str, worse: Sequence[str] = ()) -> tup
     own = best.get(name)
     if own is None:
         return 1.0, ()
+    own = replace(own, gain=own.gain * (1.0 - noise) ** 2)
     weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
     nothing = np.exp(-nats(max(own.gain, 0.0), own.variance_inflation))
     close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)

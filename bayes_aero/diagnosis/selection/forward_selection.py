@@ -33,6 +33,8 @@ from bayes_aero.inference.variance.variance_inflation import median_inflation, n
 from bayes_aero.parameter import Parameter
 from bayes_aero.progress import Progress
 
+OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it would take over its regressor's own slope
+
 
 @dataclass(frozen=True)
 class Step:
@@ -119,7 +121,7 @@ def selected(
         if winner is None:
             break
         wider, wider_fit = refitted(added(state, winner))
-        if _of_noise(wider, wider_fit, winner.effect):
+        if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
             barred, steps[-1] = (*barred, winner.effect), replace(step, chosen=None)
             continue
         state, fit = _reconsidered(wider, wider_fit)
@@ -181,15 +183,18 @@ def _inflation(state: SelectionState, fit: Fit) -> float:
     )
 
 
-def _of_noise(state: SelectionState, fit: Fit, effect: str) -> bool:
-    """Whether noise of the recorded channels can make most of an addition: it is then none, and stays out.
+def noise_shares(state: SelectionState, fit: Fit) -> dict[str, float]:
+    """Largest share of each addition that noise of the recorded channels can make, by effect; see `largest_noise_bias`.
 
-    Noise in a regressor makes of whatever moves with it a second recording of the same. In the model it would take over
-    much of the regressor's own slope.
+    Noise in a regressor makes of whatever moves with it a second recording of the same.
     """
     bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
-    own = [name for name in state.full.parameters_of(effect) if name in bias]
-    return bool(own) and all(abs(away[n]) < 2.0 * abs(bias[n][int(away[n] > 0.0)]) for n in own)
+    shares = {}
+    for effect in state.active:
+        own = [n for n in state.full.parameters_of(effect) if n in bias]
+        made = [abs(bias[n][int(away[n] > 0.0)]) / max(abs(away[n]), 1e-300) for n in own]
+        shares[effect] = float(min(1.0, *made)) if made else 0.0
+    return shares
 
 
 def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str], first: bool) -> Step:
@@ -308,7 +313,7 @@ def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]
             more = best.gain - (1.0 + state.settings.exchange_margin) * own.gain
             if nats(more, best.variance_inflation_apart) > 1.0:
                 other, other_fit = refitted(added(removed(state, effect), best))
-                if not _of_noise(other, other_fit, best.effect):
+                if noise_shares(other, other_fit)[best.effect] <= OF_NOISE:
                     state, fit = other, other_fit
     return state, fit
 
