@@ -265,7 +265,7 @@ def test_corrected_intervals_cover_the_truth_under_coloured_noise():
         white.append(off < 1.96 * found.sd[own])
         corrected.append(off < 1.96 * found.sd_corrected[own])
     assert np.mean(white) < 0.6
-    assert 0.82 <= np.mean(corrected) <= 0.98
+    assert 0.90 <= np.mean(corrected) <= 0.98  # standard error 0.016 over the flights
 
 
 def test_corrected_deviations_are_nearly_the_plain_ones_under_white_noise():
@@ -315,23 +315,6 @@ def test_what_a_fit_takes_out_of_a_random_walk_is_in_its_corrected_variance():
     assert np.mean(np.square(slopes)) == pytest.approx(exact, rel=0.35)  # three standard errors
     assert np.mean(plain) < 0.1 * exact
     assert 0.6 * exact < np.mean(calibrated) < 1.7 * exact
-
-
-def test_corrected_deviations_are_no_less_than_those_of_leaving_stretches_out():
-    """The jackknife of refits, ten stretches of two seconds: first order and states kept stand for these."""
-    flown = coloured_flown(11, 0.9)
-    found = fit_output_error(flown, held={"az0": 0.0})
-    own = [k for k, name in enumerate(found.names) if name != "az0"]
-    estimates = []
-    for stretch in np.array_split(np.arange(flown.inside.shape[1]), 10):
-        counts = np.array(flown.inside)
-        counts[:, stretch] = False
-        less = eqx.tree_at(lambda f: f.inside, flown, counts)
-        estimates.append(fit_output_error(less, start=found.estimate, held={"az0": 0.0}).estimate[own])
-    away = np.array(estimates) - np.mean(estimates, axis=0)
-    refitted = np.sqrt(0.9 * np.sum(away**2, axis=0))
-    assert np.all(found.sd_corrected[own] > 0.8 * refitted)
-    assert np.median(found.sd_corrected[own] / refitted) < 1.3
 
 
 def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():

@@ -120,10 +120,10 @@ class OutputErrorResult:
         said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
         spread = corrected_covariance(D, S[inside], self.R, residual[inside], segment, start)
         dt = float(np.median(self.flown.dt))
-        size = max(1, round(BLOCK / dt))
+        size = min(max(1, round(BLOCK / dt)), inside.shape[1])
         precision = np.where(self.priors.fixed, np.inf, self.priors.states)
-        fit = LinearFit.of_means(size, D, S, own, precision, self.R, inside)
-        wider = np.sqrt(calibration(fit, means(residual, size) * fit.inside[:, :, None], size * dt))
+        fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
+        wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
         return weight * D @ said @ D + spread * np.outer(wider, wider)
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.fft import next_fast_len
 from scipy.optimize import nnls
 
@@ -104,22 +104,6 @@ class LinearFit:
     R: Float[np.ndarray, " c"]
     inside: Bool[np.ndarray, "w n"]
 
-    @classmethod
-    def of_means(
-        cls,
-        size: int,
-        D: Float[np.ndarray, "k k"],
-        S: Float[np.ndarray, "w n c k"],
-        own: Float[np.ndarray, "w n c s"],
-        precision: Float[np.ndarray, " s"],
-        R: Float[np.ndarray, " c"],
-        inside: Bool[np.ndarray, "w n"],
-    ) -> LinearFit:
-        """The fit in means over `size` samples."""
-        S, own, within = (means(x, size) for x in (S, own, inside))
-        within = within == 1.0
-        return cls(D, S * within[:, :, None, None], own * within[:, :, None, None], precision, R / size, within)
-
     @cached_property
     def weights(self) -> Float[np.ndarray, "w n c k"]:
         """Derivatives of the estimates by the outputs."""
@@ -152,7 +136,7 @@ class LinearFit:
         return np.diag(corrected_covariance(self.D, *seen))
 
 
-def means(x: Float[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m ..."]:
+def means(x: Shaped[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m ..."]:
     """Means over `size` samples; those that remain at the end are left out."""
     whole = x.shape[1] // size * size
     return x[:, :whole].reshape(len(x), -1, size, *x.shape[2:]).mean(axis=2)
@@ -199,7 +183,7 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
     if not (np.all(np.isfinite(seen)) and np.all(seen > 0.0)):
         return np.ones(len(fit.D))
     expected = [squares(left(one) / fit.R).mean(axis=0) for one in np.eye(len(seen))]
-    intensity = nnls(np.stack(expected, axis=1) / seen[:, None], np.ones(len(seen)))[0]
+    intensity = nnls(np.stack(expected, axis=1) / seen[:, None], np.ones(len(seen)), maxiter=100 * len(seen))[0]
     exact = squares(np.moveaxis(fit.weights, 3, 0)) @ intensity
     drawn = np.array([fit.corrected(x) for x in left(intensity)])
     moving = np.all(drawn > 0.0, axis=0)
