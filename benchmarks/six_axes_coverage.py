@@ -3,7 +3,7 @@
     python benchmarks/six_axes_coverage.py run 100 --kind calm --out six_coverage      # goes on where it stopped
     python benchmarks/six_axes_coverage.py run 100 --kind gusts --out six_coverage
     python benchmarks/six_axes_coverage.py run 100 --kind stall --out six_coverage
-    python benchmarks/six_axes_coverage.py run 4 --kind coloured --out six_coverage
+    python benchmarks/six_axes_coverage.py run 8 --kind coloured --first 36000 --out six_coverage
     python benchmarks/six_axes_coverage.py report --out six_coverage
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
@@ -141,12 +141,12 @@ def _pairs(names: Any, estimate: Any, sd: Any) -> dict[str, dict[str, float]]:
     }
 
 
-def run(kind: str, count: int, out: Path, *, flights: bool) -> None:
-    """Until there are `count` of this kind, a line each in OUT/KIND.jsonl."""
+def run(kind: str, count: int, out: Path, first: int, *, flights: bool) -> None:
+    """Until there are `count` of this kind, from the seed `first`, a line each in OUT/KIND.jsonl."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.jsonl"
     done = len(path.read_text().splitlines()) if path.exists() else 0
-    for seed in range(FIRST[kind] + done, FIRST[kind] + count):
+    for seed in range(first + done, first + count):
         row = case(kind, seed, flights=flights)
         with path.open("a") as file:
             file.write(json.dumps(row) + "\n")
@@ -180,9 +180,11 @@ if __name__ == "__main__":
     parser.add_argument("what", choices=("run", "report"))
     parser.add_argument("count", type=int, nargs="?", default=100)
     parser.add_argument("--kind", choices=KINDS, default="calm")
+    parser.add_argument("--first", type=int, help="first seed; default: that of the kind")
     parser.add_argument("--no-flights", action="store_true", help="coefficients alone")
     parser.add_argument("--out", type=Path, default=Path("six_coverage"))
     given = parser.parse_args()
     if given.what == "run":
-        run(given.kind, given.count, given.out, flights=not given.no_flights)
+        first = FIRST[given.kind] if given.first is None else given.first
+        run(given.kind, given.count, given.out, first, flights=not given.no_flights)
     report(given.out)

@@ -12,20 +12,20 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced_equations
-from bayes_aero.inference.variance.block_jackknife import jackknife_covariance
-from bayes_aero.inference.variance.coloured_bounds import FIXED_SHARE, corrected_covariance
+from bayes_aero.inference.variance.coloured_bounds import (
+    BLOCK,
+    LinearFit,
+    calibration,
+    corrected_covariance,
+    means,
+)
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
-from bayes_aero.inference.variance.variance_inflation import median_inflation, variance_inflation
 from bayes_aero.parameter import Parameter
 
 THINNING = 5  # samples averaged for the autocorrelation of the residuals
 INDEFINITE = -1e-14  # eigenvalues of a scaled information matrix below this are not rounding errors
 SINGULAR = 1e-13  # least eigenvalue of a regular scaled information matrix
 MIN_COMPONENT = 1e-3  # least component of a singular direction from which a parameter is undetermined
-BLOCK_SECONDS, MIN_BLOCKS = 12.0, 10  # length of a block of the jackknife, s, and least number of blocks
-MAX_LEVERAGE = 0.9  # largest share of the information in any direction that the jackknife removes with one block
-REGULARISATION = 1e-13  # of a scaled information matrix: above rounding, below the information of any record
-COLOURED_INFLATION = 2.0  # median variance inflation from which residuals are treated as coloured
 PRIOR_RATIO = 0.9  # posterior over prior standard deviation from which a parameter is held by its prior
 
 
@@ -106,60 +106,25 @@ class OutputErrorResult:
 
         With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
         of the priors. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and Klein, J. Aircraft 1997. M is scaled
-        for 1.96 standard errors to hold 95 % (`FIXED_SHARE`), so of white residuals it is larger than D's. Where
-        residuals are coloured, no variance is below that of the block jackknife (`_jackknife_variances`): a trajectory
-        integrates disturbances, and the fit absorbs most of them.
+        by `calibration`: for what the fit took out of the residuals, and for 1.96 standard errors to hold 95 %.
         """
         if not math.isfinite(self.cost):
             return self.covariance
         k, inside = len(self.estimate), self.flown.inside
-        S, own = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :]
+        S, own, residual = self.columns[..., 1 : k + 1], self.columns[..., k + 1 :], self.columns[..., 0]
         S = S - np.einsum("wncs,wsk->wnck", own, self.eliminated)  # at optimal initial states
-        segment = np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
+        segment = np.nonzero(inside)[0]
         start = np.diff(segment, prepend=-1) != 0
         D, weight = self.covariance, self.priors.weight
         said = np.diag(self.priors.precision)
         said = said + np.einsum("wsa,s,wsb->ab", self.eliminated, self.priors.states, self.eliminated)
-        known = weight * D @ said @ D
-        spread = corrected_covariance(D, S[inside], self.R, self.columns[..., 0][inside], segment, start)
-        inflation, found = variance_inflation(np.diag(known + spread), np.diag(D)), known + FIXED_SHARE**2 * spread
-        own = np.diag(found)
-        moving = own > 0.0
-        if median_inflation(inflation[moving]) < COLOURED_INFLATION:
-            return found
-        wider = np.ones(k)
-        wider[moving] = np.sqrt(np.maximum(1.0, (self._jackknife_variances(S) + np.diag(known))[moving] / own[moving]))
-        return found * np.outer(wider, wider)
-
-    def _jackknife_variances(self, S: Float[np.ndarray, "w n c k"]) -> Float[np.ndarray, " k"]:
-        """Variances by the block jackknife, to first order and with constant initial states, shape (k,).
-
-        A block with nearly all information on a direction (a constant error visible while a motion begins, the only
-        step of a control) counts there as one with `MAX_LEVERAGE` of it, because the other blocks cannot test it.
-        """
-        moving = np.flatnonzero(np.diag(self.covariance) > 0.0)
-        counts = self.flown.inside.sum(axis=1)
-        seconds = counts * np.asarray(self.flown.dt)
-        length = min(BLOCK_SECONDS, seconds.sum() / MIN_BLOCKS)
-        A, g = [], []
-        for row in np.flatnonzero(counts):
-            parts = max(1, round(seconds[row] / length))
-            for own in np.array_split(np.flatnonzero(self.flown.inside[row]), parts):
-                weighed = S[row, own][:, :, moving] / self.R[:, None]
-                A.append(np.einsum("nci,ncj->ij", weighed, S[row, own][:, :, moving], optimize=True))
-                g.append(np.einsum("nci,nc->i", weighed, self.columns[row, own, :, 0]))
-        variance = np.zeros(S.shape[3])
-        if len(moving) and len(A) > 1:
-            whole = (self.information + np.diag(self.priors.precision))[np.ix_(moving, moving)]
-            scale = 1.0 / np.sqrt(np.diag(whole))
-            lower = np.linalg.cholesky(whole * np.outer(scale, scale) + REGULARISATION * np.eye(len(scale)))
-            back = np.linalg.inv(lower)
-            share, turned = np.linalg.eigh(back @ (np.array(A) * np.outer(scale, scale)) @ back.T)
-            turned = back.T @ turned
-            along = np.einsum("iab,ia->ib", turned, -np.array(g) * scale) / (1.0 - np.minimum(share, MAX_LEVERAGE))
-            step = scale * np.einsum("iab,ib->ia", turned, along)
-            variance[moving] = np.diag(jackknife_covariance(step - step.mean(axis=0)))
-        return variance
+        spread = corrected_covariance(D, S[inside], self.R, residual[inside], segment, start)
+        dt = float(np.median(self.flown.dt))
+        size = min(max(1, round(BLOCK / dt)), inside.shape[1])
+        precision = np.where(self.priors.fixed, np.inf, self.priors.states)
+        fit = LinearFit(D, means(S, size), means(own, size), precision, self.R / size, means(inside, size) > 0.0)
+        wider = np.sqrt(calibration(fit, means(residual, size), size * dt))
+        return weight * D @ said @ D + spread * np.outer(wider, wider)
 
     @property
     def sd_corrected(self) -> Float[np.ndarray, " k"]:
