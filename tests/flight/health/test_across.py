@@ -14,7 +14,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.across.channels_agree import across
-from bayes_aero.flight.health.across.controls import feedback
+from bayes_aero.flight.health.across.controls import answers_no_input, feedback
 from bayes_aero.flight.health.across.derivatives import derivatives
 from bayes_aero.flight.health.standard import standard_air
 from bayes_aero.flight.reading.read_record import read_record
@@ -266,6 +266,17 @@ def test_a_pilot_beside_the_feedback_parts_the_two(law, flown):
     """Inputs of 0.3 deg; one record with them serves the others that are fitted with it."""
     card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), flown, **LAWS[law])
     assert feedback([under_feedback(**LAWS[law], name="other"), piloted], card) == []
+
+
+@pytest.mark.parametrize("flown", PILOTS)
+def test_an_input_without_a_signal_is_told_where_the_aircraft_answers_one(flown):
+    """The short period under doublets of 2 deg; the same aircraft in gusts alone needs no input."""
+    moved = under_feedback(np.deg2rad(2.0), flown, gains=np.zeros(4))
+    calm = under_feedback(0.0, gains=np.zeros(4))
+    dead = [changed(record, elevator=np.full(record.n, 0.02)) for record in (moved, calm)]
+    assert [answers_no_input(record, "elevator") for record in (*dead, moved)] == [True, False, False]
+    (finding,) = [f for f in channel_health(dead[:1], read_card("short_period")) if f.fault == "frozen"]
+    assert (finding.channel, finding.grave) == ("elevator", True)
 
 
 RESTS = {  # of a surface that no law moves, rad at time in s

@@ -25,8 +25,20 @@ LONGEST_REST = 5.0  # s; pilots hold a surface for 1 to 4 s
 TWICE = 2.0  # times what the fit misses where the surface was recorded
 UNSEEN = np.deg2rad(0.3)  # rad that must have moved, in the mean square
 PAIR = ("aileron_right", "aileron_left")
+TURNS = {
+    "elevator": ("elevator", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "stabilizer", "canard"),
+    "aileron": ("aileron", *PAIR, "spoiler_left", "spoiler_right"),
+    "rudder": ("rudder",),
+}
+"""Surfaces about an axis, the first first."""
+ENGINES = ("thrust", "thrust_left", "thrust_right", "throttle", "n1_left", "n1_right", "flap")
+UNMOVED, LARGE = 0.5, 0.015
+"""Share of the angular acceleration (standard deviation) that motion does not explain where a surface moved, and its
+least size, rad/s2."""
 OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 """What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
+OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
+"""What a law of the elevator and one of aileron or rudder do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
 MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
 """s, of an actuator or a filter between outputs and surface."""
@@ -94,6 +106,26 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
         return False
     missed, usual = (float(np.sqrt(np.mean(fitted.left[part] ** 2))) for part in (seen, fitted.used))
     return bool(missed > max(TWICE * usual, UNSEEN * abs(fitted.response)))
+
+
+def answers_no_input(record: FlightRecord, name: str) -> bool:
+    """Whether the aircraft turns as no motion explains, while its first surface about that axis stands still
+    throughout and others do not move it either."""
+    for control in (ELEVATOR, *LATERAL):
+        surfaces = [n for n in TURNS[control.surface] if record.has(n)]
+        if not surfaces or name != surfaces[0] or not all(map(record.has, control.beside)):
+            continue
+        if record.n * record.dt < 4.0 * SLOW:
+            return False
+        moving = [record[n] for n in (*surfaces, *ENGINES) if record.has(n) and np.ptp(record[n]) > 0.0]
+        inside = slice(round(SMOOTH / record.dt), record.n - round(SMOOTH / record.dt))
+        signals = [_mean(x, SMOOTH / record.dt)[inside] for x in (*(record[n] for n in control.beside), *moving)]
+        turning = np.gradient(signals[control.beside.index(control.rate)], record.dt)
+        rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
+        left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
+        noise = noise_of(record[control.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
+        return left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE)
+    return False
 
 
 @dataclass(frozen=True)
@@ -183,11 +215,14 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], flo
     """
     u, room = _deflection(surface, record), record.n * record.dt / SMOOTH / PER_COLUMN - 2.0
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
-    outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in recorded if np.ptp(record[n]) > 0.0}
+    moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
+    outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in moved}
     if u is None or not outputs or np.ptp(u) == 0.0 or noise_alone(u):
         return None
     # The integral of a rate is the angle: both of them would be fitted with large weights against each other.
-    sums = {n: record.dt * np.cumsum(x) for n, x in outputs.items() if ANGLE_OF.get(n) not in outputs}
+    unsummed = OTHERS[surface in ("aileron", "rudder")]
+    summed = {n: x for n, x in outputs.items() if ANGLE_OF.get(n) not in outputs and n not in unsummed}
+    sums = {n: record.dt * np.cumsum(x) for n, x in summed.items()}
     laws: list[list[tuple[str, np.ndarray]]] = [[*outputs.items()], [*outputs.items(), *sums.items()]]
     if len(outputs) > room:
         return None
