@@ -209,6 +209,7 @@ class Diagnosis:
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
     kept: tuple[str, ...] = ()  # additions to the coefficients that unseen data confirm
     notes: tuple[str, ...] = ()
+    following: tuple[str, ...] = ()  # surfaces that only follow the outputs
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly; what else is here is valid
     together: tuple[CancellingPair, ...] = ()  # pairs of causes of which the record knows one combination alone
     # Larger than on any aircraft, and out of the model; and what was estimated together with one.

@@ -22,6 +22,7 @@ from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.threads import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
@@ -102,7 +103,7 @@ def diagnose_records(
     options = replace(options, predictors=options.predictors and not alone)
     known = None if alone else errors_of_diagnosis(found)
     checks = record_checks(records, card, options.seed, out, known=known)
-    view = view_of(found)
+    view = view_of(replace(found, following=only_following(checks.health)))
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)

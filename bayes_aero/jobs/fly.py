@@ -17,6 +17,7 @@ from bayes_aero.dynamics.flight import DERIVED
 from bayes_aero.dynamics.output_channels import OF_AXIS
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import linear_in_band
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
@@ -145,6 +146,7 @@ def fly_records(
     )
     starts = starts_of(coefficients, dynamics)
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
+    flown = replace(flown, following=only_following(checks.health))
     if options.frequency is not None:
         in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
         flown = replace(flown, frequency=in_band, running=running, frequency_responses=responses)

@@ -85,11 +85,12 @@ def path_records(
     """`flight_path` with its options in one."""
     targets = [] if out is None else corrected_files(records, out / CORRECTED)
     found = fly_records(records, card, options, out=out, progress=progress)
-    if out is not None and found.flown.converged and not found.flown.worse:
-        folder = out / CORRECTED
-        folder.mkdir(exist_ok=True)
+    folder = None if out is None else out / CORRECTED
+    if folder is not None:  # records of an earlier run are none of this one, whatever comes of it
         for left in written_before(folder):
             left.unlink()
+    if folder is not None and found.flown.converged and not found.flown.worse:
+        folder.mkdir(exist_ok=True)
         for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
             write_record(record, target, card.channels)
             files = {path.name: _hash(path) for path in targets if path.is_file()}

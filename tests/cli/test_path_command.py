@@ -195,6 +195,7 @@ def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path):
 def corrected(monkeypatch):
     """`path_records` of records that need no correction: what is left of it writes files."""
     fit = Mock(spec=Flight, flown=Mock(spec=TrajectoryFit, converged=True, worse=False))
+    monkeypatch.setattr(job, "the_fit", fit, raising=False)
     monkeypatch.setattr(job, "fly_records", lambda *_, **__: fit)
     monkeypatch.setattr(job, "corrected_records", lambda records, _: list(records))
 
@@ -224,6 +225,14 @@ def test_files_that_path_did_not_write_stay(tmp_path, corrected):
     (tmp_path / "out" / "mine.csv").write_text("elsewhere")
     assert corrected(tmp_path / "out", "four") == ["four.csv", "mine.csv", "three.csv", "two.csv", "written.json"]
     assert (tmp_path / "out" / "mine.csv").is_file()
+
+
+def test_a_refused_fit_leaves_no_corrected_record_of_an_earlier_one(tmp_path, corrected):
+    folder = tmp_path / "out" / "corrected"
+    assert "one.csv" in corrected(tmp_path / "out", "one")
+    (folder / "mine.csv").write_text("of the user")
+    job.the_fit.flown.worse = True
+    assert corrected(tmp_path / "out", "one") == ["mine.csv", "written.json"]
 
 
 def test_records_of_one_name_have_a_corrected_file_each(tmp_path, corrected):

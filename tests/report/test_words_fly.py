@@ -10,6 +10,7 @@ from flown_samples import flight, with_offsets
 
 from bayes_aero.diagnosis.trajectories.results import Disagreement
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.report.tables.fly import parameter_table
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, outside
 
 DEGREE = np.deg2rad(1.0)
@@ -37,6 +38,13 @@ def test_nothing_is_said_of_the_model_where_the_fit_has_not_converged():
     assert any("lacks an effect" in line for line in fly_sentences(flown))
     early = replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))
     assert not any("lacks an effect" in line for line in fly_sentences(early))
+
+
+def test_a_fit_under_feedback_alone_is_not_only_called_converged():
+    flown = replace(flight().flown, following=("elevator",))
+    said = "converged, but feedback and aircraft cannot be parted (elevator)"
+    assert said in fly_sentences(flown)[0]
+    assert said in parameter_table(flown).terminal_title
 
 
 def test_nobody_is_sent_to_a_command_that_cannot_use_the_record():

@@ -60,6 +60,8 @@ def test_linear_derivatives_have_the_signs_of_their_counterparts():
     wrong = sign_sentences({"Mde": (42.3, 2.3), "Mq": (33.0, 1.9), "Malpha": (3.0, 0.1)}, free.values())
     assert [said.split(" = ")[0] for said in wrong] == ["Mde", "Mq"]
     assert "sign = -1" in wrong[0]
+    fed = sign_sentences({"Mde": (42.3, 2.3), "Mq": (33.0, 1.9)}, free.values(), ("elevator",))
+    assert not any("sign" in said for said in fed), "a surface that only follows the outputs says nothing of signs"
     assert sign_sentences({"Mde": (-4.0, 0.1), "Mq": (-1.2, 0.1)}, free.values()) == []
     lateral = {p.name: p for p in linear_dynamics(read_card("attas_lateral")).free}
     right, wrong = ({n: (side * x, 0.1) for n, x in LATERAL.items()} for side in (1.0, -1.0))

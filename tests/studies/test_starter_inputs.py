@@ -126,6 +126,23 @@ def test_rates_of_one_instrument_have_one_unit(tmp_path, unit):
     assert made["channels"]["p"]["unit"] == unit  # and so does what the data say
 
 
+def test_a_heading_and_a_yaw_rate_of_another_instrument_have_their_own_unit(tmp_path):
+    """Heading in deg and yaw rate in deg/s beside angles in rad and rates in rad/s, none of them labelled."""
+    record, deg = flight(0, seconds=30.0), np.rad2deg(1.0)
+    angles = {name: record[name] for name in ("alpha", "beta", "theta", "phi")}
+    rates = {"p": record["p"], "q": record["q"], "r": deg * record["r"]}
+    heading = deg * record["psi"] + 90.0
+    bare = ("alpha_deg", "theta_deg")
+    made, _ = starter_of(tmp_path, without=bare, **angles, psi=heading, **rates)
+    units = {name: made["channels"][name]["unit"] for name in (*angles, "psi", *rates)}
+    assert units == {
+        "alpha": "rad", "beta": "rad", "theta": "rad", "phi": "rad", "psi": "deg",
+        "p": "rad/s", "q": "rad/s", "r": "deg/s",
+    }  # fmt: skip
+    made, _ = starter_of(tmp_path, without=bare, **{n: deg * x for n, x in angles.items()}, psi=heading)
+    assert {made["channels"][name]["unit"] for name in (*angles, "psi")} == {"deg"}
+
+
 @pytest.mark.parametrize(
     ("heading", "size", "unit"), [("eng N2", 85.0, "%"), ("N1", 80.0, "%"), ("N2", 14000.0, "rpm")]
 )

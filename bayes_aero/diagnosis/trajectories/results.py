@@ -160,6 +160,7 @@ class TrajectoryFit:
         frequency: fits of the same parameters in a band, where one was asked for.
         running: estimates in that band while the record grows.
         frequency_responses: measured and modelled frequency responses there.
+        following: surfaces that only follow the outputs, of which and the aircraft the fit is one of many.
     """
 
     fit: OutputErrorResult
@@ -175,6 +176,7 @@ class TrajectoryFit:
     frequency: tuple[FrequencyFit, ...] = ()
     running: RunningEstimates | None = None
     frequency_responses: tuple[FrequencyResponse, ...] = ()
+    following: tuple[str, ...] = ()
 
     @property
     def converged(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,11 @@ class HealthFinding:
     end: float | None
     sentence: str
     grave: bool
+
+
+def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
+    """Surfaces that only follow the outputs: no derivative with respect to them is known."""
+    return tuple(dict.fromkeys(finding.channel for finding in health if finding.fault == "feedback"))
 
 
 def found(

@@ -20,6 +20,8 @@ from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
+FASTEST = 6.0  # rad/s; no aircraft of these records turns faster, and deg/s commonly are more; our choice
+STEEP = 0.7  # rad; more is no attitude of a flight in which none exceeds `ANGLE`; our choice
 TURN, TURNING = 6.4, ("phi", "psi")  # rad; a heading in radians reaches 6.28, a bank in a roll, too
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
 USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
@@ -112,17 +114,22 @@ def _time(found: dict[str, Guess]) -> dict[str, Guess]:
 
 
 def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
-    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file."""
+    """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file.
+
+    A heading comes from another instrument: it tells of the others only where they are large, too.
+    """
     angles = {name: g for name, g in found.items() if SI.get(name) == "rad"}
     large = [n for n, g in angles.items() if g.unit is None and largest(g) > (TURN if n in TURNING else ANGLE)]
     stated = [g.unit for g in angles.values() if g.unit is not None]
-    degrees = bool(large) or (bool(stated) and all(u == "deg" for u in stated))
+    others = max((largest(g) for n, g in angles.items() if n not in TURNING and g.unit is None), default=0.0)
+    degrees = any(n != "psi" for n in large) or (bool(large) and others > STEEP)
+    degrees = degrees or (bool(stated) and all(u == "deg" for u in stated))
     for name, guess in angles.items():
         if guess.unit is None:
             why = f"it reaches {largest(guess):.3g}"
             if name not in large:
                 why += ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
-            found[name] = guess.because(why, unit="deg" if degrees else "rad")
+            found[name] = guess.because(why, unit="deg" if degrees or name in large else "rad")
     return found
 
 
@@ -149,11 +156,12 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
     known = {guess.unit: guess.channel for guess in rates if guess.unit is not None}
     reach = max((largest(guess) for guess in rates), default=0.0)
     for guess in rates:
-        if guess.unit is None and len(known) == 1:
+        if guess.unit is None and len(known) == 1 and (largest(guess) <= FASTEST or "deg/s" in known):
             unit, beside = next(iter(known.items()))
             found[guess.channel] = guess.because(f"as {beside}", unit=unit)
         elif guess.unit is None:
-            unit = "deg/s" if reach > ANGLE or _degrees(found) else "rad/s"
+            own = largest(guess) if known else reach  # what differs from the others is judged by itself
+            unit = "deg/s" if own > ANGLE or (not known and _degrees(found)) else "rad/s"
             found[guess.channel] = guess.because(f"the rates reach {reach:.3g}", unit=unit)
     return found
 

@@ -11,6 +11,7 @@ import numpy as np
 from bayes_aero.diagnosis.trajectories.results import Path as Simulated
 from bayes_aero.effect import Stage
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.physics.coefficient_names import LATERAL
@@ -46,6 +47,7 @@ from bayes_aero.report.tables.run_tables import (
 )
 from bayes_aero.report.text.identification import disputed, verdict
 from bayes_aero.report.text.phrases import bracket, several
+from bayes_aero.report.text.restraints import unparted
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
@@ -119,6 +121,8 @@ def headline(run: Identification) -> str:
     mle = run.mle
     if not usable(mle):
         return f"No parameters can be given: {mle.status.value}."
+    if following := only_following(run.health):
+        return f"No derivative of this axis can be given: {unparted(mle.status.value, following)}."
     fit = several(f"{mle.fit[name].r:.3f} ({name})" for name in mle.fit)
     text = f"The model follows the measured coefficients with correlations of {fit}"
     if run.stall is not None and run.stall.seen:

@@ -21,6 +21,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, short
+from bayes_aero.report.text.restraints import unparted
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
@@ -51,7 +52,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
         "SI units and radians. Cramér–Rao: the data alone, for white residuals; a dash where they do not "
         "determine the parameter. Corrected: with the autocorrelation of the residuals and the prior. Prior: mean ± "
         "standard deviation, the program's default or the card's.",
-        f"Parameters fitted to trajectories: {fit.status.name.lower().replace('_', ' ')}",
+        "Parameters fitted to trajectories: " + unparted(fit.status.name.lower().replace("_", " "), flown.following),
         "SI and radians. CRB: Cramér-Rao bound of the data alone, for white residuals. sd corr.: with their "
         "autocorrelation and the priors; in brackets after the estimate in units of its last digit. "
         + (

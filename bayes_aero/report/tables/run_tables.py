@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, interval_coverage, score
@@ -26,6 +27,7 @@ from bayes_aero.report.tables.comparison import (
 )
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import from_to, number, plus_minus
+from bayes_aero.report.text.restraints import unparted
 
 # Table 1 of the seed paper: r and RMSE on 30 % of the samples, drawn at random, of these files with the shipped card.
 PAPER_CARD, PAPER_SPLIT = "attas", "random"
@@ -77,7 +79,8 @@ def parameter_table(run: Identification) -> Table:
         "“Largest difference” compares manoeuvres, in Cramér–Rao "
         "standard errors of the difference; above 3 the bound does not explain it."
         + (" “True” are the values with which the records were simulated." if truth else ""),
-        f"{run.card.title}; maximum likelihood {mle.status.name.lower().replace('_', ' ')}",
+        f"{run.card.title}; maximum likelihood "
+        + unparted(mle.status.name.lower().replace("_", " "), only_following(run.health)),
         "In brackets: standard deviation in units of the last digit. SI and radians.",
         dense=True,
     )

@@ -38,6 +38,7 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *sign_sentences(
             {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
             d.parameters,
+            d.following,
         ),
         *(_cause(cause) for cause in d.causes),
         *_taken_over(d),

@@ -9,7 +9,7 @@ import numpy as np
 from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, TrajectoryFit
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, plus_minus, several, short
-from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences
+from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences, unparted
 
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
@@ -28,7 +28,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     """
     fit = flown.fit
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    sentences = [f"The fit {fit.status.value}{bound}{_off(flown)}."]
+    sentences = [f"The fit {unparted(fit.status.value, flown.following)}{bound}{_off(flown)}."]
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         sentences = [f"The fit failed: {fit.status.value}."]
     sentences += _worse(flown)
@@ -46,7 +46,8 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in growth.items())
         sentences.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
-    sentences += sign_sentences({name: (float(value), float(sd)) for name, value, sd in estimates}, fit.parameters)
+    found = {name: (float(value), float(sd)) for name, value, sd in estimates}
+    sentences += sign_sentences(found, fit.parameters, flown.following)
     if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         sentences.append(
             f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
@@ -34,7 +35,7 @@ def verdict(identification: Identification) -> list[str]:
     mle = identification.mle
     chains = [*unfinished(identification.posteriors), *agreement_of_engines(chosen_posteriors(identification))]
     estimates = {n: (v, sd) for n, v, sd in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)}
-    signs = sign_sentences(estimates, mle.parameters)
+    signs = sign_sentences(estimates, mle.parameters, only_following(identification.health))
     if not (usable(mle) and np.all(np.isfinite([*mle.crb, *mle.crb_corrected]))):
         return [
             *signs,

@@ -81,12 +81,15 @@ def _unit(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
 
 
-def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter]) -> list[str]:
+def sign_sentences(
+    estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter], following: Sequence[str] = ()
+) -> list[str]:
     """A sentence for every estimate that is impossible for an aircraft.
 
     Args:
         estimates: value and standard error by name, in SI.
         parameters: with the signs and limits that the effects declare.
+        following: surfaces that only follow the outputs; then estimates say nothing of signs in the file.
     """
     asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
@@ -94,7 +97,7 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
         f"in the file, "
         "write sign = -1 at that channel on the card."
         for p, value, deviation in asked
-        if p.sign is not None and p.sign.side * value < -MIN_ERRORS * deviation
+        if p.sign is not None and not following and p.sign.side * value < -MIN_ERRORS * deviation
     ]
     return wrong + [
         f"{p.name} = {value:.4g} is impossible: {p.limits.reason}. Do not use these numbers. Look for a faulty channel "
@@ -103,6 +106,11 @@ def sign_sentences(estimates: Mapping[str, tuple[float, float]], parameters: Ite
         if p.limits is not None
         and (_beyond(p.limits.low, value, deviation, -1.0) or _beyond(p.limits.high, value, deviation, 1.0))
     ]
+
+
+def unparted(status: str, following: Sequence[str]) -> str:
+    """The status of a fit, and that feedback and aircraft cannot be parted where a surface only follows the outputs."""
+    return f"{status}, but feedback and aircraft cannot be parted ({several(following)})" if following else status
 
 
 def _beyond(limit: float, value: float, deviation: float, side: float) -> bool:

@@ -14,7 +14,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.across.channels_agree import across
-from bayes_aero.flight.health.across.controls import feedback
+from bayes_aero.flight.health.across.controls import answers_no_input, feedback
 from bayes_aero.flight.health.across.derivatives import derivatives
 from bayes_aero.flight.health.standard import standard_air
 from bayes_aero.flight.reading.read_record import read_record
@@ -198,7 +198,8 @@ def test_the_records_of_the_book_are_silent_in_their_units_and_tell_others(name)
     assert [(f.channel, f.fault) for f in told] == [(axis[0], "unit")]
 
 
-LAWS = {  # true or measured outputs, lag of the actuator, noise of the recorded surface, rad, its step, interval
+GAINS = (0.8, 0.5, 0.0, 0.0)  # of alpha, q, and the integrals of alpha and theta
+LAWS = {  # gains, true or measured outputs, lag of the actuator, noise of the recorded surface, rad, its step, interval
     "measured outputs": {},
     "true outputs": {"measured": False},
     "true outputs, noisy surface": {"measured": False, "surface": 5e-4},
@@ -206,27 +207,49 @@ LAWS = {  # true or measured outputs, lag of the actuator, noise of the recorded
     "rounded": {"step": np.deg2rad(0.02)},
     "100 Hz": {"measured": False, "dt": 0.01},
     "no noise": {"noise": 0.0},
+    "a pitch damper": {"gains": (0.0, 0.6, 0.0, 0.0)},
+    "integral of alpha": {"gains": (0.0, 0.5, 0.5, 0.0)},
+    "integral of alpha, noiseless surface": {"gains": (0.4, 0.5, 0.6, 0.0), "measured": False},
+    "integral of theta": {"gains": (0.0, 0.5, 0.0, 0.25)},
+    "integral of theta, an actuator": {"gains": (0.0, 0.5, 0.0, 0.25), "lag": 0.15, "noise": 0.1},
+    "a slow actuator": {"lag": 0.3, "noise": 0.1},
+    "a slow actuator, noiseless surface": {"lag": 0.3, "measured": False},
 }
 
 
-def under_feedback(pilot=0.0, *, measured=True, lag=0.0, surface=0.0, step=0.0, dt=0.04, noise=1.0, name="fed"):
-    """A short period of dimensional derivatives in gusts: elevator = 0.8 alpha + 0.5 q, and doublets of the pilot."""
-    rng, n = np.random.default_rng(3), round(40.0 / dt)
+PILOTS = {
+    "doublets": lambda t: np.where(t % 20.0 < 4.0, np.sign(np.sin(2.0 * np.pi * t / 4.0)), 0.0),
+    "3211": lambda t: np.interp(t, [4.99, 5.0, 7.99, 8.0, 9.99, 10.0, 10.99, 11.0, 11.99, 12.0],
+                                [0.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 0.0]),
+    "multisine": lambda t: 0.5 * sum(np.sin(0.4 * np.pi * k * t + k * k) for k in range(1, 9)),
+}  # fmt: skip
+
+
+def under_feedback(
+    pilot=0.0, flown="doublets", *, gains=GAINS, measured=True, lag=0.0, surface=0.0, step=0.0, dt=0.04, noise=1.0,
+    seconds=40.0, held=None, name="fed",
+):  # fmt: skip
+    """A short period of dimensional derivatives in gusts under feedback and a pilot; `held` replaces the surface."""
+    rng, n = np.random.default_rng(3), round(seconds / dt)
     time = np.arange(n) * dt
-    command = pilot * np.where(time % 20.0 < 4.0, np.sign(np.sin(2.0 * np.pi * time / 4.0)), 0.0)
-    x, gust, flown, rows = np.array([0.05, 0.0]), 0.0, 0.04, []
+    command = pilot * PILOTS[flown](time)
+    x, gust, deflection, sums, rows = np.array([0.05, 0.0, 0.0]), 0.0, 0.04, np.zeros(2), []
     for k in range(n):
-        y = x + noise * np.array([8e-4, 4e-4]) * rng.standard_normal(2)
-        asked = np.array([0.8, 0.5]) @ (y if measured else x) + command[k]
-        flown = asked if lag == 0.0 else flown + (asked - flown) * (1.0 - np.exp(-dt / lag))
-        rows.append((*y, flown + surface * rng.standard_normal()))
+        y = x + noise * np.array([8e-4, 4e-4, 4e-4]) * rng.standard_normal(3)
+        seen = y if measured else x
+        asked = np.array(gains) @ (*seen[:2], *sums) + command[k]
+        sums = sums + dt * seen[[0, 2]]
+        deflection = asked if lag == 0.0 else deflection + (asked - deflection) * (1.0 - np.exp(-dt / lag))
+        deflection = deflection if held is None else held[k]
+        rows.append((*y, deflection + surface * rng.standard_normal()))
         for _ in range(4):
             gust += -0.25 * dt * gust + 4e-3 * np.sqrt(0.25 * dt) * rng.standard_normal()
             alpha, q = x[0] + gust, x[1]
-            x = x + 0.25 * dt * np.array([-0.9 * alpha + q - 0.1 * flown, -3.0 * alpha - 1.2 * q - 4.0 * flown])
-    alpha, q, elevator = np.transpose(rows)
+            slopes = [-0.9 * alpha + q - 0.1 * deflection, -3.0 * alpha - 1.2 * q - 4.0 * deflection, q]
+            x = x + 0.25 * dt * np.array(slopes)
+    alpha, q, theta, elevator = np.transpose(rows)
     elevator = step * np.round(elevator / step) if step else elevator
-    channels = {"alpha": alpha, "q": q, "elevator": elevator, "az": -9.8 - 60.0 * alpha}
+    channels = {"alpha": alpha, "q": q, "theta": theta, "elevator": elevator, "az": -9.8 - 60.0 * alpha}
     return FlightRecord.from_arrays(name, time, channels)
 
 
@@ -234,15 +257,46 @@ def under_feedback(pilot=0.0, *, measured=True, lag=0.0, surface=0.0, step=0.0, 
 def test_a_surface_that_only_follows_the_outputs_is_told(law):
     (finding,) = feedback([under_feedback(**LAWS[law])], read_card("short_period"))
     assert (finding.channel, finding.fault, finding.grave) == ("elevator", "feedback", True)
-    assert "alpha" in finding.sentence
+    assert "follows the recorded" in finding.sentence
 
 
+@pytest.mark.parametrize("flown", PILOTS)
 @pytest.mark.parametrize("law", LAWS)
-def test_a_pilot_beside_the_feedback_parts_the_two(law):
-    """Doublets of 0.3 deg; one record with them serves the others that are fitted with it."""
-    card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), **LAWS[law])
-    assert feedback([piloted], card) == []
+def test_a_pilot_beside_the_feedback_parts_the_two(law, flown):
+    """Inputs of 0.3 deg; one record with them serves the others that are fitted with it."""
+    card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), flown, **LAWS[law])
     assert feedback([under_feedback(**LAWS[law], name="other"), piloted], card) == []
+
+
+@pytest.mark.parametrize("flown", PILOTS)
+def test_an_input_without_a_signal_is_told_where_the_aircraft_answers_one(flown):
+    """The short period under doublets of 2 deg; the same aircraft in gusts alone needs no input."""
+    moved = under_feedback(np.deg2rad(2.0), flown, gains=np.zeros(4))
+    calm = under_feedback(0.0, gains=np.zeros(4))
+    dead = [changed(record, elevator=np.full(record.n, 0.02)) for record in (moved, calm)]
+    assert [answers_no_input(record, "elevator") for record in (*dead, moved)] == [True, False, False]
+    (finding,) = [f for f in channel_health(dead[:1], read_card("short_period")) if f.fault == "frozen"]
+    assert (finding.channel, finding.grave) == ("elevator", True)
+
+
+RESTS = {  # of a surface that no law moves, rad at time in s
+    "still": lambda t, _: 0.02 + 0.0 * t,
+    "drifts": lambda t, _: 0.02 + 1e-4 * t,
+    "creeps": lambda t, _: 0.02 + 2e-3 * np.exp(-t / 2.0),
+    "comes back": lambda t, _: 0.02 + 0.035 * np.exp(-t / 0.4),
+    "a pulse": lambda t, _: np.where(t < 1.0, 0.055, 0.02),
+    "slow noise": lambda t, rng: 0.02 + 2e-3 * np.convolve(rng.standard_normal(len(t)), np.full(9, 1 / 3.0), "same"),
+}
+
+
+@pytest.mark.parametrize("surface", [0.0, 1e-4])
+@pytest.mark.parametrize("seconds", [6.0, 10.0, 25.0])
+@pytest.mark.parametrize("rest", RESTS)
+def test_a_free_response_is_no_feedback(rest, seconds, surface):
+    time = np.arange(round(seconds / 0.04)) * 0.04
+    held = RESTS[rest](time, np.random.default_rng(8))
+    record = under_feedback(seconds=seconds, surface=surface, held=held)
+    assert feedback([record], read_card("short_period")) == []
 
 
 @needs_trials

@@ -19,6 +19,7 @@ from bayes_aero.dynamics.path.flight_path import path_states
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.channel.frozen import frozen
+from bayes_aero.flight.health.channel.held import interpolated_period
 from bayes_aero.flight.health.channel.saturated import saturated
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
@@ -260,6 +261,16 @@ def test_a_channel_between_samples_of_one_hertz_has_its_true_rate_said(dt, rate,
     assert (
         f"linearly interpolated over {1.0 / rate / dt:.3g} samples: the true rate is {rate:.3g} Hz" in finding.sentence
     )
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize(("dt", "name"), [(0.01, "theta"), (0.02, "alpha"), (0.04, "q"), (0.1, "elevator")])
+def test_a_channel_of_one_hertz_is_found_under_coarse_rounding_and_no_other(step, dt, name):
+    """Written with one or two digits after the point, deg: straight lines bend by the rounding, too."""
+    record, step, every = flight(8, dt, 60.0), np.deg2rad(step), round(1.0 / dt)
+    x = np.interp(record.time, record.time[::every], record[name][::every])
+    assert interpolated_period(np.round(x / step) * step) == pytest.approx(every, rel=0.02)
+    assert interpolated_period(np.round(record[name] / step) * step) == 0.0
 
 
 @pytest.mark.parametrize("step", [0.0, np.deg2rad(0.05)])

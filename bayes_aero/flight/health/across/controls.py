@@ -25,13 +25,28 @@ LONGEST_REST = 5.0  # s; pilots hold a surface for 1 to 4 s
 TWICE = 2.0  # times what the fit misses where the surface was recorded
 UNSEEN = np.deg2rad(0.3)  # rad that must have moved, in the mean square
 PAIR = ("aileron_right", "aileron_left")
+TURNS = {
+    "elevator": ("elevator", "elevator_left", "elevator_right", "elevon_left", "elevon_right", "stabilizer", "canard"),
+    "aileron": ("aileron", *PAIR, "spoiler_left", "spoiler_right"),
+    "rudder": ("rudder",),
+}
+"""Surfaces about an axis, the first first."""
+ENGINES = ("thrust", "thrust_left", "thrust_right", "throttle", "n1_left", "n1_right", "flap")
+UNMOVED, LARGE = 0.5, 0.015
+"""Share of the angular acceleration (standard deviation) that motion does not explain where a surface moved, and its
+least size, rad/s2."""
 OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 """What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
+OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
+"""What a law of the elevator and one of aileron or rudder do not integrate."""
+ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
 MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
 """s, of an actuator or a filter between outputs and surface."""
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
+ABOVE = 2.0  # times the noise of the smoothed signals, up to which what is left is noise
+CANCELS = 4.0  # times the motion: outputs that each make more, against each other, are no law
 PER_COLUMN = 5  # times `SMOOTH` of record that a regressor needs
 
 
@@ -91,6 +106,26 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
         return False
     missed, usual = (float(np.sqrt(np.mean(fitted.left[part] ** 2))) for part in (seen, fitted.used))
     return bool(missed > max(TWICE * usual, UNSEEN * abs(fitted.response)))
+
+
+def answers_no_input(record: FlightRecord, name: str) -> bool:
+    """Whether the aircraft turns as no motion explains, while its first surface about that axis stands still
+    throughout and others do not move it either."""
+    for control in (ELEVATOR, *LATERAL):
+        surfaces = [n for n in TURNS[control.surface] if record.has(n)]
+        if not surfaces or name != surfaces[0] or not all(map(record.has, control.beside)):
+            continue
+        if record.n * record.dt < 4.0 * SLOW:
+            return False
+        moving = [record[n] for n in (*surfaces, *ENGINES) if record.has(n) and np.ptp(record[n]) > 0.0]
+        inside = slice(round(SMOOTH / record.dt), record.n - round(SMOOTH / record.dt))
+        signals = [_mean(x, SMOOTH / record.dt)[inside] for x in (*(record[n] for n in control.beside), *moving)]
+        turning = np.gradient(signals[control.beside.index(control.rate)], record.dt)
+        rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
+        left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
+        noise = noise_of(record[control.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
+        return left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE)
+    return False
 
 
 @dataclass(frozen=True)
@@ -175,38 +210,73 @@ def _surfaces(card: Card) -> list[str]:
 def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], float] | None:
     """The outputs that a surface follows and the share of its motion that is left; no outputs where it has its own.
 
-    None where it hardly moves, or the record is too short to tell.
+    Integrals of the outputs are tried where the outputs themselves do not make the motion and the record is long
+    enough. None where the surface drifts or decays at most, or the record is too short to tell.
     """
-    u, window = _deflection(surface, record), SMOOTH / record.dt
+    u, room = _deflection(surface, record), record.n * record.dt / SMOOTH / PER_COLUMN - 2.0
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
-    outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in recorded if np.ptp(record[n]) > 0.0}
-    room = record.n / window / PER_COLUMN - 2.0
-    if u is None or not outputs or room < len(outputs) or np.ptp(u) == 0.0 or noise_alone(u):
+    moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
+    outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in moved}
+    if u is None or not outputs or np.ptp(u) == 0.0 or noise_alone(u):
         return None
-    columns = np.array([*outputs.values()])
+    # The integral of a rate is the angle: both of them would be fitted with large weights against each other.
+    unsummed = OTHERS[surface in ("aileron", "rudder")]
+    summed = {n: x for n, x in outputs.items() if ANGLE_OF.get(n) not in outputs and n not in unsummed}
+    sums = {n: record.dt * np.cumsum(x) for n, x in summed.items()}
+    laws: list[list[tuple[str, np.ndarray]]] = [[*outputs.items()], [*outputs.items(), *sums.items()]]
+    if len(outputs) > room:
+        return None
+    in_time, left = _followed(u, np.zeros((0, record.n)), record.dt, SLOW), []
+    if in_time.share < NOTHING or in_time.within:
+        return None
+    for columns in laws:
+        if len(columns) > room:
+            break
+        law = _followed(u, np.array([x for _, x in columns]), record.dt, MAX_LAG)
+        left.append(law.share)
+        if law.made.max() < CANCELS and (law.share < NOTHING or (law.share < OWN and law.within)):
+            made = zip(columns, law.made, strict=True)
+            return [*dict.fromkeys(n for (n, _), size in made if size > 0.1 * law.made.max())], law.share
+    return [], min(left)
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """A law of a surface: the motion that each regressor makes over the surface's, standard deviations; the share of
+    the surface's motion (a variance) that is left, and whether that is no more than noise."""
+
+    made: np.ndarray
+    share: float
+    within: bool
+
+
+def _followed(u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float) -> _Followed:
+    """The best law of outputs behind a lag of at most `longest` s and a delay; without outputs, what drifts and decays
+    in time alone."""
+    window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
-    inside = slice(round(window), record.n - round(window))
+    inside = slice(round(window), len(u) - round(window))
     slow, target = np.array([_mean(x, window)[inside] for x in columns]), _mean(u, window)[inside]
-    if np.ptp(target) == 0.0:
-        return None
+    slow = np.concatenate([slow.reshape(len(columns), len(target)), [np.linspace(0.0, 1.0, len(target))]])
 
     def law(lag: float, delay: int) -> tuple[np.ndarray, np.ndarray]:
-        rows = _late(slow, lag, record.dt, delay)
+        rows = _late(slow, lag, dt, delay)
         weights = np.linalg.lstsq(rows @ rows.T, rows @ target[delay:], rcond=None)[0]
         return weights, target[delay:] - weights @ rows
 
     tried = []
-    for delay in (round(d / record.dt) for d in DELAYS):
-        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, MAX_LAG))
+    for delay in (round(d / dt) for d in DELAYS):
+        best = np.asarray(fminbound(lambda lag, d=delay: float(np.var(law(lag, d)[1])), 0.0, longest))
         tried += [(float(np.var(law(lag, delay)[1])), lag, delay) for lag in (0.0, float(best.flat[0]))]
     _, lag, delay = min(tried)
     weights, left = law(lag, delay)
-    noise = max(noise_of(u), noise_of(u[delay:] - weights @ _late(columns, lag, record.dt, delay)))
-    own, share = np.std(left), float(np.var(left) / np.var(target))
-    if share > NOTHING and (share > OWN or own > noise):
-        return [], share
-    sizes = np.abs(weights[: len(outputs)])
-    return [n for n, size in zip(outputs, sizes, strict=True) if size > 0.1 * sizes.max()], share
+    # A lag takes noise of the outputs out of fast differences, not out of what is left: it is counted before the lag.
+    made = np.abs(weights[: len(columns)])
+    noise = float(np.hypot(noise_of(u), np.linalg.norm(made * [noise_of(x) for x in columns])))
+    moved, own = float(np.std(target)), float(np.std(left))
+    return _Followed(
+        made * columns.std(axis=1) / moved, (own / moved) ** 2, bool(own < ABOVE * noise / np.sqrt(window))
+    )
 
 
 def _late(x: Float[np.ndarray, "k n"], lag: float, dt: float, delay: int) -> Float[np.ndarray, "k2 n2"]:

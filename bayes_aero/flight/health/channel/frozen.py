@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.across.controls import answers_unmoved
+from bayes_aero.flight.health.across.controls import answers_no_input, answers_unmoved
 from bayes_aero.flight.health.across.kinematics import RELATIONS, dead_heading, view_of
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
 from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, still_runs
@@ -60,6 +60,9 @@ def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
     """A channel without any signal, which matters where flight must move it."""
     if name == "radio_altitude":
         if not (record.has("altitude") and np.ptp(record["altitude"]) > ALONG):
+            return []
+    elif name in CONTROLS:
+        if not answers_no_input(record, name):
             return []
     elif name not in ("ax", "az", "q", "theta", "airspeed", "calibrated_airspeed") or record.n * record.dt < 5.0:
         return []

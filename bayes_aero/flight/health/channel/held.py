@@ -6,7 +6,7 @@ import numpy as np
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import HealthFinding, found
-from bayes_aero.flight.health.signals import runs_of, still_runs
+from bayes_aero.flight.health.signals import quantum, runs_of, still_runs
 from bayes_aero.flight.record import FlightRecord
 
 FEWEST = 20  # changes of a channel that a pattern needs
@@ -15,6 +15,7 @@ SLOWEST = 100  # samples between changes at most
 COMBED = 40  # the same of bends, of which the largest fiftieth is clipped
 CORNERS = 10  # between straight lines that a pattern needs
 SPARSE = 6.0  # samples between corners from which their order is no chance of rounding; fewer are found by their class
+ROUGH, ENDS, STRAY = 4, 15, 0.02  # samples of a line, ends of lines that bend, share of bends that are between ends
 STRAIGHT = 1e-3  # of the bend at a corner that a straight line may have
 ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
 FAST = frozenset(
@@ -72,13 +73,14 @@ def held_period(x: np.ndarray) -> float:
 def interpolated_period(x: np.ndarray) -> float:
     """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
     bends = np.abs(np.diff(x, 2))
-    if len(bends) < 4 * FEWEST or not bends.any() or len(still_runs(x)) > 0.1 * len(x):
+    if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
-    large, rounding = float(np.sort(bends)[-CORNERS]), ROUNDED * _rounding(x)
-    if large <= rounding:
-        return 0.0  # a smooth signal, rounded, bends by the last digit alone
-    period = _between_corners(bends > max(STRAIGHT * large, rounding)) if large > 2.0 * rounding else 0.0
-    return period or float(_comb(bends**2))
+    large, rounding = float(np.sort(bends)[-CORNERS]), ROUNDED * quantum(x)
+    period = 0.0
+    if large > rounding and len(still_runs(x)) <= 0.1 * len(x):  # else it bends by the last digit alone
+        period = _between_corners(bends > max(STRAIGHT * large, rounding)) if large > 2.0 * rounding else 0.0
+        period = period or float(_comb(bends**2))
+    return period or float(_between_knots(x, rounding))
 
 
 def _between_corners(bent: np.ndarray) -> float:
@@ -95,10 +97,29 @@ def _between_corners(bent: np.ndarray) -> float:
     return float(lengths.sum() / order.sum())
 
 
-def _rounding(x: np.ndarray) -> float:
-    """The step to which (n,) values are rounded: the least distance of two levels; tiny where they are not."""
-    levels = np.unique(x)
-    return float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
+def _between_knots(x: np.ndarray, rounding: float) -> int:
+    """The largest period of straight lines in (n,) values that are rounded coarsely; zero where there is none.
+
+    Second differences over a quarter of a line reach `rounding` only near its ends. By chance they all fall into that
+    half of the samples once in 2 to the power of `ENDS`.
+    """
+    best = 0
+    for period in range(ROUGH, min(SLOWEST, len(x) // FEWEST) + 1):
+        quarter = period // 4
+        bends = np.abs(x[2 * quarter :] - 2.0 * x[quarter:-quarter] + x[: -2 * quarter])
+        lines = len(bends) // period
+        bent = bends[: lines * period].reshape(lines, period) > rounding
+        near = sum(np.roll(bent.sum(axis=0), shift) for shift in range(-quarter, quarter + 1))
+        corner = int(np.argmax(near))
+        away = np.abs((np.arange(period) - corner + period // 2) % period - period // 2) > quarter
+        knots = x[(corner + quarter) % period :: period]
+        if (
+            bent[:, ~away].any(axis=1).sum() >= ENDS
+            and bent[:, away].sum() <= STRAY * bent.sum()
+            and np.mean(np.abs(np.diff(knots)) > rounding) > 0.5
+        ):
+            best = period
+    return best
 
 
 def _comb(energy: np.ndarray) -> int:
