@@ -105,12 +105,19 @@ class _Flown(NamedTuple):
 
 
 def _searched(
-    flown: _Flown, known: Mapping[str, float], seed: int, progress: Progress | None
+    flown: _Flown,
+    known: Mapping[str, float],
+    seed: int,
+    progress: Progress | None,
+    before: Extension | None = None,
+    barred: tuple[str, ...] = (),
 ) -> tuple[Extension, PredictionErrorStatus]:
     """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
 
-    Before, the noise of states had to stand for what was missing. `known` are parameters to start from.
+    Before, the noise of states had to stand for what was missing. `known` are parameters to start from. What is larger
+    than aircraft have is `barred`, and all is sought again (see `plausible_selection`); `before` it was in.
     """
+    begin = known
     active: tuple[str, ...] = ()
     steps: tuple[Step, ...] = ()
     first: Selected | None = None
@@ -118,13 +125,16 @@ def _searched(
     while True:
         state, filtered = _followed(flown, known, active, filtered, progress)
         room = flown.full.settings.max_effects - len(active)
-        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress)
+        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress, barred=barred)
         first, steps = first or found, (*steps, *found.steps)
         chosen = found.state.active
         # An addition that another one has replaced ends the search: the two would replace each other for ever.
         if chosen == active or set(active) - set(chosen):
             found = found._replace(base=first.base, base_fit=first.base_fit, steps=steps)
-            return sized(found), filtered.status
+            extension = replace(sized(found), too_large=before)
+            if not extension.implausible:
+                return extension, filtered.status
+            return _searched(flown, begin, seed, progress, extension, (*barred, *extension.implausible))
         active, known = chosen, dict(zip(state.full.model.names, found.state.theta, strict=True))
 
 

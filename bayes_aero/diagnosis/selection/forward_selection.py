@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.screening.accuracy import Size, largest_noise_bias, sizes
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible, largest_noise_bias, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
 from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
@@ -51,7 +51,8 @@ class Extension:
     """The state before and after, with fits and elections; sizes of what is in.
 
     `causes` are worth a name: as large, within a deviation, as the least departure worth modelling, and beyond doubt
-    (see `worth`); `minor` are not.
+    (see `worth`); `minor` are not. `too_large`: the extension with additions larger than aircraft have, without which
+    all was selected again; None where there was none.
     """
 
     base: SelectionState
@@ -62,6 +63,18 @@ class Extension:
     sizes: Mapping[str, Size]
     causes: tuple[str, ...]
     minor: tuple[str, ...]
+    too_large: Extension | None = None
+
+    @property
+    def implausible(self) -> tuple[str, ...]:
+        """Additions of this selection that are larger than aircraft have."""
+        own = {e.name: e for e in self.state.full.candidates if e.name not in self.base.active}
+        return tuple(n for n in self.state.active if n in own and implausible(own[n], self.sizes))
+
+    @property
+    def larger(self) -> tuple[Extension, ...]:
+        """Every `too_large` extension, the last first."""
+        return () if self.too_large is None else (self.too_large, *self.too_large.larger)
 
 
 Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
@@ -84,27 +97,49 @@ def forward_selection(
     progress: Progress | None = None,
     most: int | None = None,
     checked: Checked = lambda state, fit: (state, fit),
+    barred: Sequence[str] = (),
 ) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out, and size them.
 
-    `checked` may take some out again before the others are sized. Other arguments as of `selected`.
+    Those that are `barred` do not stand. `checked` may take some out again before the others are sized. Other arguments
+    as of `selected`.
     """
-    found = selected(state, seed=seed, most=most, progress=progress)
+    found = selected(state, seed=seed, most=most, progress=progress, barred=barred)
     after, fit = checked(found.state, found.fit)
     return sized(found._replace(state=after, fit=fit))
 
 
+def plausible_selection(
+    state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
+) -> Extension:
+    """`forward_selection`, made again without what is larger than aircraft have: it explains nothing, and what was
+    selected beside it is judged without it."""
+    barred, before = (), None
+    while True:
+        found = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
+        found = replace(found, too_large=before)
+        if not found.implausible:
+            return found
+        barred, before = (*barred, *found.implausible), found
+
+
 def selected(
-    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+    state: SelectionState,
+    *,
+    seed: int = 0,
+    most: int | None = None,
+    progress: Progress | None = None,
+    barred: Sequence[str] = (),
 ) -> Selected:
-    """Add at most `most` effects (default: the settings'). p-values are family-wise over all candidates."""
+    """Add at most `most` effects (default: the settings') that are not `barred`. p-values are family-wise over all
+    candidates."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
     noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
     state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
-    barred: tuple[str, ...] = ()
+    noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
         if len(state.active) - len(first.active) >= most:
             break
@@ -112,7 +147,7 @@ def selected(
             progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
-            step = _election(state, fit, seed + number, barred, first=number == 0)
+            step = _election(state, fit, seed + number, (*barred, *noisy), first=number == 0)
             winner = None if step.chosen is None else step.screening.of(step.chosen)
             standing_in = () if winner is None else _offsets_instead(state, fit, winner)
             if standing_in:
@@ -122,10 +157,10 @@ def selected(
             break
         wider, wider_fit = refitted(added(state, winner))
         if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
-            barred, steps[-1] = (*barred, winner.effect), replace(step, chosen=None)
+            noisy, steps[-1] = (*noisy, winner.effect), replace(step, chosen=None)
             continue
-        state, fit = _reconsidered(wider, wider_fit)
-        barred = ()  # with less left, noise can make less
+        state, fit = _reconsidered(wider, wider_fit, barred)
+        noisy = ()  # with less left, noise can make less
     return Selected(first, first_fit, *_without_idle_offsets(state, fit), tuple(steps))
 
 
@@ -299,13 +334,14 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
     return truncated(state, [e for e in state.active if e != effect])
 
 
-def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+def _reconsidered(state: SelectionState, fit: Fit, barred: Sequence[str]) -> tuple[SelectionState, Fit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
     for effect in state.active[:-1]:
         ranking = screen(state, fit, seed=0, nulls=False, without=effect)
         own = ranking.of(effect)
-        best = next((s for s in ranking.candidate_scores if not mixes_noise(state, s)), ranking.candidate_scores[0])
+        able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
+        best = next(able, ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))
