@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.selection.forward_selection import (
 )
 from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.unexplained import withdrawn
+from bayes_aero.diagnosis.structure.unexplained import offsets_found, withdrawn
 from bayes_aero.diagnosis.terms.flown import FlownForms, flown_forms
 from bayes_aero.diagnosis.terms.forms import Forms
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
@@ -94,7 +94,7 @@ def search_trajectories(
     return SearchResult(
         found.state.full,
         stages,
-        left.unknown,
+        (*left.unknown, *offsets_found(found, left.forms.idle)),
         noise_of(found, outliers),
         tuple(notes),
         (*failures, *failed),

@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.screening.screening import (
     screen,
     uncertainty,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, constant_of, moved
 from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
@@ -170,10 +170,9 @@ def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) ->
     What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
     """
-    reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
-    outputs = tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves and n not in state.apart)
+    outputs = tuple(n for n in _with_constants(state, winner) if n not in state.apart)
     count = len(state.responses.flights.lengths)
-    if count == 1 or not outputs or state.outputs != state.responses.model.coefficients:
+    if count == 1 or not outputs:
         return ()
     wider = moved(state, state.theta, apart=(*state.apart, *outputs))
     there = wider.fit()
@@ -183,6 +182,19 @@ def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) ->
         return outputs
     better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
     return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
+
+
+def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
+    """Coefficients that an addition changes; where simulations or innovations are compared, all whose constant the card
+    has; none along the flight path."""
+    coefficients = state.responses.model.coefficients
+    if state.outputs == coefficients:
+        reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
+        return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
+    if state.responses.jackknife_blocks is None:
+        return ()
+    own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
+    return tuple(n for n in coefficients if constant_of(n) in own)
 
 
 def _without_idle_offsets(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
