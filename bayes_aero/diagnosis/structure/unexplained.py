@@ -78,7 +78,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient whose constant differs between manoeuvres, and additions that explain that about as well.
+    """Each coefficient whose constant differs between manoeuvres beyond chance, and additions that explain it as well.
 
     Terms explain the `idle` ones.
     """
@@ -95,6 +95,8 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        if p > state.settings.false_alarm_rate:
+            continue
         deviation = np.sqrt(np.diag(covariance))
         names = state.responses.flights.names[1:]
         offsets = {n: (float(x), float(sd)) for n, x, sd in zip(names, size, deviation, strict=True)}
