@@ -48,13 +48,14 @@ class Kind(StrEnum):
 class Stage(IntEnum):
     """When an effect acts. An effect uses results of earlier stages, never of its own stage.
 
-    CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to
-    them to correct the record: a delay gets what was recorded, the others what is left of it without delays. `signals`
-    also has `dt`, `start`, `elapsed` (s since the start of the manoeuvre) and `first`, `last` (index of its first and
-    last sample). AIRCRAFT effects return what to add to fields of the aircraft. INFLOW effects return what moving air
-    adds to `alpha`, `beta` and `airspeed` of the flight over ground; a simulation alone asks them, for a record holds
-    the flow itself. All other stages build `Known`, sample by sample. SEPARATION and LAG run once for either wing, at
-    its own `incidence`, where an effect of INCIDENCE tells them apart.
+    CHANNEL effects get whole recorded channels (all manoeuvres end to end) as `signals` and return what to add to them
+    to correct the record: a delay gets what was recorded, the others what is left of it without delays. `signals` also
+    has `dt`, `start`, `elapsed` (s since the start of the manoeuvre), `first`, `last` (index of its first and last
+    sample) and `mach_follows` (1 where an error of the airspeed is in the Mach number, too; else 0). AIRCRAFT effects
+    return what to add to fields of the aircraft. INFLOW effects return what moving air adds to `alpha`, `beta` and
+    `airspeed` of the flight over ground; a simulation alone asks them, for a record holds the flow itself. All other
+    stages build `Known`, sample by sample. SEPARATION and LAG run once for either wing, at its own `incidence`, where
+    an effect of INCIDENCE tells them apart.
     """
 
     CHANNEL = -1  # sensors, winds, thrust: errors of the record

@@ -12,6 +12,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import response_scales
+from bayes_aero.model.joined_records import marks_of
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe
 from bayes_aero.physics.coefficients import coefficients
@@ -111,6 +112,21 @@ def test_mach_number_follows_the_airspeed_that_it_was_made_from(card, name, size
     true = Model.of([name]).corrected({name: jnp.asarray(size)}, channels, card.aircraft)
     assert not np.allclose(true["airspeed"], channels["airspeed"])
     np.testing.assert_allclose(true["mach"], true["airspeed"] / 320.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "size"), [("airspeed_bias", 5.0), ("airspeed_scale", 0.05)])
+def test_a_mach_number_with_a_source_of_its_own_is_left_as_it_is(card, name, size):
+    """True speeds and a = 320 m/s, by hand; the airspeed is recorded wrong, and the Mach number right."""
+    true = np.array([60.0, 70.0, 80.0, 90.0])
+    wrong = true + size if name == "airspeed_bias" else true * (1.0 + size)
+    air = {"static_temperature": np.full(4, 320.0**2 / (1.4 * 287.05287))}
+    model, t = Model.of([name]), np.arange(4) * DT
+    for mach, follows in ((true / 320.0, 0.0), (wrong / 320.0, 1.0)):
+        record = FlightRecord.from_arrays("by_hand", t, air | {"airspeed": wrong, "mach": mach})
+        given = {"airspeed": jnp.asarray(wrong), "mach": jnp.asarray(mach)} | marks_of(record, 0)
+        assert np.all(given["mach_follows"] == follows)
+        found = model.corrected({name: jnp.asarray(size)}, given, card.aircraft)
+        np.testing.assert_allclose(found["mach"], true / 320.0, rtol=1e-12)
 
 
 def test_every_effect_on_the_record_has_its_sign_tested():

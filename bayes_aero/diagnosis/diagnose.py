@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency.consistency import in_gusts
 from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
 from bayes_aero.diagnosis.result import (
@@ -21,6 +22,7 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
+from bayes_aero.diagnosis.screening.accuracy import implausible
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
@@ -33,7 +35,7 @@ from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling,
 from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
 from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.terms.result import SampledTerms
@@ -181,45 +183,63 @@ def causes_of(
 ) -> list[Cause]:
     """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
     coefficients)."""
-    found: list[Cause] = []
-    full = searched.full
+    found, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
-        if not extension.causes:
-            continue
         sure = confirmations.get(stage)
-        measured = {} if sure is None else gains_of(extension, searched.model, sure.kept, progress)
-        joint = correlated(extension, extension.causes)
-        noise = noise_shares(extension.state, extension.fit)
-        undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
-        for name in extension.causes:
-            effect = next(e for e in full.candidates if e.name == name)
-            probability, others = rivals_of(extension, name, noise=noise[name])
-            in_place: dict[str, tuple[float, float]] = {}
-            if sure is not None and name in sure.kept:
-                in_place = rival_gains(extension, name, others, sure.kept)
-                worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
-                if worse:
-                    probability, others = rivals_of(extension, name, worse, noise[name])
-            found.append(
-                Cause(
-                    name=name,
-                    kind=effect.kind.value,
-                    claim=effect.claim,
-                    stage=stage,
-                    probability=probability,
-                    p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
-                    ambiguous_with=tuple(dict.fromkeys((*others, *undecided.get(name, ())))),
-                    parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
-                    gain=_with_harm(measured.get(name, NO_GAIN), sure, name),
-                    excited=_excited(extension.state, name),
-                    confirmed=sure is None or name in sure.kept,
-                    missed=NOTHING if sure is None else sure.missed[name],
-                    implausible=implausible(effect, extension.sizes, full.settings),
-                    own_share=own_share(extension.state, extension.fit, name),
-                    joint=joint.get(name, {}),
-                    rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
-                )
+        measured = {}
+        if sure is not None and extension.causes:
+            measured = gains_of(extension, searched.model, sure.kept, progress)
+        found += _causes_in(full, stage, extension, extension.causes, sure, measured)
+        for larger in extension.larger:
+            names = [n for n in larger.causes if n in larger.implausible]
+            found += _causes_in(full, stage, larger, names, None, {})
+    return found
+
+
+def _causes_in(
+    full: CandidateModel,
+    stage: str,
+    extension: Extension,
+    names: Sequence[str],
+    sure: Confirmation | None,
+    measured: Mapping[str, Gain],
+) -> list[Cause]:
+    """Some causes of one extension."""
+    found = list[Cause]()
+    if not names:
+        return found
+    joint = correlated(extension, extension.causes)
+    noise = noise_shares(extension.state, extension.fit)
+    undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
+    for name in names:
+        effect = next(e for e in full.candidates if e.name == name)
+        probability, others = rivals_of(extension, name, noise=noise[name])
+        in_place: dict[str, tuple[float, float]] = {}
+        if sure is not None and name in sure.kept:
+            in_place = rival_gains(extension, name, others, sure.kept)
+            worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
+            if worse:
+                probability, others = rivals_of(extension, name, worse, noise[name])
+        found.append(
+            Cause(
+                name=name,
+                kind=effect.kind.value,
+                claim=effect.claim,
+                stage=stage,
+                probability=probability,
+                p_value=next((s.p_value for s in extension.steps if s.chosen == name), float("nan")),
+                ambiguous_with=tuple(dict.fromkeys((*others, *undecided.get(name, ())))),
+                parameters={p.name: extension.sizes[p.name] for p in effect.parameters},
+                gain=_with_harm(measured.get(name, NO_GAIN), sure, name),
+                excited=_excited(extension.state, name),
+                confirmed=sure is None or name in sure.kept,
+                missed=NOTHING if sure is None else sure.missed[name],
+                implausible=implausible(effect, extension.sizes),
+                own_share=own_share(extension.state, extension.fit, name),
+                joint=joint.get(name, {}),
+                rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
             )
+        )
     return found
 
 
@@ -231,11 +251,18 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
 def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has.
 
-    A single unlikely cause is likelier nothing. An error that no sensor has is reported as such, and is no structure.
+    A single unlikely cause is likelier nothing. A size that no aircraft has is no structure where others explain the
+    same without it, or a function does. An error that no sensor has is reported as such, and is no structure.
     """
     effects, extensions = {e.name: e for e in found.full.candidates}, found.by_stage
     several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
-    return tuple(as_structure(cause, extensions[cause.stage], effects[cause.name]) for cause in several)
+    told = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
+    least, known = found.full.settings.unnamed_share, {u.coefficient for u in found.unknown}
+
+    def left(c: Cause, u: UnexplainedStructure) -> bool:
+        return c.name in extensions[c.stage].state.active or (u.share >= least and u.coefficient not in known)
+
+    return tuple(u for c, u in told if left(c, u))
 
 
 def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:

@@ -36,7 +36,6 @@ class DiagnosisSettings:
     ambiguous: float = 3.0  # nats within which another effect explains the residuals as well
     least_rival_score: float = 2.0  # score that an effect needs on its own to be a rival
     most_names: int = 5  # of an ambiguity set: beyond it the record does not attribute what it shows
-    implausible: float = 2.0  # standard errors by which a size must be beyond what aircraft have
     least_excitation: float = 0.1  # least over largest spread of an effect's sensitivities among manoeuvres; our choice
     correlated: float = 0.9  # correlation of two estimates beyond which one follows the other
     near_one: float = 0.15  # within which the factor of a sum or difference of two parameters is reported as one

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, Shaped
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.standard import GAMMA, GAS, standard_air
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.spikes import without_spikes
@@ -88,7 +89,7 @@ def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] 
         for need in required:
             if need not in have:
                 raise InputError(f"record {record.name} has no channel {need}; map it on the card")
-        parts.append(have | plain_marks(record.n, record.dt, offset))
+        parts.append(have | marks_of(record, offset))
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
     return Joined(
@@ -110,11 +111,40 @@ def named_apart(records: Sequence[FlightRecord]) -> list[str]:
     return names
 
 
-MARKS = ("dt", "start", "elapsed", "first", "last")
+MARKS = ("dt", "start", "elapsed", "first", "last", "mach_follows")
+MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fast flight; from the speed of sound
+
+
+def marks_of(record: FlightRecord, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Marks for effects of stage CHANNEL of a recorded manoeuvre, the first sample at index `first`."""
+    marks = plain_marks(record.n, record.dt, first)
+    return marks | {"mach_follows": marks["mach_follows"] * (0.0 if own_mach(record) else 1.0)}
+
+
+def own_mach(record: FlightRecord) -> bool:
+    """Whether the Mach number was not computed from the recorded airspeed, so that an error of this is not in it.
+
+    Then airspeed over Mach number is no speed of sound: it varies with the airspeed, or is not that of the temperature.
+    """
+    if not all(record.has(name) for name in ("mach", "airspeed")):
+        return False
+    V, M = record["airspeed"], record["mach"]
+    measured = record.has("static_temperature") and bool(np.all(record["static_temperature"] > 0.0))
+    sound = np.ones(record.n)
+    if measured:
+        sound = np.sqrt(GAMMA * GAS * record["static_temperature"])
+    elif record.has("altitude"):
+        sound = standard_air(record["altitude"])[1]
+    moving = (M > 0.05) & np.isfinite(V / sound)
+    if moving.mean() < 0.5:
+        return False
+    ratio, slow = np.log(V[moving] / (M * sound)[moving]), V[moving] < np.median(V[moving])
+    varies = abs(float(np.median(ratio[slow]) - np.median(ratio[~slow]))) if 0 < slow.sum() < len(slow) else 0.0
+    return varies > MACH_VARIES or (measured and abs(float(np.median(ratio))) > MACH_OFF)
 
 
 def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """Marks for effects of stage CHANNEL of one manoeuvre of `n` samples, the first at index `first`."""
+    """Marks of one manoeuvre of `n` samples without a record: its Mach number follows the airspeed."""
     index = np.arange(n)
     return {
         "dt": np.full(n, dt),
@@ -122,6 +152,7 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
         "elapsed": index * dt,
         "first": np.full(n, first),
         "last": np.full(n, first + n - 1),
+        "mach_follows": np.ones(n),
     }
 
 

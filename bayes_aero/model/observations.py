@@ -20,7 +20,7 @@ from bayes_aero.flight.reading.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import MARKS, named_apart, plain_marks
+from bayes_aero.model.joined_records import MARKS, marks_of, named_apart, plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import NAMES, required_of
 from bayes_aero.physics.coefficients import (
@@ -147,7 +147,7 @@ def observe(
                     f"record {record.name} has no channel {need}, which the model needs; map it on the card"
                     f"{STEADY if need in ('p', 'r') else ''}"
                 )
-        parts.append(channels | plain_marks(record.n, record.dt, offset))
+        parts.append(channels | marks_of(record, offset))
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
     joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}

@@ -53,6 +53,8 @@ def differences(
 ) -> Float[Array, "n c"]:
     """Recorded minus integrated, in units of the recorded channels.
 
+    Integrals begin at what was recorded first: times a scale that varies, another begin would be no constant.
+
     Args:
         outputs: flight-path outputs to form.
         s: corrected signals (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`.
@@ -61,8 +63,10 @@ def differences(
         sines: see `path_rates`.
     """
     rates = path_rates(as_symmetric(s), aircraft, sines)
+    grown = {name: s[name] - s[name][s["first"]] for name in outputs}
     residuals = [
-        (s[name] - integral(rates[name], s["dt"], s["start"], s["first"])) / scales.get(name, 1.0) for name in outputs
+        (grown[name] - integral(rates[name], s["dt"], s["start"], s["first"])) / scales.get(name, 1.0)
+        for name in outputs
     ]
     return namespace(*residuals).stack(residuals, axis=1)
 

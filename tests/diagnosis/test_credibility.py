@@ -6,26 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_mixing import part
 
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.diagnose import (
+    diagnose,
     judged_on_held_out_flights,
     sensors_not_missed,
     structure_of,
     verdict_of,
 )
 from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
-from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.search.search_result import SearchResult
+from bayes_aero.diagnosis.selection import forward_selection as selecting
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.collinear import cancelling
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, implausible, own_share, stand_ins
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
@@ -38,6 +42,7 @@ from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.verdict import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.injection import hidden_records
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
 LEFT = (UnexplainedStructure("Cm", "phi", 0.2, 0.01),)
@@ -69,7 +74,7 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
 def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
     effect = CATALOGUE["thrust_scale"]
     assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters) == {"thrust_scale": 0.3}
-    assert not implausible(effect, cause(mean=-0.48, sd=0.15).parameters)  # the record does not know it
+    assert implausible(effect, cause(mean=-0.48, sd=0.15).parameters)  # a record that does not know it shows nothing
     assert not implausible(effect, cause(mean=-0.08, sd=0.004).parameters)
     # Pitch rate makes lift at the tail: 2 a V_H per q c/2V, some 5 per q c/V. Three real records gave 20.
     assert implausible(CATALOGUE["pitch_rate_lift"], {"CLq": Size(19.6, 1.1, "1")})
@@ -116,6 +121,45 @@ def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
     assert structure_of(searched, [replace(large, kind="measurement")]) == ()
     said = diagnosis_sentences(replace(d, beyond=(replace(large, implausible=dict.fromkeys(large.parameters, 0.1)),)))
     assert any("On this aircraft" in one and "left out of the model" in one for one in said)
+
+
+def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_it(monkeypatch):
+    """The second selection is that of the model, and it never sees what the first found too large."""
+
+    def of(size, *active):
+        full = part(CandidateModel, candidates=tuple(CATALOGUE[n] for n in ("alpha_dot_lift", "mach_drag")))
+        base, state = (part(SelectionState, full=full, active=names) for names in ((), active))
+        sizes = {"CLadot": Size(size, 20.0, "1"), "CDM": Size(0.1, 0.01, "1")}
+        no_fit = part(Fit)
+        return Extension(base, no_fit, state, no_fit, (), sizes, active, ())
+
+    asked: list[tuple[str, ...]] = []
+    given = [of(-42.9, "alpha_dot_lift", "mach_drag"), of(0.0)]
+
+    def once(_, *, barred, **__):
+        asked.append(tuple(barred))
+        return given[len(asked) - 1]
+
+    monkeypatch.setattr(selecting, "forward_selection", once)
+    found = selecting.plausible_selection(given[0].base)
+    assert asked == [(), ("alpha_dot_lift",)]
+    assert found.state.active == ()
+    assert found.larger[0].implausible == ("alpha_dot_lift",)
+
+
+@pytest.mark.verify
+def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
+    """CLq is 25, of at most 10: no name of the catalogue stands in for it."""
+    found = diagnose(
+        hidden_records({"pitch_rate_lift": {"CLq": 25.0}}, seed=12, noise="white"),
+        read_card("attas"),
+        gains_wanted=False,
+    )
+    assert not found.causes
+    told = {c.name: c for c in found.beyond}["pitch_rate_lift"].parameters["CLq"]
+    assert told.mean == pytest.approx(25.0, abs=3.0 * told.sd)
+    assert ("CL", "q") in {(u.coefficient, u.channel) for u in found.unknown}
+    assert "pitch_rate_lift" not in found.aerodynamics.state.active
 
 
 def test_limits_in_metres_are_as_large_as_the_aircraft():

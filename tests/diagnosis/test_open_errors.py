@@ -13,7 +13,10 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.model.joined_records import joined
+from bayes_aero.model.model import Model
 from bayes_aero.report.text.consistency import consistency_sentences, open_sentences
+from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import flyable
 
@@ -85,13 +88,18 @@ def test_nothing_is_asked_for_where_nothing_is_hidden(bare, seed):
     assert not [e.name for e in found.open if e.asked]
 
 
-def misread(card, *, bias: float = 0.0, scale: float = 0.0, pressure: float = 0.0) -> FlightRecord:
-    """A simulated stall whose airspeed has errors: of the impact pressure (Pa), then in proportion, then a constant."""
+def misread(
+    card, *, bias: float = 0.0, scale: float = 0.0, pressure: float = 0.0, own_mach: bool = False
+) -> FlightRecord:
+    """A simulated stall whose airspeed has errors: of the impact pressure (Pa), then in proportion, then a constant.
+
+    They are in the Mach number, too, unless it has a source of its own.
+    """
     flown = simulate_stall(0, card=card)
     channels = {name: np.array(x) for name, x in flown.channels.items()}
     V = channels["airspeed"]
     channels["airspeed"] = np.sqrt(V**2 + 2.0 * pressure / channels["density"]) * (1.0 + scale) + bias
-    channels["mach"] *= channels["airspeed"] / V
+    channels["mach"] *= 1.0 if own_mach else channels["airspeed"] / V
     return FlightRecord.from_arrays("stall", np.asarray(flown.time), channels, "simulated")
 
 
@@ -138,6 +146,42 @@ def test_two_errors_of_a_sensor_are_one_joint_estimate(card):
     (answer, *_) = consistency_sentences(found, corrects=False)
     assert answer.count("estimated together with") == 2
     assert not {e.name for e in found.open} & set(known.errors)
+
+
+@pytest.mark.parametrize(("bias", "scale"), [(4.0, -0.0225), (-3.0, 0.02), (2.0, -0.01)])
+def test_offset_and_scale_that_go_with_speed_as_a_pitot_pressure_are_not_named_that(card, bias, scale):
+    """dp / (rho V) = 2 e - e V / V0 to first order of V about V0: offset and scale of opposite signs stand for it."""
+    known, found = found_in(misread(card, bias=bias, scale=scale), card)
+    assert set(known.errors) == {"airspeed_bias", "airspeed_scale"}
+    for name, true in (("airspeed_bias", bias), ("airspeed_scale", scale)):
+        size = known.errors[name]["parameters"][name]
+        assert size["mean"] == pytest.approx(true, abs=4.0 * size["sd"])
+    assert "airspeed_scale" in known.errors["airspeed_bias"]["joint"]
+    assert found.agreement is not Agreement.UNEXPLAINED
+
+
+def test_at_the_true_pressure_of_a_pitot_line_the_flight_path_is_as_without_an_error(card):
+    """The scale of the correction goes with the airspeed; where its integral begins must not be multiplied by it."""
+
+    def left(pressure: float) -> float:
+        flights = joined([misread(card, pressure=pressure)], card)
+        path = FlightPathError.of(flights, Model.of(["pitot_pressure_bias"]))
+        residual = path.evaluate(np.array([pressure]))[0][:, path.outputs.index("airspeed")]
+        return float(np.std(residual))
+
+    assert left(258.0) == pytest.approx(left(0.0), rel=0.2)
+
+
+@pytest.mark.verify
+def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(card):
+    """CLa is 3.6, CD0 .045; moved with the airspeed, the Mach number would make CLa 3.78."""
+    found = diagnose([misread(card, pressure=300.0, own_mach=True)], card, gains_wanted=False)
+    assert {c.name for c in found.causes} == {"pitot_pressure_bias"}
+    assert not found.minor
+    assert not found.unknown
+    for name, true in (("CLa", 3.6), ("CD0", 0.045)):
+        _, after, sd = found.base_moves[name]
+        assert after == pytest.approx(true, abs=3.0 * sd)
 
 
 def test_half_of_a_joint_estimate_is_no_correction(card):

@@ -7,18 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
 from bayes_aero.diagnosis.search.search_trajectories import in_windows
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Prior
+from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.injection import hidden_records
+from bayes_aero.simulate.injection import Beyond, hidden_records
 
 SEED = 4132
 BANDS = {"airspeed": 1.5, "alpha": 0.035, "theta": 0.035}
@@ -97,3 +100,41 @@ def test_a_fit_that_strays_in_long_windows_is_begun_in_shorter_ones(card):
     assert found["alpha_star"] == pytest.approx(TRUTH["alpha_star"], abs=0.01)
     assert found["tau2"] == pytest.approx(TRUTH["tau2"], rel=0.3)
     assert found["a1"] == pytest.approx(TRUTH["a1"], rel=0.3)
+
+
+def test_an_offset_of_a_coefficient_in_one_manoeuvre_is_its_constant_there():
+    """Flown outputs to CL0, manoeuvre by manoeuvre: the constants add up to the model's own."""
+    rng = np.random.default_rng(0)
+    S, manoeuvre = rng.standard_normal((7, 2, 3)), np.array([0, 0, 0, 1, 1, 2, 2])
+    full = CandidateModel(Model.of(["profile_drag", "attached_lift"]), (), (), {})
+    assert full.model.names == ("CD0", "CL0", "CLa")
+    found = constants_of_manoeuvres(full, manoeuvre, ("airspeed", "alpha"), S, "CL")
+    np.testing.assert_allclose(found.sum(axis=2), S[:, :, 1])
+    for k in range(3):
+        np.testing.assert_array_equal(found[manoeuvre == k, :, k], S[manoeuvre == k, :, 1])
+        assert not found[manoeuvre != k, :, k].any()
+
+
+@pytest.mark.verify
+def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flights(card):
+    """Lift 0.06 larger in the second flight, flown with flaps that hardly move: the offset is told, and no flap."""
+    made = Parameter("CLstep", "1", 0.0, 0.0, "more lift", Prior("normal", 0.0, 1.0), (-1.0, 1.0))
+    step = Effect(
+        "lift_step", Kind.AERODYNAMICS, Stage.ATTACHED, "More lift.", (made,), ("alpha",),
+        lambda v, s, a, known: {"CL_attached": v["CLstep"] + 0.0 * s["alpha"]},  # noqa: ARG005
+        Example({"CLstep": 0.1}, {"alpha": 0.1}, {"CL_attached": 0.1}, "by hand"), "by hand",
+    )  # fmt: skip
+    records = []
+    for k, (more, flap) in enumerate(((0.0, 0.0), (0.06, 0.2))):
+        beyond = Beyond((step,), lambda _, more=more: {"CLstep": more})
+        flight = hidden_records({}, seed=77, noise="white", seconds=30.0, beyond=beyond)[k]
+        channels = {n: np.asarray(x) for n, x in flight.channels.items() if n not in ("ax", "ay", "az")}
+        channels["flap"] = flap + 0.004 * np.sin(0.3 * np.asarray(flight.time) + k)
+        records.append(FlightRecord.from_arrays(flight.name, np.asarray(flight.time), channels, "simulated"))
+    found = diagnose(records, card, gains_wanted=False, process_noise=False)
+    assert not found.causes
+    (told,) = found.unknown
+    assert (told.coefficient, told.channel) == ("CL", "manoeuvre")
+    ((size, sd),) = told.offsets.values()
+    assert size == pytest.approx(0.06, abs=3.0 * sd)
+    assert "flap_lift" in told.rivals

@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.selection.collinear import correlated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.plausibility import implausible
+from bayes_aero.diagnosis.selection.plausibility import without_hold
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
@@ -102,14 +102,9 @@ def errors_of_path(known: Extension) -> KnownErrors:
     estimated together with such a one is no error by itself, either.
     """
     named = {e.name: e for e in known.state.full.candidates}
-    joint = correlated(known, known.state.active)
-    out = {
-        name
-        for name in (*known.causes, *known.minor)
-        if implausible(named[name], known.sizes) or any(known.sizes[p.name].at_bound for p in named[name].parameters)
-    }
-    unheld = {name: joint[name] for name in joint if name in out or out & set(joint[name])}
-    found = [named[name] for name in (*known.causes, *known.minor) if name not in out and name not in unheld]
+    joint, out = correlated(known, known.state.active), without_hold(known)
+    unheld = {name: partners for name, partners in out.items() if partners}
+    found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
     pairs = (_unheld(named[name], known.sizes, partners) for name, partners in unheld.items())
     return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
-from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
+from bayes_aero.diagnosis.selection.undecided_errors import with_several_instead
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
@@ -46,8 +48,13 @@ def check_sensors(
     candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in known)
     own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
     state = linearised(own, responses, responses.outputs, theta)
-    found = forward_selection(state, seed=seed, checked=consistent_across_blocks)
+    found = forward_selection(state, seed=seed, checked=_checked)
     return widened(found, found.state, found.fit)
+
+
+def _checked(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+    """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
+    return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
 
 
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:

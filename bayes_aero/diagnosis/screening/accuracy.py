@@ -8,6 +8,8 @@ simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 8
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +21,7 @@ from bayes_aero.diagnosis.screening.parameter_fit import local_fit
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.model.joined_records import Recorded
 
@@ -45,6 +48,17 @@ class Size:
     def ci95(self) -> tuple[float, float]:
         """Mean -+ 1.96 deviations."""
         return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
+
+
+def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
+    """Parameters (1/e for one whose neutral value is infinite) whose estimate is beyond the largest plausible size,
+    whatever its deviation; with that size."""
+    found = {}
+    for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
+        largest = effect.sizes[p.name][1]
+        if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
+            found[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
+    return found
 
 
 def recording_noise(flights: Recorded) -> dict[str, float]:

@@ -246,14 +246,14 @@ def uncertainty(state: SelectionState, fit: Fit, colour: Autocorrelation) -> Flo
 def block_jackknife_covariance(
     state: SelectionState, fit: Fit
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Active columns that are no offsets, and the covariance of their estimates from how far these move when a part of
-    the flights is left out.
+    """Active columns but those with which windows begin, and the covariance of their estimates from how far these move
+    when a part of the flights is left out.
 
     See `jackknife_covariance`.
     """
     stretch = state.responses.jackknife_blocks
     assert stretch is not None
-    columns = fit.columns[~np.isin(fit.columns, state.offsets)]
+    columns = fit.columns[~np.isin(fit.columns, state.begins)]
     parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     moves = np.array([inverse(whole - information) @ right for information, right in parts])
@@ -263,9 +263,9 @@ def block_jackknife_covariance(
 def _without_offsets(
     state: SelectionState, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Information of one stretch on these columns, its offsets free, and what it adds to the right side."""
+    """Information of one stretch on these columns, its beginning free, and what it adds to the right side."""
     here, weight = here & state.inside, 1.0 / fit.variance
-    S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.offsets]
+    S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
     S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
     return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
 

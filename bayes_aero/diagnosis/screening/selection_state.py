@@ -64,7 +64,7 @@ class SelectionState:
     scans: tuple[Scan, ...]
     nuisance: int = 0  # columns between the parameters and the scans
     variance_inflation: float = 1.0  # priors count so many times against the white likelihood
-    apart: tuple[str, ...] = ()  # coefficients with a constant of its own in every manoeuvre, among the nuisance
+    apart: tuple[str, ...] = ()  # coefficients with a constant of their own in every manoeuvre, among the nuisance
     components: tuple[Component, ...] = ()  # candidates in place of effects
     chosen: tuple[Component, ...] = ()  # components that are in
 
@@ -93,6 +93,11 @@ class SelectionState:
     def offsets(self) -> Int[np.ndarray, " o"]:
         """Columns of what is free in every fit and no parameter."""
         return len(self.theta) + np.arange(self.nuisance)
+
+    @property
+    def begins(self) -> Int[np.ndarray, " o"]:
+        """Those of `offsets` with which integrals, windows or simulations begin."""
+        return self.offsets[: self.nuisance - len(self.apart) * len(self.responses.flights.lengths)]
 
     @property
     def scanned(self) -> dict[Scan, Float[np.ndarray, "m c 1"]]:
@@ -172,7 +177,7 @@ def linearised(
     else:
         residual, S = responses.linearise(theta)
         residual, S, scanned = residual[:, keep], S[:, keep], {}
-    constants = [manoeuvre_constants(responses.manoeuvre, outputs, name) for name in apart]
+    constants = [constants_of_manoeuvres(full, responses.manoeuvre, outputs, S, name) for name in apart]
     scans, extra = [], [np.concatenate([responses.offsets(theta, outputs), *constants], axis=2)]
     for effect in full.candidates:
         if effect.name in active:
@@ -197,7 +202,7 @@ def linearised(
     of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
     # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
-    size = [np.std(residual[:, outputs.index(name)]) for name, S in zip(apart, constants, strict=True) for _ in S.T]
+    size = [_spread(residual, ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
     flat = np.concatenate(
         [nothing[len(size) :], variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))]
     )
@@ -222,6 +227,33 @@ def linearised(
         variance_inflation,
         apart,
     )
+
+
+def constants_of_manoeuvres(
+    full: CandidateModel,
+    manoeuvre: Int[np.ndarray, " m"],
+    outputs: Sequence[str],
+    S: Float[np.ndarray, "m c k"],
+    name: str,
+) -> Float[np.ndarray, "m c o"]:
+    """Sensitivity to a coefficient's constant in every manoeuvre: of itself, or of flown outputs to the model's one."""
+    if name in outputs:
+        return manoeuvre_constants(manoeuvre, outputs, name)
+    here = manoeuvre[:, None] == np.arange(int(manoeuvre[-1]) + 1)
+    column = np.where(np.abs(S) < LARGEST, S, 0.0)[:, :, full.columns([constant_of(name)])]
+    return column * here[:, None, :]
+
+
+def constant_of(coefficient: str) -> str:
+    """The parameter that is a coefficient's constant."""
+    return f"{coefficient}0"
+
+
+def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
+    """The size of a constant that moves the outputs by the deviation of their residuals."""
+    here = np.any(ones != 0.0, axis=1)
+    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
+    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
 
 
 def manoeuvre_constants(

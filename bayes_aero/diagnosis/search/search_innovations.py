@@ -17,12 +17,12 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.result import INNOVATIONS
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
 from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.search.search_trajectories import FIRST, noise_of, without_lags
 from bayes_aero.diagnosis.selection.forward_selection import Extension, Selected, Step, selected, sized
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.unexplained import withdrawn
+from bayes_aero.diagnosis.structure.unexplained import offsets_found, withdrawn
 from bayes_aero.diagnosis.terms.flown import FlownForms, flown_forms
 from bayes_aero.diagnosis.terms.forms import Forms
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, taken_as_zero
@@ -86,7 +86,7 @@ def search_innovations(
     return SearchResult(
         found.state.full,
         ((INNOVATIONS, found),),
-        left.unknown,
+        (*left.unknown, *offsets_found(found, left.forms.idle)),
         noise,
         tuple(notes),
         failures,
@@ -105,27 +105,43 @@ class _Flown(NamedTuple):
 
 
 def _searched(
-    flown: _Flown, known: Mapping[str, float], seed: int, progress: Progress | None
+    flown: _Flown,
+    known: Mapping[str, float],
+    seed: int,
+    progress: Progress | None,
+    before: Extension | None = None,
+    barred: tuple[str, ...] = (),
 ) -> tuple[Extension, PredictionErrorStatus]:
     """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
 
-    Before, the noise of states had to stand for what was missing. `known` are parameters to start from.
+    Before, the noise of states had to stand for what was missing. `known` are parameters to start from. What is larger
+    than aircraft have is `barred`, and all is sought again (see `plausible_selection`); `before` it was in.
     """
+    begin = known
     active: tuple[str, ...] = ()
+    apart: tuple[str, ...] = ()
     steps: tuple[Step, ...] = ()
     first: Selected | None = None
     filtered: PredictionErrorResult | None = None
     while True:
         state, filtered = _followed(flown, known, active, filtered, progress)
+        state = moved(state, state.theta, apart=apart)
         room = flown.full.settings.max_effects - len(active)
-        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress)
+        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress, barred=barred)
         first, steps = first or found, (*steps, *found.steps)
         chosen = found.state.active
         # An addition that another one has replaced ends the search: the two would replace each other for ever.
         if chosen == active or set(active) - set(chosen):
             found = found._replace(base=first.base, base_fit=first.base_fit, steps=steps)
-            return sized(found), filtered.status
-        active, known = chosen, dict(zip(state.full.model.names, found.state.theta, strict=True))
+            extension = replace(sized(found), too_large=before)
+            if not extension.implausible:
+                return extension, filtered.status
+            return _searched(flown, begin, seed, progress, extension, (*barred, *extension.implausible))
+        apart, active, known = (
+            found.state.apart,
+            chosen,
+            dict(zip(state.full.model.names, found.state.theta, strict=True)),
+        )
 
 
 def _followed(

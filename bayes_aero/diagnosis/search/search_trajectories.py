@@ -21,12 +21,12 @@ from bayes_aero.diagnosis.selection.forward_selection import (
     Progress,
     Step,
     between_p_value,
-    forward_selection,
     nats_gained,
+    plausible_selection,
 )
 from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.unexplained import withdrawn
+from bayes_aero.diagnosis.structure.unexplained import offsets_found, withdrawn
 from bayes_aero.diagnosis.terms.flown import FlownForms, flown_forms
 from bayes_aero.diagnosis.terms.forms import Forms
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
@@ -72,7 +72,7 @@ def search_trajectories(
         raise InputError(f"card {card.name}: {fit.status.value}")
     whole = candidate_model(model, flights, extra, settings)
     state = _state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
-    found = forward_selection(state, seed=seed, progress=progress)
+    found = plausible_selection(state, seed=seed, progress=progress)
     lagged, failures = _asked_of_a_lag(whole, found, seed, progress)
     found = lagged or found
     left, failed = attempted(
@@ -94,7 +94,7 @@ def search_trajectories(
     return SearchResult(
         found.state.full,
         stages,
-        left.unknown,
+        (*left.unknown, *offsets_found(found, left.forms.idle)),
         noise_of(found, outliers),
         tuple(notes),
         (*failures, *failed),
@@ -159,7 +159,7 @@ def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Prog
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
     if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
-    other = forward_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
     if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
         return None
     p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)

@@ -19,7 +19,8 @@ from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, ref
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
 from bayes_aero.diagnosis.selection.block_jackknife import widened
-from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained, removed
+from bayes_aero.diagnosis.selection.forward_selection import Extension, nats_gained, plausible_selection, removed
+from bayes_aero.diagnosis.selection.plausibility import without_hold
 from bayes_aero.diagnosis.structure.components import offsets_left
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.parameter import Prior
@@ -52,12 +53,14 @@ def search_in_stages(
             progress("coefficients", 0.0)
         begin = theta
         if sensors is not None:
-            begin = sensors.state.full.at_neutral(sensors.state.theta, sensors.state.full.base)
+            begin = sensors.state.full.at_neutral(
+                sensors.state.theta, (*sensors.state.full.base, *without_hold(sensors))
+            )
         state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
-        found = forward_selection(state, seed=seed + 1000, progress=progress)
+        found = plausible_selection(state, seed=seed + 1000, progress=progress)
         if left := offsets_left(found.state, seed=seed + 1500):
             state = moved(state, begin, apart=(*found.state.apart, *left))
-            found = forward_selection(state, seed=seed + 1000, progress=progress)
+            found = plausible_selection(state, seed=seed + 1000, progress=progress)
         return found
 
     path = FlightPathError.of(responses.flights, responses.model)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.screening.accuracy import Size, largest_noise_bias, sizes
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible, largest_noise_bias, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
 from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
@@ -26,7 +26,7 @@ from bayes_aero.diagnosis.screening.screening import (
     screen,
     uncertainty,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, constant_of, moved
 from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
@@ -51,7 +51,8 @@ class Extension:
     """The state before and after, with fits and elections; sizes of what is in.
 
     `causes` are worth a name: as large, within a deviation, as the least departure worth modelling, and beyond doubt
-    (see `worth`); `minor` are not.
+    (see `worth`); `minor` are not. `too_large`: the extension with additions larger than aircraft have, without which
+    all was selected again; None where there was none.
     """
 
     base: SelectionState
@@ -62,6 +63,18 @@ class Extension:
     sizes: Mapping[str, Size]
     causes: tuple[str, ...]
     minor: tuple[str, ...]
+    too_large: Extension | None = None
+
+    @property
+    def implausible(self) -> tuple[str, ...]:
+        """Additions of this selection that are larger than aircraft have."""
+        own = {e.name: e for e in self.state.full.candidates if e.name not in self.base.active}
+        return tuple(n for n in self.state.active if n in own and implausible(own[n], self.sizes))
+
+    @property
+    def larger(self) -> tuple[Extension, ...]:
+        """Every `too_large` extension, the last first."""
+        return () if self.too_large is None else (self.too_large, *self.too_large.larger)
 
 
 Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
@@ -84,27 +97,49 @@ def forward_selection(
     progress: Progress | None = None,
     most: int | None = None,
     checked: Checked = lambda state, fit: (state, fit),
+    barred: Sequence[str] = (),
 ) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out, and size them.
 
-    `checked` may take some out again before the others are sized. Other arguments as of `selected`.
+    Those that are `barred` do not stand. `checked` may take some out again before the others are sized. Other arguments
+    as of `selected`.
     """
-    found = selected(state, seed=seed, most=most, progress=progress)
+    found = selected(state, seed=seed, most=most, progress=progress, barred=barred)
     after, fit = checked(found.state, found.fit)
     return sized(found._replace(state=after, fit=fit))
 
 
+def plausible_selection(
+    state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
+) -> Extension:
+    """`forward_selection`, made again without what is larger than aircraft have: it explains nothing, and what was
+    selected beside it is judged without it."""
+    barred, before = (), None
+    while True:
+        found = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
+        found = replace(found, too_large=before)
+        if not found.implausible:
+            return found
+        barred, before = (*barred, *found.implausible), found
+
+
 def selected(
-    state: SelectionState, *, seed: int = 0, most: int | None = None, progress: Progress | None = None
+    state: SelectionState,
+    *,
+    seed: int = 0,
+    most: int | None = None,
+    progress: Progress | None = None,
+    barred: Sequence[str] = (),
 ) -> Selected:
-    """Add at most `most` effects (default: the settings'). p-values are family-wise over all candidates."""
+    """Add at most `most` effects (default: the settings') that are not `barred`. p-values are family-wise over all
+    candidates."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
     noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
     state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
     steps: list[Step] = []
-    barred: tuple[str, ...] = ()
+    noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
         if len(state.active) - len(first.active) >= most:
             break
@@ -112,7 +147,7 @@ def selected(
             progress("causes", len(state.active) / max(most, 1))
         winner, standing_in = None, ("",)
         while standing_in:
-            step = _election(state, fit, seed + number, barred, first=number == 0)
+            step = _election(state, fit, seed + number, (*barred, *noisy), first=number == 0)
             winner = None if step.chosen is None else step.screening.of(step.chosen)
             standing_in = () if winner is None else _offsets_instead(state, fit, winner)
             if standing_in:
@@ -122,10 +157,10 @@ def selected(
             break
         wider, wider_fit = refitted(added(state, winner))
         if noise_shares(wider, wider_fit)[winner.effect] > OF_NOISE:
-            barred, steps[-1] = (*barred, winner.effect), replace(step, chosen=None)
+            noisy, steps[-1] = (*noisy, winner.effect), replace(step, chosen=None)
             continue
-        state, fit = _reconsidered(wider, wider_fit)
-        barred = ()  # with less left, noise can make less
+        state, fit = _reconsidered(wider, wider_fit, barred)
+        noisy = ()  # with less left, noise can make less
     return Selected(first, first_fit, *_without_idle_offsets(state, fit), tuple(steps))
 
 
@@ -135,10 +170,9 @@ def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) ->
     What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
     """
-    reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
-    outputs = tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves and n not in state.apart)
+    outputs = tuple(n for n in _with_constants(state, winner) if n not in state.apart)
     count = len(state.responses.flights.lengths)
-    if count == 1 or not outputs or state.outputs != state.responses.model.coefficients:
+    if count == 1 or not outputs:
         return ()
     wider = moved(state, state.theta, apart=(*state.apart, *outputs))
     there = wider.fit()
@@ -148,6 +182,19 @@ def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) ->
         return outputs
     better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
     return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
+
+
+def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
+    """Coefficients that an addition changes; where simulations or innovations are compared, all whose constant the card
+    has; none along the flight path."""
+    coefficients = state.responses.model.coefficients
+    if state.outputs == coefficients:
+        reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
+        return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
+    if state.responses.jackknife_blocks is None:
+        return ()
+    own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
+    return tuple(n for n in coefficients if constant_of(n) in own)
 
 
 def _without_idle_offsets(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
@@ -299,13 +346,14 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
     return truncated(state, [e for e in state.active if e != effect])
 
 
-def _reconsidered(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+def _reconsidered(state: SelectionState, fit: Fit, barred: Sequence[str]) -> tuple[SelectionState, Fit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
     for effect in state.active[:-1]:
         ranking = screen(state, fit, seed=0, nulls=False, without=effect)
         own = ranking.of(effect)
-        best = next((s for s in ranking.candidate_scores if not mixes_noise(state, s)), ranking.candidate_scores[0])
+        able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
+        best = next(able, ranking.candidate_scores[0])
         faint = own is not None and own.log_bayes < 0.0 and _bayes_within(state, fit, own) < 0.0
         if own is None or faint or explained(state, own) < least or mixes_noise(state, own):
             state, fit = refitted(removed(state, effect))

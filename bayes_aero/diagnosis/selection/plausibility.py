@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bayes_aero.diagnosis.result import LITTLE, Cause, UnexplainedStructure
-from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
-from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection.collinear import correlated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect
 
 
-def implausible(effect: Effect, sizes: Mapping[str, Size], settings: DiagnosisSettings = DEFAULT) -> dict[str, float]:
-    """Parameters (1/e for one whose neutral value is infinite) that are beyond the largest plausible size, whatever
-    their deviation; with that size."""
-    found = {}
-    for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
-        away, sd = p.away(sizes[p.name].mean, sizes[p.name].sd)
-        largest = effect.sizes[p.name][1]
-        if abs(away) - settings.implausible * sd > largest:
-            found[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
-    return found
+def without_hold(found: Extension) -> dict[str, Mapping[str, float]]:
+    """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
+    with such a one; each with its partners and the correlation."""
+    state, joint = found.state, correlated(found, found.state.active)
+    out = {n for n in state.active if any(found.sizes[p].at_bound for p in state.full.parameters_of(n))}
+    out |= set(found.implausible)
+    return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 
 def own_share(state: SelectionState, fit: Fit, effect: str) -> float:
@@ -71,11 +67,13 @@ def stand_ins(
     return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
 
 
-def _output(extension: Extension, name: str) -> str:
-    """The output that an addition moves most, over what is left there."""
+def _output(extension: Extension, name: str, step: CandidateScore | None = None) -> str:
+    """The output that an addition, or a candidate with this step, moves most, over what is left there."""
     state = extension.state
-    columns = state.full.own_columns(name)
-    moved = (state.scaled[:, :, columns] @ state.departure[columns])[state.inside]
+    columns, away = state.full.own_columns(name), state.departure
+    if name not in state.active and step is not None:
+        columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))
+    moved = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
     return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / extension.fit.variance))]
 
 
@@ -87,5 +85,5 @@ def as_structure(cause: Cause, extension: Extension, effect: Effect) -> Unexplai
     share = 1.0 - float(np.exp(-gain / state.products.count.sum()))
     channel = effect.channels[0] if effect.channels else effect.kind.value
     return UnexplainedStructure(
-        _output(extension, cause.name), channel, share, cause.p_value, (cause.name, *cause.ambiguous_with)
+        _output(extension, cause.name, standing), channel, share, cause.p_value, (cause.name, *cause.ambiguous_with)
     )

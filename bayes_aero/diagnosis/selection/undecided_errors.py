@@ -6,33 +6,39 @@ same, so without another measurement (the altitude, a calm wind) the record know
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.screening.regression import TINY, inverse, partialled
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import CandidateScore
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
 from bayes_aero.flight.agreement import OpenError
+from bayes_aero.inference.variance.variance_inflation import nats
 
 
 def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
-    One that was added and is beyond absence whatever others are there, too, is decided.
+    One that was added and is beyond absence, estimated with all others, is decided.
 
     Args:
         found: the search along the flight path, ended by `widened`.
     """
     state = found.state
     effects = [e for e in state.full.candidates if _felt(state, e)]
-    gram, columns = _information(found, effects)
+    gram, right = _information(state, found.fit, effects)
+    columns = _columns(state, effects)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
-    among = np.sqrt(state.variance_inflation * np.diag(inverse(gram + np.diag(state.precision[columns]))))
+    covariance = inverse(gram + np.diag(state.precision[columns]))
+    among = np.sqrt(state.variance_inflation * np.diag(covariance))
+    jointly = covariance @ (right + gram @ state.departure[columns])
     screening = found.steps[-1].screening
     told = []
     for place, effect in enumerate(effects):
@@ -43,7 +49,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         wide = max(sd, float(among[place]))
         imitators, share = _imitators(gram, effects, place, state.settings)
         least, _ = effect.sizes[parameter.name]
-        decided = standing is None and abs(mean) >= state.settings.least_score * wide
+        decided = standing is None and abs(jointly[place]) >= state.settings.least_score * wide
         if decided or state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
         if not (asked or imitators):
@@ -71,14 +77,44 @@ def _felt(state: SelectionState, effect: Effect) -> bool:
     return bool(np.any(state.S[:, :, state.full.own_columns(effect.name)] != 0.0))
 
 
-def _information(found: Extension, effects: Sequence[Effect]) -> tuple[Float[np.ndarray, "k k"], np.ndarray]:
-    """Information on one parameter of each effect, where integrals begin being free, and these parameters' columns."""
-    state = found.state
-    columns = state.full.columns([e.parameters[0].name for e in effects])
-    X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
-    weight = 1.0 / found.fit.variance
+def _columns(state: SelectionState, effects: Sequence[Effect]) -> Int[np.ndarray, " k"]:
+    """Columns of the one parameter of each effect."""
+    return state.full.columns([e.parameters[0].name for e in effects])
+
+
+def _information(
+    state: SelectionState, fit: Fit, effects: Sequence[Effect]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Information on one parameter of each effect, where integrals begin being free, and the right side of what is
+    left."""
+    X, begin = (state.scaled[state.inside][:, :, own] for own in (_columns(state, effects), state.offsets))
+    weight = 1.0 / fit.variance
     X = partialled(X, begin, weight)
-    return np.einsum("mci,c,mcj->ij", X, weight, X), columns
+    right = np.einsum("mci,c,mc->i", X, weight, state.left(fit)[state.inside])
+    return np.einsum("mci,c,mcj->ij", X, weight, X), right
+
+
+def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+    """The state with an addition exchanged for several errors that together do nearly the same, where these explain the
+    record decisively better.
+
+    Offset and scale of an airspeed come one by one. Neither gains what an offset of its pitot pressure does.
+    """
+    effects = [e for e in state.full.candidates if _felt(state, e)]
+    gram, _ = _information(state, fit, effects)
+    for place, effect in enumerate(effects):
+        if effect.name not in state.active:
+            continue
+        others = [name for name in state.active if name != effect.name]
+        neutral = state.full.at_neutral(state.theta, [effect.name])
+        for together, share in _nearest(gram, effects, place, state.settings):
+            if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
+                continue
+            wider, wider_fit = refitted(moved(state, neutral, (*others, *together)))
+            choice = (len(together) - 1) * math.log(len(state.full.candidates))
+            if nats(fit.deviance - wider_fit.deviance, state.variance_inflation) - choice > state.settings.decisive:
+                return with_several_instead(wider, wider_fit)
+    return state, fit
 
 
 def _asked(state: SelectionState, effect: Effect, standing: CandidateScore) -> bool:
@@ -100,17 +136,23 @@ def _imitators(
     gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings
 ) -> tuple[tuple[str, ...], float]:
     """The fewest other errors, each of a size that sensors have, that do what one error does; and their share of it."""
+    nearest = _nearest(gram, effects, place, settings)
+    return next((one for one in nearest if one[1] >= settings.imitated), ((), 0.0))
+
+
+def _nearest(
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """One other error, two, and so on, that do most of what one error does; and their share of it."""
     chosen: list[int] = []
     for _ in range(settings.imitators):
         others = [k for k in range(len(effects)) if k != place and k not in chosen]
         shares = {k: _share(gram, effects, place, [*chosen, k]) for k in others}
         if not shares:
-            break
+            return
         best = max(shares, key=lambda k: shares[k])
         chosen.append(best)
-        if shares[best] >= settings.imitated:
-            return tuple(effects[k].name for k in chosen), shares[best]
-    return (), 0.0
+        yield tuple(effects[k].name for k in chosen), shares[best]
 
 
 def _share(gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, others: Sequence[int]) -> float:

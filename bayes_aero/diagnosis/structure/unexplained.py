@@ -78,7 +78,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient whose constant differs between manoeuvres, and additions that explain that about as well.
+    """Each coefficient whose constant differs between manoeuvres beyond chance, and additions that explain it as well.
 
     Terms explain the `idle` ones.
     """
@@ -87,25 +87,27 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
         less, fit = fewer.fit(), state.fit()
         ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
-        gain, c = less.deviance - fit.deviance, state.outputs.index(name)
+        gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
-        columns = state.offsets[_ones(state, c)]
+        columns = state.offsets[_ones(state, name)]
         at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
         covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        if p > state.settings.false_alarm_rate:
+            continue
         deviation = np.sqrt(np.diag(covariance))
         names = state.responses.flights.names[1:]
         offsets = {n: (float(x), float(sd)) for n, x, sd in zip(names, size, deviation, strict=True)}
-        share = float(1.0 - fit.variance[c] / less.variance[c])
+        share = float(np.max(1.0 - fit.variance / less.variance))
         found.append(UnexplainedStructure(name, "manoeuvre", share, p, tuple(dict.fromkeys(rivals)), offsets))
     return tuple(found)
 
 
-def _ones(state: SelectionState, c: int) -> np.ndarray:
-    """Which of the free columns are the constants of output c, in the order of the manoeuvres."""
-    width, number = len(state.responses.flights.lengths), state.apart.index(state.outputs[c])
+def _ones(state: SelectionState, name: str) -> np.ndarray:
+    """Which of the free columns are the constants of a coefficient, in the order of the manoeuvres."""
+    width, number = len(state.responses.flights.lengths), state.apart.index(name)
     return len(state.offsets) - width * (len(state.apart) - number) + np.arange(width)
 
 

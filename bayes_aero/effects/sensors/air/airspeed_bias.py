@@ -6,10 +6,10 @@ from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
-    """Recorded = true + airspeed_bias; the Mach number, where recorded, is off in proportion."""
+    """Recorded = true + airspeed_bias; a Mach number that follows the airspeed is off in proportion."""
     V = s["airspeed"]
     off = -v["airspeed_bias"] + xp.zeros_like(V)
-    return {"airspeed": off} | ({"mach": s["mach"] * off / V} if "mach" in s else {})
+    return {"airspeed": off} | ({"mach": s["mach"] * off / V * s.get("mach_follows", 1.0)} if "mach" in s else {})
 
 
 EFFECT = Effect(

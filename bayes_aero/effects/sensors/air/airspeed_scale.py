@@ -5,9 +5,10 @@ from bayes_aero.parameter import Parameter, Prior
 
 
 def increments(v, s, a, known):
-    """Recorded = (1 + airspeed_scale) true; the Mach number, where recorded, likewise."""
+    """Recorded = (1 + airspeed_scale) true; a Mach number that follows the airspeed likewise."""
     share = 1.0 / (1.0 + v["airspeed_scale"]) - 1.0
-    return {key: s[key] * share for key in ("airspeed", "mach") if key in s}
+    off = {"airspeed": s["airspeed"] * share}
+    return off | ({"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {})
 
 
 EFFECT = Effect(

@@ -9,12 +9,12 @@ MOST = 0.99  # share of the recorded impact pressure that the error may be
 
 
 def increments(v, s, a, known):
-    """rho/2 recorded^2 = rho/2 true^2 + pitot_pressure_bias; the Mach number, where recorded, is off in proportion."""
+    """rho/2 recorded^2 = rho/2 true^2 + pitot_pressure_bias; a Mach number that follows the airspeed likewise."""
     V = s["airspeed"]
     impact = 0.5 * s["density"] * xp.maximum(V, SLOWEST) ** 2
     share = xp.minimum(v["pitot_pressure_bias"] / impact, MOST)
     off = -share / (1.0 + xp.sqrt(1.0 - share))
-    return {"airspeed": V * off} | ({"mach": s["mach"] * off} if "mach" in s else {})
+    return {"airspeed": V * off} | ({"mach": s["mach"] * off * s.get("mach_follows", 1.0)} if "mach" in s else {})
 
 
 EFFECT = Effect(
