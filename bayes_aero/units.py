@@ -231,3 +231,14 @@ def _mass_of(weight: float, unit: str, where: str) -> str:
 def instant(time: float) -> str:
     """A time in s, to a millisecond and however late the clock is: 36002.12, not 3.6e+04."""
     return f"{time:.3f}".rstrip("0").rstrip(".")
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Significant digits without an exponent where people read numbers; a dash where there is none."""
+    if not np.isfinite(value):
+        return "–"
+    rounded = f"{value:z.{digits - 1}e}"  # its exponent is that of what is shown: 999.7 has that of 1000
+    exponent = int(rounded.partition("e")[2])
+    if not -4 <= exponent < 6:
+        return rounded
+    return f"{value:z.{digits}g}" if exponent < digits else f"{value:z.0f}"

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Int
 
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.errors import InputError
+from bayes_aero.units import number
 
 
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
@@ -25,8 +26,8 @@ def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     if int(seconds / shortest) >= 2:
         return ""
     return (
-        f"a single manoeuvre of {seconds:.3g} s is too short to be predicted from its own parts; "
-        f" give one of {enough:.0f} s at least, or a second one"
+        f"a single manoeuvre of {number(seconds)} s is too short to be predicted from its own parts; "
+        f"give one of {enough:.0f} s at least, or a second one"
     )
 
 

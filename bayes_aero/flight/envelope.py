@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.flight.tolerances import GRAVITY
+from bayes_aero.units import number
 
 UNITS = {
     "alpha": "rad", "beta": "rad", "phi": "rad", "airspeed": "m/s", "load_factor": "1", "altitude_loss": "m",
@@ -41,7 +42,7 @@ class Envelope:
                 continue
             least, most = excursion[name]
             if not (np.isfinite(least) and np.isfinite(most) and least >= lower and most <= upper):
-                return f"{name} {least:.3g} to {most:.3g} (allowed {lower:.3g} to {upper:.3g})"
+                return f"{name} {number(least)} to {number(most)} (allowed {number(lower)} to {number(upper)})"
         return None
 
 

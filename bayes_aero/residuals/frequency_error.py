@@ -27,6 +27,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined
 from bayes_aero.residuals.base import ResidualModel
 from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.units import number
 
 Band = tuple[float, float]
 """Lowest and highest frequency, Hz."""
@@ -48,8 +49,8 @@ def lines_in(band: Band, n: int, dt: float, name: str) -> Float[np.ndarray, " f"
     k = np.arange(math.ceil(low * seconds - ROUNDING), math.floor(high * seconds + ROUNDING) + 1)
     if not len(k):
         raise InputError(
-            f"the band {low:g} to {high:g} Hz has no frequency of {name}, which lasts {seconds:.3g} s; its lines are "
-            f"{1.0 / seconds:.2g} Hz apart, so widen the band"
+            f"the band {low:g} to {high:g} Hz has no frequency of {name}, which lasts {number(seconds)} s; its lines "
+            f"are {1.0 / seconds:.2g} Hz apart, so widen the band"
         )
     return k / seconds
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import cuts_of
+from bayes_aero.units import number
 
 WINDOW = 10.0  # s: long enough to integrate model errors, short enough to stay near the record
 
@@ -17,5 +18,5 @@ def too_few_windows(records: Sequence[FlightRecord]) -> str:
     seconds = records[0].time[-1] - records[0].time[0]
     return (
         f"without accelerometers an effect is tested by the scatter between windows of {WINDOW:g} s, and "
-        f"{records[0].name} of {seconds:.3g} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
+        f"{records[0].name} of {number(seconds)} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
     )

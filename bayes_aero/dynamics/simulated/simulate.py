@@ -21,6 +21,7 @@ from bayes_aero.dynamics.tangent import later
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
+from bayes_aero.units import number
 
 __all__ = ["FlightState", "Pilot", "fly", "fly_together", "outside"]
 
@@ -102,7 +103,7 @@ def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float
     for name, (lower, upper) in envelope.items():
         x = flight[name]
         if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
-            return f"{name} {x.min():.3g} to {x.max():.3g} (allowed {lower:.3g} to {upper:.3g})"
+            return f"{name} {number(x.min())} to {number(x.max())} (allowed {number(lower)} to {number(upper)})"
     return None
 
 

@@ -13,7 +13,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.reading.plausible import at, implausible, time_hint
 from bayes_aero.flight.reading.segments import GAP
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import instant, same_unit
+from bayes_aero.units import instant, number, same_unit
 
 __all__ = ["JITTER", "MIN_SAMPLES", "check_arrays", "check_record", "failures"]
 
@@ -236,7 +236,7 @@ def _in_g(record: FlightRecord, card: Mapping[str, Channel]) -> None:
     if 0.7 < load < 1.4 and not in_g:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
         i = int(np.argmax(np.abs(record["az"])))
         raise InputError(
-            f"channels ax, ay, az have a median magnitude of {load:.3g} m/s^2 (az is {record['az'][i]:.3g} at "
+            f"channels ax, ay, az have a median magnitude of {number(load)} m/s^2 (az is {number(record['az'][i])} at "
             f'{at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
         )
 

@@ -12,6 +12,7 @@ from bayes_aero.inference.likelihood.restraints import ActiveBound, PriorConflic
 from bayes_aero.inference.scores import Scores
 from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter, Role
+from bayes_aero.units import number
 
 FEWEST_BLOCKS = 10  # of 0.2 s for each parameter, below which a record is too short for intervals; our choice
 LARGE_BIAS = 0.75  # of the corrected standard error, which contains the bias
@@ -122,14 +123,18 @@ class MleResult:
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
                 near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
-                size = f"{bound / abs(value):.0%} of it" if near else f"{bound:.2g}, its estimate {value:.2g}"
+                size = (
+                    f"{bound / abs(value):.0%} of it"
+                    if near
+                    else f"{number(bound, 2)}, its estimate {number(value, 2)}"
+                )
                 sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
             if abs(error) > LARGE_BIAS * sd:
                 sentences.append(
-                    f"Noise of the recorded signals biases {name} by {error:+.2g}, most of its corrected standard "
-                    "error; the bias is subtracted to first order only. Records with less noise are needed."
+                    f"Noise of the recorded signals biases {name} by {number(error, 2)}, most of its corrected "
+                    "standard error; the bias is subtracted to first order only. Records with less noise are needed."
                 )
         sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return sentences

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from bayes_aero.units import number
+
 SYMBOLS = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
 FOR_PEOPLE = {
@@ -51,17 +53,6 @@ def plain_unit(unit: str) -> str:
     return {"1": "-", "c/V": "chords"}.get(unit, unit).replace("^2", "²").replace("^3", "³")
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Significant digits without an exponent where people read numbers; a dash where there is none."""
-    if not np.isfinite(value):
-        return "–"
-    rounded = f"{value:z.{digits - 1}e}"  # its exponent is that of what is shown: 999.7 has that of 1000
-    exponent = int(rounded.partition("e")[2])
-    if not -4 <= exponent < 6:
-        return rounded
-    return f"{value:z.{digits}g}" if exponent < digits else f"{value:z.0f}"
-
-
 def decimals(sd: float) -> int:
     """Decimal places that show two digits of a standard error."""
     return int(np.clip(1 - np.floor(np.log10(sd)), 0, 8))
@@ -79,7 +70,7 @@ def nats_text(gain: float, sd: float, sign: str = "") -> str:
     """A gain in log density with its standard error: "−269 ± 35 nats", "0.4 ± 0.3 nats", "less than 0.1 nats"."""
     if max(abs(gain), sd) < 0.1:
         return "less than 0.1 nats"
-    places = 0 if sd >= 0.5 else 1
+    places = 0 if sd >= 9.5 else 1
     return f"{gain:{sign}z.{places}f} ± {sd:.{places}f} nats"
 
 
