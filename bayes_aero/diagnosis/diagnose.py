@@ -191,6 +191,7 @@ def causes_of(
         joint = correlated(extension, extension.causes)
         noise = noise_shares(extension.state, extension.fit)
         undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
+        forms = searched.forms if extension is searched.model else {}
         for name in extension.causes:
             effect = next(e for e in full.candidates if e.name == name)
             probability, others = rivals_of(extension, name, noise=noise[name])
@@ -200,6 +201,9 @@ def causes_of(
                 worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
                 if worse:
                     probability, others = rivals_of(extension, name, worse, noise[name])
+            if name in forms:  # the odds of the form against the cause
+                probability = 1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1]))
+                others = (*others, forms[name][0])
             found.append(
                 Cause(
                     name=name,
