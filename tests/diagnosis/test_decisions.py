@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -137,7 +138,7 @@ def stated(monkeypatch):
     def state(**values):
         for name, value in {
             "_excited": True, "own_share": 0.5, "correlated": {}, "implausible": {}, "rivals_of": (0.9, ()),
-            "gains_of": {}, "rival_gains": {},
+            "gains_of": {}, "rival_gains": {}, "noise_shares": defaultdict(float),
         }.items():  # fmt: skip
             given = values.get(name, value)
             monkeypatch.setattr(decided, name, given if callable(given) else lambda *_, given=given, **__: given)
@@ -153,7 +154,7 @@ def stated(monkeypatch):
 def test_a_rival_is_as_good_only_where_hold_out_data_say_so(stated, diagnosed, gain, rivals):
     """To first order it is within 3 nats; fitted in place of the cause, the hold-out data decide."""
 
-    def rivals_of(_, __, worse=()):
+    def rivals_of(_, __, worse=(), noise=0.0):
         return (1.0, ()) if "mass_scale" in worse else (0.55, ("mass_scale",))
 
     stated(

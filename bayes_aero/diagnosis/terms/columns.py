@@ -101,7 +101,7 @@ def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
     ]
 
 
-def _apart(state: SelectionState, basis: Float[np.ndarray, "m c w"]) -> Float[np.ndarray, "m c w"]:
+def _apart(state: SelectionState, basis: Float[np.ndarray, "m c w"]) -> Float[np.ndarray, "m c v"]:
     """What the card's parameters leave of powers, apart from one another, each of unit root mean square."""
     deviation = np.std(state.residual / state.noise_growth, axis=0)[:, None]
     card = state.columns(())
