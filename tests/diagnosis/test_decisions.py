@@ -154,7 +154,7 @@ def stated(monkeypatch):
 def test_a_rival_is_as_good_only_where_hold_out_data_say_so(stated, diagnosed, gain, rivals):
     """To first order it is within 3 nats; fitted in place of the cause, the hold-out data decide."""
 
-    def rivals_of(_, __, worse=(), noise=0.0):
+    def rivals_of(_, __, worse=(), *_noise, **_more):
         return (1.0, ()) if "mass_scale" in worse else (0.55, ("mass_scale",))
 
     stated(
