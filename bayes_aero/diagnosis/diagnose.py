@@ -189,10 +189,11 @@ def causes_of(
         measured = {}
         if sure is not None and extension.causes:
             measured = gains_of(extension, searched.model, sure.kept, progress)
-        found += _causes_in(full, stage, extension, extension.causes, sure, measured)
+        forms = searched.forms if extension is searched.model else {}
+        found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             names = [n for n in larger.causes if n in larger.implausible]
-            found += _causes_in(full, stage, larger, names, None, {})
+            found += _causes_in(full, stage, larger, names, None, {}, {})
     return found
 
 
@@ -203,6 +204,7 @@ def _causes_in(
     names: Sequence[str],
     sure: Confirmation | None,
     measured: Mapping[str, Gain],
+    forms: Mapping[str, tuple[str, float]],
 ) -> list[Cause]:
     """Some causes of one extension."""
     found = list[Cause]()
@@ -220,6 +222,9 @@ def _causes_in(
             worse = [rival for rival, gain in in_place.items() if full.settings.degrades(*gain)]
             if worse:
                 probability, others = rivals_of(extension, name, worse, noise[name])
+        if name in forms:  # the odds of the form against the cause
+            probability = 1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1]))
+            others = (*others, forms[name][0])
         found.append(
             Cause(
                 name=name,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
+import six_axes
+from stranger_six import Plane, drawn, fly
 from test_mixing import part
 
 from bayes_aero.diagnosis import result as finding
@@ -314,3 +316,31 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
     assert "cannot decide" in diagnosis_sentences(none)[0]
     flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]
     assert "was not computed" in flown_not
+
+
+@dataclass(frozen=True)
+class RollYaw(Plane):
+    """Rolling either way yaws it to the same side, as the slipstream of a propeller does: Cn = K |p b / 2V|."""
+
+    K: float = 0.05
+
+    def loads(self, x, controls):
+        force, moment = super().loads(x, controls)
+        V = np.sqrt(x[:3] @ x[:3])
+        scale = 0.5 * self.density(x[9]) * V**2 * self.S * self.b
+        return force, moment + np.array([0.0, 0.0, scale * self.K * abs(x[3]) * self.b / (2.0 * V)])
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("seed", [1, 2])
+def test_yaw_of_the_size_of_the_roll_rate_has_no_cause_in_the_catalogue(tmp_path, seed):
+    """It is structure of Cn, which no effect that the catalogue has for a symmetric aircraft explains."""
+    rng = np.random.default_rng([seed, 71])
+    plane = RollYaw(**asdict(drawn(rng, **six_axes.ATTACHED)))
+    path = tmp_path / "another.toml"
+    path.write_text(six_axes.card_text(plane), encoding="utf-8")
+    records = [six_axes.record(kind, fly(plane, kind, rng), rng) for kind in ("elevator", "aileron", "rudder")]
+    found = diagnose(records, read_card(str(path)), gains_wanted=False)
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert found.causes == ()
+    assert {one.coefficient for one in found.unknown} == {"Cn"}

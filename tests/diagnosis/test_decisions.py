@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -118,8 +118,8 @@ def test_the_gain_of_each_coefficient_is_that_of_its_mean_square():
     assert DEFAULT.degrades(*gains["Cm"])
 
 
-def searched(*names: str, **not_testable: str) -> SearchResult:
-    """A search of coefficients that added these causes."""
+def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, **not_testable: str) -> SearchResult:
+    """A search of coefficients that added these causes, with forms that explain as well."""
     full = part(
         CandidateModel, candidates=tuple(CATALOGUE[n] for n in names), not_testable=not_testable, settings=DEFAULT
     )
@@ -127,7 +127,7 @@ def searched(*names: str, **not_testable: str) -> SearchResult:
         Extension, state=part(SelectionState, active=names), fit=None, causes=names, minor=(), steps=(),
         sizes={p: x for n in names for p, x in cause(n).parameters.items()},
     )  # fmt: skip
-    return part(SearchResult, full=full, stages=(("coefficients", one),), structures=())
+    return part(SearchResult, full=full, stages=(("coefficients", one),), structures=(), forms=forms or {})
 
 
 @pytest.fixture
@@ -169,6 +169,23 @@ def test_a_rival_is_as_good_only_where_hold_out_data_say_so(stated, diagnosed, g
     told = next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
     assert (f"log density of hold-out data {gain[0]:+.1f} ± {gain[1]:.1f}" in told) == bool(rivals)
     assert advised(d, "thrust_scale") != bool(rivals)
+
+
+@pytest.mark.parametrize(("less", "probability"), [(0.0, 9.0 / 19.0), (np.log(9.0), 9.0 / 11.0), (-200.0, 0.0)])
+def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed, less, probability):
+    """Odds of 9 to 1 against the effects, and of exp(`less`) to 1 against the form: p = 1 / (1 / 0.9 + exp(-less))."""
+    stated(
+        confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}),
+        gains_of={"thrust_scale": cause().gain},
+    )
+    search = searched("thrust_scale", forms={"thrust_scale": ("a form (CD over alpha^2)", less)})
+    ((found,), _, _) = decided._confirmed(search, None)
+    assert found.ambiguous_with == ("a form (CD over alpha^2)",)
+    assert found.probability == pytest.approx(probability)
+    assert found.sure == (probability > 0.5)
+    d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
+    told = next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
+    assert "a form (CD over alpha^2) would explain the data about as well" in told
 
 
 SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]

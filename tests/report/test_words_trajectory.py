@@ -38,7 +38,7 @@ def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
 
 def test_a_lag_that_is_not_wanted_says_why(simulated):
     asked = replace(simulated, lag=LagTest("separation_lag", 4.2, False, (-1.0, 2.0)))
-    assert "do not support it (fit +4.2 nats, hold-out -1 ± 2 nats)" in lag_sentences(asked)[0]
+    assert "do not support it (fit +4.2 nats, hold-out -1.0 ± 2.0 nats)" in lag_sentences(asked)[0]
     weak = replace(simulated, lag=LagTest("separation_lag", 1.2, False))
     assert "do not support it (fit +1.2 nats)" in lag_sentences(weak)[0]
     slight = replace(simulated, lag=LagTest("separation_lag", 5.4, slight=True))
@@ -67,7 +67,7 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
     assert both_told in simulation_gain(lagged)
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
     (said,) = cause_sentences(both)
-    assert "a (by +1 ± 1 nats) and b (by +0 ± 2 nats)" in said
+    assert "a (by +1.0 ± 1.0 nats) and b (by +0.0 ± 2.0 nats)" in said
     assert "The search confirms them" in said
     assert said.endswith("the simulated model omits them.")
     assert cause_sentences(simulated) == []

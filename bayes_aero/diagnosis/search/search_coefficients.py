@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, UnexplainedStructure
@@ -58,6 +59,7 @@ def search_coefficients(
         Forms((), ()),
     )
     aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced))
+    aerodynamics = replace(aerodynamics, sizes={**aerodynamics.sizes, **found.sizes})
     named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
     return SearchResult(
         full,
@@ -69,6 +71,7 @@ def search_coefficients(
         changes=left.changes,
         terms=found.terms,
         structures=found.structures,
+        forms=found.rivals,
     )
 
 
@@ -77,6 +80,11 @@ def _described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[U
     known = {term.coefficient: term for term in reversed(found.terms)}
     first = {u.coefficient: u for u in reversed(unknown)}
     more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
+    more += [
+        UnexplainedStructure(coefficient, form, share, float("nan"))
+        for coefficient, form, share in ((*label.split(" over "), share) for label, share in found.functions)
+        if coefficient not in {**first, **known}
+    ]
     return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
@@ -33,6 +33,7 @@ class SearchResult:
     changes: tuple[ParameterChange, ...] = ()
     terms: tuple[FoundTerm, ...] = ()
     structures: tuple[Structure, ...] = ()  # in which the terms were sought
+    forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
 
     @property
     def model(self) -> Extension:

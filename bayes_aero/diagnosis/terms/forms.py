@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.partialled_regression import inflation_along
+from bayes_aero.diagnosis.screening.regression import ROUNDS, Fit, Products
+from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance, truncated
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import is_periodic, with_components
+from bayes_aero.diagnosis.structure.components import is_periodic, share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import Left, superfluous, taken_out
-from bayes_aero.diagnosis.terms.columns import term_of
+from bayes_aero.diagnosis.terms.columns import SAME, columns_of, likeness, polynomials, term_of
+from bayes_aero.diagnosis.terms.library import SEPARATED, Term
 from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.diagnosis.terms.search import Found, forms, gain_of, sized
+from bayes_aero.diagnosis.terms.search import Found, forms, gain_of, leader, sized
 from bayes_aero.effect import Kind
+from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 from bayes_aero.inference.variance.variance_inflation import nats
 
 
@@ -40,6 +51,97 @@ class Forms(NamedTuple):
     replaced: tuple[str, ...]
     structures: tuple[Structure, ...] = ()
     idle: tuple[str, ...] = ()  # coefficients whose offsets between manoeuvres the terms explain
+    rivals: Mapping[str, tuple[str, float]] = MappingProxyType({})  # terms as good as a cause; nats they explain less
+    sizes: Mapping[str, Size] = MappingProxyType({})  # of parameters of causes that are left, beside the terms
+    functions: tuple[tuple[str, float], ...] = ()  # "coefficient over polynomial" beside the terms, and its share
+
+
+NOTHING = Left((), ())
+SHOWN = 4  # parts of a form that are listed beside a cause
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What explains the flights: a state with its additions and offsets between manoeuvres, terms, and
+    polynomials for what these leave."""
+
+    state: SelectionState
+    terms: tuple[Found, ...] = ()
+    functions: tuple[Component, ...] = ()
+
+    @property
+    def wide(self) -> SelectionState:
+        """The state with the terms in."""
+        return with_components(self.state, (), self.components, self.state.folds)
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """Terms and polynomials."""
+        return (*(one.column.component for one in self.terms), *self.functions)
+
+    @cached_property
+    def fitted(self) -> tuple[Fit, Float[np.ndarray, "m c"]]:
+        """The fit of `wide` and what it leaves, from the columns that are in alone."""
+        state, own, columns = self.state, [one.basis for one in self.components], self.state.columns()
+        S = np.concatenate([state.S[:, :, columns], *own], axis=2) / state.noise_growth[:, :, None]
+        residual, more = state.residual / state.noise_growth, S.shape[2] - len(columns)
+        size = float(np.median(np.std(residual, axis=0)))
+        precision = np.append(state.precision[columns], np.full(more, state.variance_inflation / (10 * size) ** 2))
+        mean = np.append(state.mean[columns], np.zeros(more))
+        products, columns = Products.of(residual, S, state.folds), np.arange(S.shape[2])
+        best = products.fit(columns, mean, precision)
+        # Where a form is wrong the variances may settle with one output given up for another: a second start is what
+        # every output by itself can be fitted to.
+        n, inside = float(products.count.sum()), state.inside
+        alone = [
+            np.linalg.lstsq(A, x, rcond=1e-10)[0]
+            for A, x in zip(S[inside].swapaxes(0, 1), residual[inside].T, strict=True)
+        ]
+        variance = np.array([np.mean((residual - S @ step)[inside, c] ** 2) for c, step in enumerate(alone)])
+        for _ in range(ROUNDS):
+            fit = products.fit(columns, mean, precision, np.maximum(variance, 1e-12 * best.variance))
+            variance = products.squares(columns, fit.step).sum(axis=0) / n
+        deviance = n * float(np.sum(np.log(variance))) + float(np.sum(precision * (fit.step - mean) ** 2))
+        if deviance < best.deviance:
+            best = replace(fit, variance=variance, deviance=deviance)
+        return best, residual - S @ best.step
+
+    @cached_property
+    def cost(self) -> float:
+        """Nats of its parameters, and of the choices that they are."""
+        state, own = self.state, {e.name: e for e in self.state.full.candidates}
+        causes = sum(len(own[name].parameters) + np.log(len(own)) for name in state.active)
+        offsets = len(state.apart) * (len(state.responses.flights.lengths) - 1)
+        functions = sum(f.basis.shape[2] + 1.0 for f in self.functions)
+        return float(causes + offsets + functions + sum(one.cost for one in self.terms))
+
+    def less(self, item: str | Found) -> _Model:
+        """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
+        state = self.state
+        if isinstance(item, Found):
+            return replace(self, terms=tuple(one for one in self.terms if one is not item))
+        if item in state.apart:
+            return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
+        return replace(self, state=truncated(state, [name for name in state.active if name != item]))
+
+    def beyond(self, other: _Model) -> float:
+        """Nats by which it explains more than another, the costs of both counted.
+
+        What tells the two apart is the residual along the difference of what they explain.
+        """
+        state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
+        better = int(fits[1].deviance < fits[0].deviance)
+        D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
+        blocks, least = state.responses.jackknife_blocks, None
+        if blocks is not None:
+            least = np.diag(cluster_covariance(np.einsum("mcj,c,mc->mj", D, weight, lefts[better]), blocks))
+        inflation = inflation_along(D, weight, state.folds, autocorrelation_of(lefts[better], state.folds), least)
+        return nats(fits[1].deviance - fits[0].deviance, float(inflation[0])) - self.cost + other.cost
+
+    def degrades(self, other: _Model) -> bool:
+        """Whether hold-out data are predicted worse than by another."""
+        before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
+        return self.state.settings.degrades(*holdout_gain(before, after, self.state))
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
@@ -47,121 +149,245 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
 
     A cause that only stood in for a term is taken out, and the terms are sought again without it.
     """
-    causes = [name for name in extension.causes if name not in left.replaced]
-    if (instead := _instead(extension, causes, left, seed)) is not None:
+    instead = contest(extension, left)
+    if instead.terms or instead.replaced:
         return instead
+    causes = [name for name in extension.causes if name not in left.replaced]
     state = taken_out(extension.state, [name for name in left.replaced if name in extension.state.active])
     found = _sought(state, left, seed)
     if not found:
-        return Forms((), (), _structures(state, left, found))
+        return instead._replace(structures=_structures(state, left, found))
     replaced = superfluous(state, causes, [one.column.component for one in found])
     if replaced:
         state = taken_out(state, replaced)
         found = _sought(state, left, seed)
-    return Forms(sized(state, found), replaced if found else (), _structures(state, left, found))
+    replaced = replaced if found else ()
+    terms, structures = sized(state, found), _structures(state, left, found)
+    return instead._replace(terms=terms, replaced=replaced, structures=structures)
 
 
-def _instead(extension: Extension, causes: Sequence[str], left: Left, seed: int) -> Forms | None:
-    """Terms in place of causes of the aerodynamics, and of offsets between manoeuvres, that only stood in for them.
+def contest(extension: Extension, left: Left = NOTHING) -> Forms:
+    """Terms in place of causes, and of offsets between manoeuvres, that only stood in for them; and those that explain
+    as well as causes that are left.
 
-    A wrong form of a coefficient leaves residuals that follow the state, as a stall does, and differ between manoeuvres
-    at different states, as offsets do. A cause that is a term of the library keeps its name.
+    A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does, and
+    differ between manoeuvres at different states, as offsets do. Terms are sought without all of them; then everything
+    is in, and what does not earn its cost goes out, the least useful first. A term of the library that is an effect of
+    the aerodynamics is no rival of it; beside other terms of its coefficient it is one of them.
+
+    Args:
+        extension: by the catalogue.
+        left: structure, and causes that are replaced already.
     """
-    state, owned = extension.state, {e.name: e for e in extension.state.full.candidates}
-    shapes = [name for name in causes if owned[name].kind is Kind.AERODYNAMICS]
-    if not (shapes or state.apart):
-        return None
-    contested = [name for name in shapes if term_of(state, name) is None]
-    kept = [e for e in state.active if e not in contested]
-    bare = refitted(truncated(state, kept))[0]
-    reached = np.any(state.S[:, :, state.full.own_columns(*contested)] != 0.0, axis=(0, 2))
-    shown = {f.label.split(" over ")[0] for f in left.functions}
-    found, apart = list[Found](), list(state.apart)
-    for name, moves in zip(state.outputs, reached, strict=True):
-        if name in state.apart or (contested and (moves or name in shown)):
-            terms, idle = _of_one(bare, name, seed)
-            found += terms
-            apart = [n for n in apart if not (idle and n == name)]
-    if not found or (not contested and tuple(apart) == state.apart):
-        return None
-    return _compared(extension, shapes, found, tuple(apart))
+    state, causes = extension.state, extension.causes
+    known, shown = {e.name: e for e in state.full.candidates}, {f.label.split(" over ")[0] for f in left.functions}
+    columns = {n: term_of(state, n) for n in causes if known[n].kind is Kind.AERODYNAMICS}
+    named = {name: c.component.label for name, c in columns.items() if c is not None and _is_smooth(c.term)}
+    rest = [name for name in causes if name not in named]
+    if not (rest or state.apart):
+        return Forms((), ())
+    start = _Model(state)
+    reached = _reached(_without(state, rest, ()), state, shown)
+    named = {name: label for name, label in named.items() if label.split(" over ")[0] in reached}
+    bare, within = (_without(state, [*rest, *named], apart) for apart in ((), state.apart))
+    found = [_beside(one, reached, (), rest, state) for one in ([bare, within] if state.apart else [bare])]
+    items, models = [*rest, *state.apart], list[_Model]()
+    for terms in found:
+        mine = _by_coefficient([one.column.component for one in terms])
+        labels = {name: [c.label for c in mine.get(label.split(" over ")[0], ())] for name, label in named.items()}
+        alone = [name for name, label in named.items() if labels[name] in ([], [label])]
+        more = tuple(one for one in terms if one.column.component.label not in {named[n] for n in alone})
+        out = [*(name for name in named if name not in alone), *left.replaced]
+        models.append(_Model(_without(state, out, state.apart), more))
+    models = [model for model in models if model.terms]
+    curves = _curves(state, reached)
+    wholes = [_fitted(_curved(_bare(model, rest), curves)) for model in models]
+    tried = [_eliminated(model, items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
+    best = _best(start, tried)
+    if best is start:
+        tried.append(_eliminated(_one_by_one(start, rest), items, curves))
+        best = _best(start, tried)
+    idle = _idle(replace(best, functions=()), curves)
+    rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
+    functions = [*best.functions, *(f for f in idle.values() if f not in best.functions)]
+    shares = tuple((f.label, _share(best, f)) for f in functions)
+    if best is start:
+        return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shares)
+    gone = tuple(name for name in causes if name not in best.state.active)
+    mine = _by_coefficient([one.column.component for one in best.terms])
+    structures = tuple(
+        Structure(best.state, name, tuple(own), tuple(c for n, others in mine.items() if n != name for c in others))
+        for name, own in mine.items()
+    )
+    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart))
+    terms, sizes = sized(best.state, best.terms), _sizes(best, [name for name in causes if name not in gone])
+    return Forms(terms, gone, structures, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shares)
 
 
-def _of_one(state: SelectionState, name: str, seed: int) -> tuple[list[Found], bool]:
-    """Terms of a coefficient, and whether they explain what its offsets between manoeuvres would, too."""
-    beside = forms(state, name, 0.0, seed=seed)
-    if name not in state.apart:
-        return beside, False
-    fewer = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))[0]
-    instead = forms(fewer, name, 0.0, seed=seed)
-    inflation, costs = max([one.inflation for one in (*beside, *instead)], default=state.variance_inflation), []
-    for one, found in ((state, beside), (fewer, instead), (fewer, beside)):
-        wide = with_components(one, (), [f.column.component for f in found], one.folds)
-        costs.append(nats(wide.fit().deviance, inflation) + sum(map(_cost, found)))
-    spared = len(state.responses.flights.lengths) - 1
-    if not (beside or instead) or min(costs[1:]) >= costs[0] + spared:
-        return beside, False
-    return (instead, True) if costs[1] < costs[2] else (beside, True)
+def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
+    """The state without some of its additions and of its offsets, at the optimum of what is left."""
+    kept = tuple(name for name in state.active if name not in effects)
+    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))[0]
 
 
-def _cost(one: Found) -> float:
-    """Nats of a parameter and of the choice of a term."""
-    return 1.0 + float(np.log(one.among))
+def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
+    """Coefficients that lack something without what is contested: all, where the residuals are no coefficients."""
+    if state.outputs != state.responses.model.coefficients:
+        return list(state.responses.model.coefficients)
+    more = float(state.products.count.sum()) * np.log(bare.fit().variance / state.fit().variance)
+    lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
+    return [n for n, lacks in zip(state.outputs, lacking, strict=True) if lacks or n in shown or n in state.apart]
 
 
-def _compared(
-    extension: Extension,
-    shapes: Sequence[str],
-    found: Sequence[Found],
-    apart: tuple[str, ...],
-) -> Forms | None:
-    """Terms and what they take the place of, if they explain and predict decisively more.
+def _is_smooth(term: Term) -> bool:
+    """Whether it is a function of the state of motion: memory and separated flow are none."""
+    return all(f.code is not None and f is not SEPARATED for f in term.factors)
 
-    They are compared as wholes, for neither explains much beside what the other lacks. Every parameter costs itself and
-    the choice that it is. Terms must be identified within manoeuvres, as causes must.
+
+def _beside(
+    state: SelectionState, reached: Sequence[str], chosen: Sequence[Found], effects: Sequence[str], full: SelectionState
+) -> list[Found]:
+    """Smooth terms that earn their cost beside those chosen, the most explaining first.
+
+    One that is the same as an effect is no other form of it.
     """
-    state, settings, terms = extension.state, extension.state.settings, [one.column.component for one in found]
-    gone = list[str]()
-    while least := _least_beside(state, [name for name in shapes if name not in gone], gone, terms):
-        gone.append(least)
-    idle = tuple(name for name in state.apart if name not in apart)
-    if not (gone or idle):
-        return None
-    within = truncated(state, [e for e in state.active if e not in gone])
-    fewer = refitted(moved(within, within.theta, apart=apart))[0]
-    cost = sum(map(_cost, found))
-    owned = {e.name: e for e in state.full.candidates}
-    narrow, wide = (with_components(one, (), terms, one.folds) for one in (fewer, within))
-    seen = extension.fit.deviance - narrow.fit().deviance
-    of_terms = within.fit().deviance - wide.fit().deviance
-    unseen = holdout_deviance(state, state.columns()) - holdout_deviance(wide, wide.columns())
-    inflation = max(one.inflation for one in found)
-    seen, of_terms, unseen = (nats(x, inflation) for x in (seen, of_terms, unseen))
-    spared = sum(len(owned[name].parameters) + np.log(len(owned)) for name in gone)
-    spared += len(idle) * (len(state.responses.flights.lengths) - 1)
-    if min(seen - cost + spared, of_terms - cost, unseen) <= settings.decisive:
-        return None
-    own: dict[str, list[Component]] = _by_coefficient(terms)
-    structures = [
-        Structure(fewer, name, tuple(mine), tuple(c for other in own if other != name for c in own[other]))
-        for name, mine in own.items()
-    ]
-    return Forms(sized(fewer, found), tuple(gone), tuple(structures), idle)
+    found = list(chosen)
+    for name in reached:
+        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
+        for _ in range(state.settings.terms_most):
+            one, explained, _ = leader(state, columns, [f.column for f in found])
+            if explained <= one.cost:
+                break
+            found.append(one)
+    return found
 
 
-def _least_beside(state: SelectionState, causes: Sequence[str], gone: Sequence[str], terms: Sequence[Component]) -> str:
-    """The cause of which least is left beside terms and the other causes, if that is too little for a name."""
-    kept = [e for e in state.active if e not in gone]
-    left = truncated(state, kept)
-    whole = with_components(left, (), terms, left.folds).fit()
-    least = state.least_share(state.settings.unnamed_share)
-    shares = {}
-    for name in causes:
-        fewer = truncated(state, [e for e in kept if e != name])
-        more = with_components(fewer, (), terms, fewer.folds).fit().deviance - whole.deviance
-        shares[name] = 1.0 - float(np.exp(-max(more, 0.0) / state.products.count.sum()))
-    worst = min(shares, key=lambda name: shares[name], default="")
-    return worst if worst and shares[worst] < least else ""
+def _bare(model: _Model, causes: Sequence[str]) -> _Model:
+    """Without causes and offsets."""
+    return replace(model, state=_without(model.state, causes, ()))
+
+
+def _curves(state: SelectionState, reached: Sequence[str]) -> list[Component]:
+    """Polynomials of the angle of attack in these coefficients: forms that single terms approach slowly."""
+    return [one for coefficient in reached for one in polynomials(state, coefficient)]
+
+
+def _share(model: _Model, function: Component) -> float:
+    """Share of a coefficient's variance without a polynomial that it explains."""
+    others = [*(one.column.component for one in model.terms), *(f for f in model.functions if f is not function)]
+    trial = with_components(model.state, [function], others, model.state.folds)
+    return share_of(trial, trial.component_columns[0])
+
+
+def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
+    """With the functions that earn their cost."""
+    for one in curves:
+        wider = replace(model, functions=(*model.functions, one))
+        model = wider if wider.beyond(model) > 0.0 else model
+    return model
+
+
+def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
+    """Coefficients whose offsets a polynomial explains as well, and that."""
+    found, least = {}, -model.state.settings.ambiguous
+    for name in model.state.apart:
+        own = [(_instead(model, name, [f]).beyond(model), f) for f in curves if _coefficient(f) == name]
+        gain, best = max(own, key=lambda pair: pair[0])
+        found |= {name: best} if gain > least else {}
+    return found
+
+
+def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model:
+    """With functions in place of a cause or of offsets."""
+    return replace(model.less(item), functions=tuple(functions))
+
+
+def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
+    """Without what does not earn its cost, the least useful first.
+
+    Causes and offsets `items` must explain more than functions in their place, terms more than nothing.
+    """
+    while True:
+        inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
+        trials = [model.less(item) for item in (*inside, *model.terms)]
+        rivals = [*(_instead(model, item, curves) for item in inside), *trials[len(inside) :]]
+        gains = [rival.beyond(model) for rival in rivals]
+        if not gains or max(gains) <= 0.0:
+            return _curved(model, curves)
+        best = trials[int(np.argmax(gains))]
+        model = best if best.state is model.state else _fitted(best)
+
+
+def _fitted(model: _Model) -> _Model:
+    """With the parameters at the optimum beside the terms, to first order in these."""
+    return replace(model, state=refitted(model.state)[0])
+
+
+def _best(start: _Model, models: Sequence[_Model]) -> _Model:
+    """The model that explains most of those that take the place of the first, if it is decisively better; or that."""
+    able = [model for model in models if model.beyond(start) > start.state.settings.decisive]
+    able = [model for model in able if _takes_its_place(model, start)]
+    return max(able, key=lambda model: model.beyond(start), default=start)
+
+
+def _takes_its_place(model: _Model, start: _Model) -> bool:
+    """Whether terms are there in place of something, are identified within manoeuvres, as causes must be, and predict
+    hold-out data no worse."""
+    inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
+    fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
+    there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0
+    return bool(fewer) and there and not inside.degrades(start)
+
+
+def _less_one(best: _Model, name: str) -> _Model:
+    """With terms, and functions, in place of one cause."""
+    state = _without(best.state, [name], best.state.apart)
+    reached = _reached(state, best.state, ())
+    terms = tuple(_beside(state, reached, best.terms, [name], best.state))
+    return _curved(_Model(state, terms, best.functions), _curves(state, reached))
+
+
+def _one_by_one(model: _Model, causes: Sequence[str]) -> _Model:
+    """With terms in place of one cause after another, as long as they are decisively better."""
+    while True:
+        others = [_less_one(model, name) for name in causes if name in model.state.active]
+        better = [(gain, other) for other in others if (gain := other.beyond(model)) > model.state.settings.decisive]
+        if not better:
+            return model
+        model = max(better, key=lambda pair: pair[0])[1]
+
+
+def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
+    """Forms that explain as well as causes, by cause, and by how many nats less: those of `others`, and in place of one
+    cause."""
+    settings, found = best.state.settings, dict[str, tuple[str, float]]()
+    for other in (*others, *(_less_one(best, name) for name in causes)):
+        gone = [name for name in causes if name not in other.state.active]
+        had = {one.label for one in best.components}
+        own = [one.label for one in other.components if one.label not in had]
+        if not (gone and own) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
+            continue
+        form = ", ".join(own[:SHOWN]) + (f" and {len(own) - SHOWN} more" if len(own) > SHOWN else "")
+        found |= {name: (f"a form ({form})", lost) for name in gone if name not in found or lost < found[name][1]}
+    return found
+
+
+def _sizes(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
+    """Parameters of causes beside terms and polynomials, to first order."""
+    wide = model.wide
+    fit, free = wide.fit(), wide.full.model.free
+    covariance = uncertainty(wide, fit, autocorrelation_of(wide.left(fit), wide.folds))
+    step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, np.sqrt(np.diag(covariance))))
+    own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
+    return {
+        free[c].name: Size(float(np.clip(x, *free[c].bounds)), float(sd[c]), free[c].unit, not low < x < high)
+        for c in own
+        for x, (low, high) in [(wide.theta[c] + step[c], free[c].bounds)]
+    }
+
+
+def _coefficient(component: Component) -> str:
+    return component.label.split(" over ")[0]
 
 
 def _sought(state: SelectionState, left: Left, seed: int) -> list[Found]:
@@ -184,5 +410,5 @@ def _structures(state: SelectionState, left: Left, found: Sequence[Found]) -> tu
 def _by_coefficient(components: Sequence[Component]) -> dict[str, list[Component]]:
     found: dict[str, list[Component]] = {}
     for one in components:
-        found.setdefault(one.label.split(" over ")[0], []).append(one)
+        found.setdefault(_coefficient(one), []).append(one)
     return found

@@ -44,6 +44,11 @@ class Found:
     p_value: float
     among: int  # terms of which it was chosen
 
+    @property
+    def cost(self) -> float:
+        """Nats of a parameter and of the choice of a term."""
+        return 1.0 + float(np.log(self.among))
+
 
 def forms(state: SelectionState, coefficient: str, least_gain: float, *, seed: int) -> list[Found]:
     """Terms that describe what is left of a coefficient as well as the function of a channel by which it was found.
@@ -93,25 +98,43 @@ def reconsidered(state: SelectionState, found: Sequence[Found]) -> list[Found]:
 
 def _next(state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column], seed: int) -> Found | None:
     """The best term beside those chosen; None where none is beyond chance, large enough and useful."""
-    settings, open_ones = state.settings, [c for c in columns if c not in chosen]
+    settings, (one, _, trial) = state.settings, leader(state, columns, chosen)
+    if nats(one.gain, one.inflation) < settings.ambiguous or one.share < settings.unnamed_share:
+        return None
+    own = np.append(trial.columns(), _of_term(trial, one))
+    wider = trial.products.fit(own, trial.mean, trial.precision)
+    colour = autocorrelation_of(trial.left(wider), trial.folds)
+    p = chance_of(one.share, null_shares(trial, colour, wider.variance, seed))
+    return None if p > settings.unnamed_false_alarm_rate else replace(one, p_value=p)
+
+
+def leader(
+    state: SelectionState, columns: Sequence[Column], chosen: Sequence[Column]
+) -> tuple[Found, float, SelectionState]:
+    """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
+    labels = {c.component.label for c in chosen}
+    open_ones = [c for c in columns if c.component.label not in labels]
     trial = with_components(state, [c.component for c in open_ones], [c.component for c in chosen], state.folds)
     fit = trial.fit()
     order, lost, inflation = _ranked(trial, fit)
     weights = weights_of(lost, [open_ones[j].term.cost for j in order])
-    equal = [i for i in range(len(order)) if lost[i] < settings.ambiguous]
+    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
     first = max(equal, key=lambda i: weights[i])
-    own = np.concatenate([trial.columns(), trial.component_columns[order[first]]])
-    gain, share = holdout_deviance_gain(trial, own), share_of(trial, own[-1:])
-    if nats(gain, inflation) < settings.ambiguous or share < settings.unnamed_share:
-        return None
-    wider = trial.products.fit(own, trial.mean, trial.precision)
-    colour = autocorrelation_of(trial.left(wider), trial.folds)
-    p = chance_of(share, null_shares(trial, colour, wider.variance, seed))
-    if p > settings.unnamed_false_alarm_rate:
-        return None
     others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
     others.sort(key=lambda other: -other[1])
-    return Found(open_ones[order[first]], gain, share, inflation, float(weights[first]), tuple(others), p, len(columns))
+    column = trial.component_columns[order[first]]
+    own = np.concatenate([trial.columns(), column])
+    explained = nats(fit.deviance - trial.products.fit(own, trial.mean, trial.precision).deviance, inflation)
+    one = Found(
+        open_ones[order[first]], holdout_deviance_gain(trial, own), share_of(trial, column), inflation,
+        float(weights[first]), tuple(others), float("nan"), len(columns),
+    )  # fmt: skip
+    return one, explained, trial
+
+
+def _of_term(trial: SelectionState, one: Found) -> int:
+    """The column of a term that stands."""
+    return int(trial.component_columns[trial.components.index(one.column.component)][0])
 
 
 def _ranked(trial: SelectionState, fit: Fit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
