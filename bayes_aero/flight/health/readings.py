@@ -52,13 +52,17 @@ class Reading:
 
 AXES = (("forward", "aft"), ("right", "left"), ("down", "up"))
 INSTRUMENTS = {"accelerations": ("ax", "ay", "az"), "rates": ("p", "q", "r")}
+ATTITUDE, FLOW = ("phi", "theta", "psi"), ("alpha", "beta")
 ANGLES = tuple(
-    (*attitude, *flow)
-    for flow in ((), ("alpha", "beta"))
+    frozenset((*attitude, *flow))
+    for flow in ((), FLOW)
     for attitude in ((), ("theta",), ("theta", "psi"), ("psi",), ("phi", "psi"))
 )
 """Angles that count the other way where the axes do: pitch attitude about an axis to the left, a heading about one that
 points up, which a compass does not turn with."""
+EVIDENT = 4  # channels that count the other way together, from which axes are likelier than as many wrong signs
+Moves = Mapping[str, tuple[str, int]]
+"""The channel and sign that each is to be read from, of those for which that is not itself."""
 
 
 @dataclass(frozen=True)
@@ -74,61 +78,76 @@ class Frame:
         points = {j: AXES[i][sign < 0] for i, (j, sign) in enumerate(zip(self.order, self.signs, strict=True))}
         return ", ".join(f"{axis} {points[j]}" for j, axis in enumerate("xyz"))
 
-    def moves(self, names: tuple[str, ...]) -> dict[str, tuple[str, int]]:
-        """The channel and sign that each of three channels is to be read from, where that is not itself."""
+    def moves(self, names: tuple[str, ...], recorded: frozenset[str]) -> Moves:
+        """How an instrument's channels are to be read."""
         pairs = zip(names, self.order, self.signs, strict=True)
-        return {name: (names[j], sign) for name, j, sign in pairs if (names[j], sign) != (name, 1)}
+        return {n: (names[j], sign) for n, j, sign in pairs if n in recorded and (names[j], sign) != (n, 1)}
 
 
-def _frames() -> tuple[Frame, ...]:
-    """All right-handed axes, those of the program first, then those with the fewest axes exchanged; front-left-up
-    leads."""
-    every = [
-        Frame(order, signs)
-        for order in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-        if np.linalg.det(np.eye(3)[list(order)]) * np.prod(signs) > 0.0
-    ]
-    return tuple(sorted(every, key=lambda f: (sum(j != i for i, j in enumerate(f.order)), f.signs[2], -f.signs[0])))
+FRAMES = tuple(
+    Frame(order, signs)
+    for order in permutations(range(3))
+    for signs in product((1, -1), repeat=3)
+    if np.linalg.det(np.eye(3)[list(order)]) * np.prod(signs) > 0.0
+)
+"""All right-handed axes."""
 
 
-FRAMES = tuple(sorted(_frames(), key=lambda f: f.order != (0, 1, 2) or f.signs != (1, 1, 1)))
-LEFT_HANDED = tuple(Frame((0, 1, 2), signs) for signs in product((1, -1), repeat=3) if np.prod(signs) < 0)
-"""Of accelerations alone: upward load factors, or reactions in place of accelerations."""
+def orders(kind: str, recorded: frozenset[str]) -> Iterator[dict[str, str]]:
+    """All ways to take the channels of an instrument for each other: where each is to be read."""
+    names = INSTRUMENTS[kind]
+    for order in permutations(names) if set(names) <= recorded else [names]:
+        yield {name: source for name, source in zip(names, order, strict=True) if name in recorded}
 
 
-def framed(card: Card, recorded: frozenset[str], of: Mapping[str, Frame], angles: tuple[str, ...]) -> Reading | None:
-    """The record in other axes; None where a channel would be read from one that was not recorded.
+def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
+    """The axes of both instruments or one that explain most of the moves, and how many channels remain.
 
-    Args:
-        card: says how the channels count now.
-        recorded: names of the channels of the file.
-        of: the axes of each of `INSTRUMENTS`.
-        angles: the angles that count the other way.
+    Returns:
+        Words, and the number of channels that are to be read otherwise than the axes say.
     """
-    moves: dict[str, tuple[str, int]] = {}
-    for kind, names in INSTRUMENTS.items():
-        moves |= {n: move for n, move in of[kind].moves(names).items() if n in recorded}
-    moves |= {name: (name, -1) for name in angles if name in recorded}
-    if not moves or not {source for source, _ in moves.values()} <= recorded:
-        return None
-    used = {kind: frame for kind, frame in of.items() if recorded & set(INSTRUMENTS[kind])}
-    same = len(set(used.values())) == 1
-    axes = ["axes of the sensors are" if same else f"axes of the {kind} are" for kind in used]
-    where = " and the ".join(dict.fromkeys(f"{a} {f.name}" for a, f in zip(axes, used.values(), strict=True)))
+    have = {kind: tuple(n for n in names if n in recorded) for kind, names in INSTRUMENTS.items()}
+    kinds = tuple(kind for kind, names in have.items() if names)
+    angles = {n for n in moves if n in (*ATTITUDE, *FLOW)}
+    more = min(len(angles ^ (turned & recorded)) for turned in ANGLES)
+    best = ("", len(moves) + 1)
+    for of in dict.fromkeys((kinds, *((kind,) for kind in kinds))):
+        for frame in FRAMES:
+            own = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
+            rest = more + sum(own.get(n) != moves.get(n) for kind in kinds for n in have[kind])
+            if own and rest < best[1]:
+                best = (f"the axes of the {'sensors' if len(of) > 1 else of[0]} are {frame.name}", rest)
+    return best
+
+
+def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
+    """The record with channels taken for each other, or counting the other way.
+
+    Axes are named where they say what as many wrong signs could not, or only with more of them.
+    """
     turned = ", ".join(name for name, (source, _) in moves.items() if source == name)
     exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
-    looks = "; ".join(
-        x for x in (turned and f"{turned} count the other way", exchanged and f"{exchanged} of the card") if x
-    )
+    axes, rest = axes_of(moves, recorded)
+    axes = "" if rest else axes
+    evident = bool(axes) and (bool(exchanged) or len(moves) >= EVIDENT)
     signs: dict[int, list[str]] = {}
     for name, (source, sign) in moves.items():
         signs.setdefault(sign * declared(card, source).sign, []).append(name)
     write = " and ".join(f"sign = {sign} at {', '.join(names)}" for sign, names in signs.items())
     place = "give each the label, column and unit of the other, and " if exchanged else ""
+    count = f"count{'s' if len(moves) == 1 else ''} the other way"
+    fault = "axes" if evident else "exchanged" if exchanged else "sign"
+    if evident:
+        turned = turned and f"{turned} {count}"
+        subject, looks = axes, f"({'; '.join(x for x in (turned, exchanged and f'{exchanged} of the card') if x)})"
+    else:
+        subject = ", ".join(moves)
+        looks = "are exchanged" if exchanged else count
+        looks += f" (as where {axes})" if axes else ""
+        looks += f" ({exchanged} of the card{f'; {turned} {count}' if turned else ''})" if exchanged else ""
     return Reading(
-        tuple(moves), "axes", f"({looks})", f"{place}write {write} on the card",
-        lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()}, f"the {where}",
+        tuple(moves), fault, looks, f"{place}write {write} on the card",
+        lambda view: {name: sign * view[source] for name, (source, sign) in moves.items()}, subject,
     )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -32,15 +31,19 @@ ZERO_IF_MISSING = ("phi", "beta", "p", "r", "ay")  # of symmetric flight
 
 @dataclass(frozen=True)
 class Relation:
-    """How one channel must change. `rate` reads `needs`, which must be recorded, and `ZERO_IF_MISSING`. `allowed`
-    is the misfit, SI, that sound records stay below after a constant and a drift are taken out; in pieces of `piece` s
-    where errors of the rate add up too fast for the whole record."""
+    """How one channel must change: by the sum of `terms`, which read `needs`, which must be recorded, and
+    `ZERO_IF_MISSING`. `allowed` is the misfit, SI, that sound records stay below after a constant and a drift are taken
+    out; in pieces of `piece` s where errors of the rate add up too fast for the whole record."""
 
     channel: str
     needs: tuple[str, ...]
-    rate: Callable[[View], np.ndarray]
+    terms: Callable[[View], tuple[np.ndarray, ...]]
     allowed: float
     piece: float | None = None
+
+    def rate(self, view: View) -> np.ndarray:
+        """Rate of change of the channel, (n,)."""
+        return _sum(self.terms(view))
 
 
 def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
@@ -50,62 +53,72 @@ def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     return {**filled, **known, "time": record.time}
 
 
-def accelerations(v: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Specific force and gravity together along the body axes, m/s2, each (n,)."""
-    cos = np.cos(v["theta"])
-    return (
-        v["ax"] - GRAVITY * np.sin(v["theta"]),
-        v["ay"] + GRAVITY * cos * np.sin(v["phi"]),
-        v["az"] + GRAVITY * cos * np.cos(v["phi"]),
-    )
+def _sum(terms: tuple[np.ndarray, ...]) -> np.ndarray:
+    return np.sum(terms, axis=0)
 
 
-def _theta(v: View) -> np.ndarray:
-    return v["q"] * np.cos(v["phi"]) - v["r"] * np.sin(v["phi"])
+def _theta(v: View) -> tuple[np.ndarray, ...]:
+    return v["q"] * np.cos(v["phi"]), -v["r"] * np.sin(v["phi"])
 
 
-def _turning(v: View) -> np.ndarray:
-    return v["q"] * np.sin(v["phi"]) + v["r"] * np.cos(v["phi"])
+def _turning(v: View) -> tuple[np.ndarray, ...]:
+    return v["q"] * np.sin(v["phi"]), v["r"] * np.cos(v["phi"])
 
 
-def _phi(v: View) -> np.ndarray:
-    return v["p"] + np.tan(v["theta"]) * _turning(v)
+def _phi(v: View) -> tuple[np.ndarray, ...]:
+    return v["p"], *(np.tan(v["theta"]) * turning for turning in _turning(v))
 
 
-def _psi(v: View) -> np.ndarray:
-    return _turning(v) / np.cos(v["theta"])
+def _psi(v: View) -> tuple[np.ndarray, ...]:
+    return tuple(turning / np.cos(v["theta"]) for turning in _turning(v))
 
 
 def dead_heading(v: View) -> bool:
     """Whether the heading stands still while the rates turn the aircraft; `time`, phi, theta, q, r and psi are read."""
-    turn = integrated(_psi(v), v["time"])
+    turn = integrated(_sum(_psi(v)), v["time"])
     return bool(np.ptp(turn) > TURN and np.ptp(v["psi"]) < FOLLOWS * np.ptp(turn))
 
 
-def _altitude(v: View) -> np.ndarray:
-    a, b, theta, phi = v["alpha"], v["beta"], v["theta"], v["phi"]
-    ahead = np.cos(a) * np.cos(b) * np.sin(theta)
-    return v["airspeed"] * (ahead - (np.sin(b) * np.sin(phi) + np.sin(a) * np.cos(b) * np.cos(phi)) * np.cos(theta))
+def _altitude(v: View) -> tuple[np.ndarray, ...]:
+    a, b, theta, phi, V = v["alpha"], v["beta"], v["theta"], v["phi"], v["airspeed"]
+    return (
+        V * np.cos(a) * np.cos(b) * np.sin(theta),
+        -V * np.sin(b) * np.sin(phi) * np.cos(theta),
+        -V * np.sin(a) * np.cos(b) * np.cos(phi) * np.cos(theta),
+    )
 
 
-def _airspeed(v: View) -> np.ndarray:
-    gx, gy, gz = accelerations(v)
+def _forces(v: View) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Specific force and gravity along each body axis, m/s2, each (n,)."""
+    cos = np.cos(v["theta"])
+    return (
+        (v["ax"], -GRAVITY * np.sin(v["theta"])),
+        (v["ay"], GRAVITY * cos * np.sin(v["phi"])),
+        (v["az"], GRAVITY * cos * np.cos(v["phi"])),
+    )
+
+
+def _along(v: View, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Specific force and gravity along a direction with these components on the body axes."""
+    return tuple(part * c for force, c in zip(_forces(v), (x, y, z), strict=True) for part in force)
+
+
+def _airspeed(v: View) -> tuple[np.ndarray, ...]:
     a, b = v["alpha"], v["beta"]
-    return gx * np.cos(a) * np.cos(b) + gy * np.sin(b) + gz * np.sin(a) * np.cos(b)
+    return _along(v, np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b))
 
 
-def _alpha(v: View) -> np.ndarray:
-    gx, _, gz = accelerations(v)
+def _alpha(v: View) -> tuple[np.ndarray, ...]:
     a, b = v["alpha"], v["beta"]
-    across = (gz * np.cos(a) - gx * np.sin(a)) / (v["airspeed"] * np.cos(b))
-    return v["q"] - np.tan(b) * (v["p"] * np.cos(a) + v["r"] * np.sin(a)) + across
+    V = v["airspeed"] * np.cos(b)
+    turned = (v["q"], -np.tan(b) * v["p"] * np.cos(a), -np.tan(b) * v["r"] * np.sin(a))
+    return *turned, *_along(v, -np.sin(a) / V, 0.0 * a, np.cos(a) / V)
 
 
-def _beta(v: View) -> np.ndarray:
-    gx, gy, gz = accelerations(v)
-    a, b = v["alpha"], v["beta"]
-    across = gy * np.cos(b) - (gx * np.cos(a) + gz * np.sin(a)) * np.sin(b)
-    return v["p"] * np.sin(a) - v["r"] * np.cos(a) + across / v["airspeed"]
+def _beta(v: View) -> tuple[np.ndarray, ...]:
+    a, b, V = v["alpha"], v["beta"], v["airspeed"]
+    across = _along(v, -np.cos(a) * np.sin(b) / V, np.cos(b) / V, -np.sin(a) * np.sin(b) / V)
+    return v["p"] * np.sin(a), -v["r"] * np.cos(a), *across
 
 
 _AIR = ("airspeed", "alpha", "theta", "ax", "az")
@@ -129,38 +142,54 @@ LEVEL = 1.5
 SIDE = 0.9
 """The same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle."""
 SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
-_SIDE_NEEDS = ("ay", "r", "phi", *RELATIONS["airspeed"].needs)
+MEANS = {"level": LEVEL, "side": SIDE}
+_MEAN_NEEDS = {"level": RELATIONS["alpha"].needs, "side": ("ay", "r", "phi", *RELATIONS["airspeed"].needs)}
+SCALE = 0.3
+"""Error of scale that a sensor in the right unit may have; our choice."""
 
 
 def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, float]:
     """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
     channel are left out."""
-    measures: dict[str, tuple[tuple[str, ...], Callable[[View], float]]] = {
-        name: (r.needs, partial(_misfit, relation=r)) for name, r in RELATIONS.items()
-    }
-    measures["level"] = (RELATIONS["alpha"].needs, _level)
-    measures["side"] = (_SIDE_NEEDS, lambda v: abs(side_bias(v, recorded)) / SIDE)
+    off = {name: terms.sum(0) for name, terms in terms_of(view, recorded, names).items()}
+    return {name: _size(x) if np.isfinite(x).all() else np.inf for name, x in off.items()}
+
+
+def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, np.ndarray]:
+    """What the terms (k, n) of each relation leave when they are added, over what is allowed."""
     found = {}
     with np.errstate(all="ignore"):
-        for name, (needs, measure) in measures.items():
+        for name, needs in {**{name: r.needs for name, r in RELATIONS.items()}, **_MEAN_NEEDS}.items():
             if set(needs) <= recorded and (names is None or name in names):
-                value = measure(view)
-                found[name] = value if np.isfinite(value) else np.inf
+                terms = _mean_terms(name, view, recorded) if name in _MEAN_NEEDS else _changes(view, RELATIONS[name])
+                found[name] = np.stack(terms)
     return found
 
 
-def _misfit(view: View, relation: Relation) -> float:
-    time, measured = view["time"], view[relation.channel]
-    off = measured - integrated(relation.rate(view), time)
+def _size(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2)))
+
+
+def _changes(view: View, relation: Relation) -> list[np.ndarray]:
+    """A channel and the integral of each term of its rate, less, over what is allowed, without drift."""
+    time = view["time"]
+    each = [view[relation.channel], *(-integrated(term, time) for term in relation.terms(view))]
     pieces = 1 if relation.piece is None else round((time[-1] - time[0]) / relation.piece)
-    pieces = min(max(pieces, 1), len(off) // SHORTEST)
-    left = np.concatenate([_without_drift(part) for part in np.array_split(off, pieces)])
-    return float(np.sqrt(np.mean(np.minimum(np.abs(left), 1e9) ** 2))) / relation.allowed
+    pieces = min(max(pieces, 1), len(time) // SHORTEST)
+    return [
+        np.concatenate([_without_drift(part) for part in np.array_split(x, pieces)]) / relation.allowed for x in each
+    ]
 
 
-def _level(view: View) -> float:
-    """Mean normal acceleration that rate, angle and accelerometer disagree by, over what is allowed."""
-    return abs(float(np.mean(view["airspeed"] * (_alpha(view) - _turned(view, "alpha"))))) / LEVEL
+def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:
+    """Mean accelerations that rates, angles and accelerometers make, and what they turn by, over what is allowed."""
+    V, channel = view["airspeed"], "alpha" if name == "level" else "beta"
+    terms = [np.mean(V * term) for term in RELATIONS[channel].terms(view)]
+    if channel in recorded:
+        terms.append(-np.mean(V) * _turned(view, channel))
+    elif np.mean(V) * SIDESLIP >= SIDE / 3.0 * float(view["time"][-1] - view["time"][0]):
+        return [np.zeros(1)]
+    return [np.atleast_1d(term) / MEANS[name] for term in terms]
 
 
 def _turned(view: View, name: str) -> float:
@@ -171,10 +200,7 @@ def _turned(view: View, name: str) -> float:
 
 def side_bias(view: View, recorded: frozenset[str]) -> float:
     """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
-    V, elapsed = view["airspeed"], float(view["time"][-1] - view["time"][0])
-    if "beta" in recorded:
-        return float(np.mean(V * (_beta(view) - _turned(view, "beta"))))
-    return float(np.mean(V * _beta(view))) if np.mean(V) * SIDESLIP < SIDE / 3.0 * elapsed else 0.0
+    return SIDE * float(sum(_mean_terms("side", view, recorded))[0])
 
 
 def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.across.kinematics import LEVEL, RELATIONS, SIDE, View, misfits, side_bias, view_of
+from bayes_aero.flight.health.across.kinematics import (
+    MEANS,
+    RELATIONS,
+    SCALE,
+    View,
+    misfits,
+    side_bias,
+    terms_of,
+    view_of,
+)
 from bayes_aero.flight.health.finding import HealthFinding, found
-from bayes_aero.flight.health.readings import ANGLES, FRAMES, LEFT_HANDED, Reading, framed, readings
+from bayes_aero.flight.health.readings import (
+    ATTITUDE,
+    FLOW,
+    INSTRUMENTS,
+    Moves,
+    Reading,
+    axes_of,
+    moved,
+    orders,
+    readings,
+)
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.tolerances import GRAVITY
 
@@ -20,12 +40,11 @@ WORSE = 1.3  # times its misfit another relation may have there, if it is above 
 TIED = 0.15  # of the best gain: readings that nearly gain as much cannot be told from the best
 MOST = 4  # faults of one record
 BESIDE = 1.2  # times a unit's factor, and by which it is divided, where the record must fit worse
-FEW, SLOW = 500, 0.1  # samples and s between them that tell one frame from another
-ALIKE = 0.3  # logarithm of the misfit within which frames fit alike
-TRIED, APART = 16, 3.0  # frames of rates and angles that are followed up, and the same for these
-NEARLY = 2.0  # times its limit that a relation may be off in axes that are named: another sensor may be wrong, too
-ATTITUDE = frozenset({"theta", "phi", "psi", "altitude"})
-MEANS = {"level": LEVEL, "side": SIDE}
+FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from another
+ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
+FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
+TOLD = 0.2  # by which the best must be ahead of the next
+EXPLAINED = 2.0  # times what noise and errors of scale make, up to which a relation holds
 JUMP = 0.5  # rad from one sample to the next that is no turn
 NOUNS = {
     "theta": "pitch attitude", "phi": "bank angle", "psi": "heading", "altitude": "altitude",
@@ -48,11 +67,10 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
     before = misfits(view, recorded)
     said, left = _chain(record, card, view, recorded, before)
     if len(said) > 1 or (max(left.values(), default=0.0) > 1.0):
-        frame = _frame(view, card, frozenset(record.channels), recorded)
-        if frame is not None and len(frame.channels) > 1:
-            whole, rest = _chain(record, card, view, recorded, before, frame)
-            if whole and max(rest.values()) <= NEARLY and _score(rest) < _score(left) + ALIKE:
-                said, left = whole, rest
+        whole = _whole(record, card, view, recorded, before)
+        if whole is not None and (max(left.values()) > 1.0 or whole[0][1].fault == "axes"):
+            said = [whole[0]]
+            left = whole[1]
     for reading, _ in said:
         raw = {**raw, **reading.applied(raw)}
         view = {**view, **reading.applied(view)}
@@ -61,14 +79,9 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
 
 
 def _chain(
-    record: FlightRecord,
-    card: Card,
-    view: View,
-    recorded: frozenset[str],
-    before: dict[str, float],
-    first: Reading | None = None,
+    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: dict[str, float]
 ) -> tuple[list[tuple[Reading, HealthFinding]], dict[str, float]]:
-    """Readings one after the other, the best first (or `first`), while any mends what is refuted; and what they leave.
+    """Readings one after the other, the best first, while any mends what is refuted; and what they leave.
 
     What they mend must be within the limit in the end: otherwise they explain nothing.
     """
@@ -76,8 +89,7 @@ def _chain(
     for _ in range(MOST):
         if not any(value > 1.0 for value in before.values()):
             break
-        one_by_one = readings(view, card, recorded) if first is None or said else [first]
-        tried = [(reading, misfits({**view, **reading.applied(view)}, recorded)) for reading in one_by_one]
+        tried = [(r, misfits({**view, **r.applied(view)}, recorded)) for r in readings(view, card, recorded)]
         gains = [
             (gain if gain <= 0.0 or _own_factor(view, recorded, reading, before, after) else 0.0, reading, after)
             for reading, after in tried
@@ -94,40 +106,64 @@ def _chain(
     return [], before
 
 
-def _frame(view: View, card: Card, channels: frozenset[str], recorded: frozenset[str]) -> Reading | None:
-    """The axes of accelerations and of rates, and the angles that turn with them, that fit best together."""
+def _whole(
+    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: dict[str, float]
+) -> tuple[tuple[Reading, HealthFinding], dict[str, float]] | None:
+    """The signs and axes of all channels at once that alone explain the record, but for errors of scale."""
+    have = frozenset(record.channels)
     step = max(1, min(len(view["time"]) // FEW, int(SLOW / np.median(np.diff(view["time"])))))
-    view = {name: x[::step] for name, x in view.items()}
-    turned = []
-    for angles in dict.fromkeys(tuple(n for n in angles if n in channels) for angles in ANGLES):
-        for rates in FRAMES:
-            reading = framed(card, channels, {"accelerations": FRAMES[0], "rates": rates}, angles)
-            if reading is not None or (rates == FRAMES[0] and not angles):
-                seen = view if reading is None else {**view, **reading.applied(view)}
-                turned.append((_misfit_of(seen, recorded, ATTITUDE), len(angles), angles, rates))
-    turned.sort(key=lambda one: one[:2])
-    found = []
-    for attitude, _, angles, rates in turned[:TRIED]:
-        if attitude > turned[0][0] + APART:
-            break
-        for forces in (*FRAMES, *LEFT_HANDED):
-            reading = framed(card, channels, {"accelerations": forces, "rates": rates}, angles)
-            if reading is not None:
-                score = _misfit_of({**view, **reading.applied(view)}, recorded)
-                found.append((score, len(reading.channels) + 2 * (rates != forces), reading))
-    if not found:
-        return None
+    few = {name: x[::step] for name, x in view.items()}
+    names = [n for n in (*ATTITUDE, *FLOW, *INSTRUMENTS["rates"], *INSTRUMENTS["accelerations"]) if n in have]
+    signs = np.array(list(product((1, -1), repeat=len(names))))
+    odd = _odd(few, recorded, names)
+    found: list[tuple[float, float, Moves]] = []
+    for order in ({**a, **b} for a in orders("rates", have) for b in orders("accelerations", have)):
+        other = {**few, **{name: few[source] for name, source in order.items()}}
+        strains = _strains(terms_of(other, recorded), odd, signs)
+        score, worst = np.log1p(strains**2).sum(0), strains.max(0)
+        for k in np.flatnonzero(score < min([score.min(), *(s for s, _, _ in found)]) + ALIKE):
+            pairs = {n: (order.get(n, n), int(sign)) for n, sign in zip(names, signs[k], strict=True)}
+            found.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
     least = min(score for score, _, _ in found)
-    return min((one for one in found if one[0] < least + ALIKE), key=lambda one: one[1])[2]
+    alike = [(score + FAULT * _faults(m, have), worst, m) for score, worst, m in found if score < least + ALIKE]
+    total = min(one[0] for one in alike)
+    (worst, moves), *tied = sorted(
+        ((worst, m) for score, worst, m in alike if score < total + TOLD), key=lambda one: len(one[1])
+    )
+    reading, *others = (moved(card, have, m) for _, m in ((worst, moves), *tied))
+    if not moves or worst > EXPLAINED or (others and any(r.fault == "axes" for r in (reading, *others))):
+        return None
+    after = misfits({**view, **reading.applied(view)}, recorded)
+    if not _mended(before, after):
+        return None
+    return (reading, _finding(record, reading, others[:2], before, after)), after
 
 
-def _misfit_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> float:
-    return _score(misfits(view, recorded, names))
+def _odd(view: View, recorded: frozenset[str], names: list[str]) -> dict[str, np.ndarray]:
+    """Of each relation, which terms (k, channels) count the other way with a channel."""
+    own = terms_of(view, recorded)
+    turned = [terms_of({**view, name: -view[name]}, recorded) for name in names]
+    return {r: np.stack([np.sum(x * other[r], axis=1) < 0.0 for other in turned], axis=1) for r, x in own.items()}
 
 
-def _score(found: dict[str, float], floor: float = 0.3) -> float:
-    """Sum of the logarithms of misfits; below the floor one is as good as another."""
-    return sum(np.log(max(min(value, 1e6), floor)) for value in found.values())
+def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np.ndarray) -> np.ndarray:
+    """Misfit of each relation under each set of signs (sets, channels), over what noise and errors of scale make."""
+    found = []
+    for name, x in terms.items():
+        of_terms = np.where(odd[name][None], signs[:, None, :], 1).prod(2)
+        gram = x @ x.T / x.shape[1] if np.isfinite(x).all() else np.full((len(x), len(x)), 1e12)
+        off = np.maximum(np.einsum("sk,kl,sl->s", of_terms, gram, of_terms), 0.0)
+        found.append(np.sqrt(off / (1.0 + SCALE**2 * np.trace(gram))))
+    return np.stack(found)
+
+
+def _faults(moves: Moves, recorded: frozenset[str]) -> int:
+    """Faults that it takes at least: axes are as many as two, beside single channels."""
+    return min(len(moves), AXES + axes_of(moves, recorded)[1])
+
+
+def _sum_of_logs(found: dict[str, float]) -> float:
+    return sum(np.log(max(min(value, 1e6), 1e-6)) for value in found.values())
 
 
 def _own_factor(
@@ -142,8 +178,8 @@ def _own_factor(
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
     unit = reading.applied(view)
     beside = ({**view, **{n: k * x for n, x in unit.items()}} for k in (BESIDE, 1.0 / BESIDE))
-    own = _score({n: after[n] for n in names}, 1e-6)
-    return all(_score(misfits(v, recorded, names), 1e-6) > own for v in beside)
+    own = _sum_of_logs({n: after[n] for n in names})
+    return all(_sum_of_logs(misfits(v, recorded, names)) > own for v in beside)
 
 
 def _mended(before: dict[str, float], after: dict[str, float]) -> list[str]:
@@ -160,8 +196,9 @@ def _bias(
     """
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
         return []
-    if "accel_y_bias" in card.effects:
-        return []
+    terms = terms_of(view, recorded, frozenset({"side"}))["side"]
+    if "accel_y_bias" in card.effects or abs(terms.sum()) < np.sqrt(1.0 + SCALE**2 * np.sum(terms**2)):
+        return []  # stated there, or no more than errors of scale make in turns
     off = side_bias(view, recorded)
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
     sentence = (
