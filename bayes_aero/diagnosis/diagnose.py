@@ -223,7 +223,7 @@ def _causes_in(
             if worse:
                 probability, others = rivals_of(extension, name, worse, noise[name])
         if name in forms:  # the odds of the form against the cause
-            probability = 1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1]))
+            probability = float(1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1])))
             others = (*others, forms[name][0])
         found.append(
             Cause(

@@ -109,23 +109,20 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
 
 
 def answers_no_input(record: FlightRecord, name: str) -> bool:
-    """Whether the aircraft turns as no motion explains, while its first surface about that axis stands still
-    throughout and others do not move it either."""
-    for control in (ELEVATOR, *LATERAL):
-        surfaces = [n for n in TURNS[control.surface] if record.has(n)]
-        if not surfaces or name != surfaces[0] or not all(map(record.has, control.beside)):
-            continue
-        if record.n * record.dt < 4.0 * SLOW:
-            return False
-        moving = [record[n] for n in (*surfaces, *ENGINES) if record.has(n) and np.ptp(record[n]) > 0.0]
-        inside = slice(round(SMOOTH / record.dt), record.n - round(SMOOTH / record.dt))
-        signals = [_mean(x, SMOOTH / record.dt)[inside] for x in (*(record[n] for n in control.beside), *moving)]
-        turning = np.gradient(signals[control.beside.index(control.rate)], record.dt)
-        rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
-        left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
-        noise = noise_of(record[control.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
-        return left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE)
-    return False
+    """Whether the aircraft pitches as no motion explains, while its first surface about that axis stands still
+    throughout and others do not move it either. A rudder or an aileron may well be left alone."""
+    surfaces = [n for n in TURNS[ELEVATOR.surface] if record.has(n)]
+    known = name in surfaces[:1] and all(map(record.has, ELEVATOR.beside))
+    if not known or record.n * record.dt < 4.0 * SLOW:
+        return False
+    moving = [record[n] for n in (*surfaces, *ENGINES) if record.has(n) and np.ptp(record[n]) > 0.0]
+    inside = slice(round(SMOOTH / record.dt), record.n - round(SMOOTH / record.dt))
+    signals = [_mean(x, SMOOTH / record.dt)[inside] for x in (*(record[n] for n in ELEVATOR.beside), *moving)]
+    turning = np.gradient(signals[ELEVATOR.beside.index(ELEVATOR.rate)], record.dt)
+    rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
+    left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
+    noise = noise_of(record[ELEVATOR.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
+    return left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE)
 
 
 @dataclass(frozen=True)
