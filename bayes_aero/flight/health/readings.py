@@ -111,12 +111,12 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
     angles = {n for n in moves if n in (*ATTITUDE, *FLOW)}
     more = min(len(angles ^ (turned & recorded)) for turned in ANGLES)
     best = ("", len(moves) + 1)
-    for of in dict.fromkeys((kinds, *((kind,) for kind in kinds))):
+    for of in dict.fromkeys([kinds, *((kind,) for kind in kinds)]):
         for frame in FRAMES:
             own = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
             rest = more + sum(own.get(n) != moves.get(n) for kind in kinds for n in have[kind])
             if own and rest < best[1]:
-                best = (f"the axes of the {'sensors' if len(of) > 1 else of[0]} are {frame.name}", rest)
+                best = (f"the axes of the {' '.join(of) if len(of) == 1 else 'sensors'} are {frame.name}", rest)
     return best
 
 

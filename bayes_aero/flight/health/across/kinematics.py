@@ -200,7 +200,7 @@ def _turned(view: View, name: str) -> float:
 
 def side_bias(view: View, recorded: frozenset[str]) -> float:
     """Mean lateral acceleration beyond what bank, turn and sideslip make, m/s2; zero where sideslip leaves it open."""
-    return SIDE * float(sum(_mean_terms("side", view, recorded))[0])
+    return SIDE * float(np.sum(_mean_terms("side", view, recorded), axis=0)[0])
 
 
 def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
