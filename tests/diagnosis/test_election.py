@@ -107,7 +107,8 @@ def test_deviations_are_those_of_fits_without_each_stretch():
         nuisance=count,
     )
     object.__setattr__(state, "theta", np.zeros(k))
-    object.__setattr__(state, "responses", SimpleNamespace(jackknife_blocks=stretch))
+    flights = SimpleNamespace(lengths=[length] * count)
+    object.__setattr__(state, "responses", SimpleNamespace(jackknife_blocks=stretch, flights=flights))
     columns, covariance = block_jackknife_covariance(state, fit)
     assert list(columns) == [0, 1, 2]
 

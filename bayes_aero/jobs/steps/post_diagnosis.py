@@ -83,7 +83,8 @@ def _open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
     sets: dict[frozenset[str], dict[str, float]] = {}
     effects = {e.name for e in state.full.candidates}
     for cause in diagnosis.causes:
-        members = frozenset(effects & {cause.name, *cause.ambiguous_with})  # a form is no effect that can be flown
+        # A form is no effect that can be flown.
+        members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})
         if len(members) > 1 and cause.stage == "coefficients":
             sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
     known = {c.name: c.parameters for c in diagnosis.causes if c.stage == "coefficients"}

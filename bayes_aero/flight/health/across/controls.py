@@ -122,7 +122,7 @@ def answers_no_input(record: FlightRecord, name: str) -> bool:
     rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
     left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
     noise = noise_of(record[ELEVATOR.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
-    return left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE)
+    return bool(left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE))
 
 
 @dataclass(frozen=True)
