@@ -149,13 +149,22 @@ def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[s
     if not np.any(added):
         return {}
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either
-    limits, whole = np.array(added).T / scale, np.ones(len(fit.variance))
+    limits = np.array(added).T / scale
     most = [(0.0, min(1.0, SLOW * float(x))) for x in scale]
     found = {}
     for column, row in zip(fit.columns[np.isin(fit.columns, own)], np.array(biases).T / scale, strict=True):
-        lowest, highest = (sign * linprog(sign * row, limits, whole, bounds=most).fun for sign in (1.0, -1.0))
+        lowest, highest = (sign * _least(sign * row, limits, most) for sign in (1.0, -1.0))
         found[state.full.model.names[column]] = (float(lowest), float(highest))
     return found
+
+
+def _least(row: Float[np.ndarray, " f"], limits: Float[np.ndarray, "c f"], most: list[tuple[float, float]]) -> float:
+    """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
+    size = float(np.max(np.abs(row)))
+    if size == 0.0:
+        return 0.0
+    least = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
+    return float(size * least) if least is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
 
 
 def sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
