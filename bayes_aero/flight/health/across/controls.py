@@ -182,8 +182,10 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
     """
     said = []
     for surface in _surfaces(card):
-        moved = [(record, law) for record in records if (law := _law(surface, record, card)) is not None]
-        if not moved or not all(names for _, (names, _) in moved):
+        flown = [r for r in records if (u := _deflection(surface, r)) is not None and np.ptp(u) > 0.0]
+        moved = [(record, law) for record in flown if (law := _law(surface, record, card)) is not None]
+        # A record that cannot be judged may hold the pilot's input.
+        if not moved or len(moved) < len(flown) or not all(names for _, (names, _) in moved):
             continue
         for record, (names, share) in moved:
             sentence = (
