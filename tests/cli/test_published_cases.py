@@ -139,8 +139,8 @@ def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(pub
 
 
 def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_noise(program, published, monkeypatch):  # noqa: ARG001
-    """HFB-320, as if its air showed no gusts: CLa 3.4 by output error, 4.3 by the filter and by equation error, which
-    is within the standard errors of output error where gusts disturb the flight.
+    """HFB-320, as if its air showed no gusts: CLa 3.4 by output error, 4.3 by the filter and by equation error. That is
+    2.5 standard errors of output error (0.38, calibrated for what disturbs the flight); a disagreement is three.
 
     The pitch damping of the filter and of equation error differ: published -27 by output error, -35 by filter error.
     """

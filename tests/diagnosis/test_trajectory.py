@@ -117,7 +117,7 @@ def test_an_offset_of_a_coefficient_in_one_manoeuvre_is_its_constant_there():
 
 @pytest.mark.verify
 def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flights(card):
-    """Lift 0.06 larger in the second flight, flown with flaps that hardly move: the offset is told, and no flap."""
+    """Lift 0.06 larger in the second flight, flown with flaps that hardly move: the offset is reported, and no flap."""
     made = Parameter("CLstep", "1", 0.0, 0.0, "more lift", Prior("normal", 0.0, 1.0), (-1.0, 1.0))
     step = Effect(
         "lift_step", Kind.AERODYNAMICS, Stage.ATTACHED, "More lift.", (made,), ("alpha",),

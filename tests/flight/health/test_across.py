@@ -265,6 +265,7 @@ def test_a_surface_that_only_follows_the_outputs_is_told(law):
 def test_a_pilot_beside_the_feedback_parts_the_two(law, flown):
     """Inputs of 0.3 deg; one record with them serves the others that are fitted with it."""
     card, piloted = read_card("short_period"), under_feedback(np.deg2rad(0.3), flown, **LAWS[law])
+    assert feedback([piloted], card) == []
     assert feedback([under_feedback(**LAWS[law], name="other"), piloted], card) == []
 
 
