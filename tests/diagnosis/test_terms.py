@@ -83,6 +83,17 @@ def test_terms_keep_the_symmetry_of_the_aircraft():
     assert any(name.startswith("sign(beta) max(|beta| - ") for name in terms(lateral=True))
 
 
+@pytest.mark.parametrize(("noise", "lowest"), [(0.0, 0.005), (0.01, 0.03)])
+def test_no_break_of_a_lateral_quantity_lies_within_its_noise(noise, lowest):
+    """Near zero noise decides the sign of beta: what that takes off the slope there looks like a dead band."""
+    beta = SIGNALS["beta"] + noise * np.random.default_rng(1).standard_normal(N)
+    found = library({**SIGNALS, "beta": beta}, AIRCRAFT, lambda n: n in SIGNALS, lateral=True, separated=True)
+    named = [t.name for t in found if t.name.startswith("sign(beta) max(|beta| - ")]
+    places = [float(name.split(" - ")[1].split(",")[0]) for name in named]
+    assert places
+    assert min(places) == pytest.approx(lowest, rel=0.4)
+
+
 def test_breaks_and_bumps_lie_where_it_was_flown():
     found = terms()
     at_half = found["max(alpha - 0.15, 0)"]

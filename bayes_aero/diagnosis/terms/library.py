@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.physics.rates import reduced, reduced_lateral
 
 Signals = Mapping[str, Any]
@@ -22,6 +23,7 @@ ORDER = 3  # most factors of a product
 BREAKS = tuple(k / 20.0 for k in range(1, 20))  # quantiles of alpha or beta at which its effect may break
 BUMPS = tuple(k / 10.0 for k in range(1, 10))  # and at which it may have a bump
 WIDTHS = (0.07, 0.12, 0.2)  # of a bump, shares of the range
+CLEAR = 3.0  # standard deviations of its noise; nearer to zero, noise decides the sign and makes a dead band
 LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
 
 
@@ -184,7 +186,9 @@ def library(
     for q in quantities:
         x = q.evaluate(signals, aircraft)
         if q.name in CURVED:
-            terms += [Term((_break(q, at),)) for at in _places(np.abs(x) if q.lateral else x, BREAKS)]
+            least = CLEAR * noise_of(*np.split(x, np.unique(np.asarray(signals["first"]))[1:].astype(int)))
+            places = [at for at in _places(np.abs(x), BREAKS) if at > least] if q.lateral else _places(x, BREAKS)
+            terms += [Term((_break(q, at),)) for at in places]
         if q.name in CURVED and not q.lateral:
             reach = float(np.ptp(np.quantile(x, (0.02, 0.98))))
             widths = [float(np.round(share * reach, 4)) for share in WIDTHS]
