@@ -144,3 +144,23 @@ def test_the_inverse_of_no_information_is_a_number(recwarn):
     assert np.isfinite(found @ found).all()
     assert found[0, 0] == pytest.approx(0.25)
     assert not recwarn.list
+
+
+def test_no_output_is_given_up_for_another_that_a_wrong_form_fits_worse():
+    """Two outputs want a common slope of 1 and of 3; the first, known ten times as well, has another signal beside it.
+
+    The profile of the likelihood has a minimum at each; the lower one, by a grid, is at 1.
+    """
+    rng = np.random.default_rng(5)
+    x, z, w, noise = rng.standard_normal((4, 400))
+    residual = np.stack([x + 100.0 * w + 0.01 * noise, 3.0 * z + 0.1 * rng.standard_normal(400)], axis=1)
+    S = np.zeros((400, 2, 2))
+    S[:, 0, 0], S[:, 1, 0], S[:, 0, 1] = x, z, w
+    slopes = np.linspace(0.0, 4.0, 4001)
+    left = residual[:, :, None] - S[:, :, :1] * slopes
+    left[:, 0] -= np.outer(w, w @ left[:, 0] / (w @ w))
+    profile = np.log(np.mean(left**2, axis=0)).sum(axis=0)
+    assert slopes[profile.argmin()] == pytest.approx(1.0, abs=0.01)
+    assert slopes[2000 + profile[2000:].argmin()] == pytest.approx(3.0, abs=0.05)
+    found = Products.of(residual, S, [slice(0, 400)]).fit(np.arange(2), np.zeros(2), np.zeros(2))
+    assert found.step == pytest.approx([slopes[profile.argmin()], 100.0], abs=0.01)

@@ -88,13 +88,15 @@ def _fit_at(
 ) -> tuple[Fit, float]:
     """The same from residuals at `theta` and sensitivities to the columns `at` (`linear`)."""
     residual, S = linear
-    S = np.concatenate([S, state.S[:, :, state.offsets]], axis=2)
+    beside = state.columns()
+    beside = beside[beside >= len(state.theta)]  # offsets, and components that are in
+    S = np.concatenate([S, state.S[:, :, beside]], axis=2)
     products = Products.of(
         residual / state.noise_growth, S / state.noise_growth[:, :, None], [state.folds[f] for f in folds]
     )
     mean, precision = state.full.prior(at, theta)
     precision = state.variance_inflation * precision
-    mean, precision = np.append(mean, state.mean[state.offsets]), np.append(precision, state.precision[state.offsets])
+    mean, precision = np.append(mean, state.mean[beside]), np.append(precision, state.precision[beside])
     free = np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
     return products.fit(free, mean, precision, held), only.deviance + float(

@@ -102,10 +102,10 @@ def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
 
 
 def _apart(state: SelectionState, basis: Float[np.ndarray, "m c w"]) -> Float[np.ndarray, "m c v"]:
-    """What the card's parameters leave of powers, apart from one another, each of unit root mean square."""
+    """What the parameters that are in leave of powers, apart from one another, each of unit root mean square."""
     deviation = np.std(state.residual / state.noise_growth, axis=0)[:, None]
-    card = state.columns(())
-    own = state.S[:, :, card[card < len(state.theta)]]
+    inside = state.columns()
+    own = state.S[:, :, inside[inside < len(state.theta)]]
     X, B = ((x / deviation)[:, np.any(basis != 0.0, axis=(0, 2))].reshape(-1, x.shape[2]) for x in (basis, own))
     B = B / np.maximum(np.sqrt(np.sum(B**2, axis=0)), 1e-300)
     U, size, _ = np.linalg.svd(X - B @ np.linalg.lstsq(B, X, rcond=1e-10)[0], full_matrices=False)

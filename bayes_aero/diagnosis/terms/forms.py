@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.parameter_fit import optimum, refitted
 from bayes_aero.diagnosis.screening.partialled_regression import inflation_along
-from bayes_aero.diagnosis.screening.regression import ROUNDS, Fit, Products
+from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
@@ -88,22 +88,7 @@ class _Model:
         size = float(np.median(np.std(residual, axis=0)))
         precision = np.append(state.precision[columns], np.full(more, state.variance_inflation / (10 * size) ** 2))
         mean = np.append(state.mean[columns], np.zeros(more))
-        products, columns = Products.of(residual, S, state.folds), np.arange(S.shape[2])
-        best = products.fit(columns, mean, precision)
-        # Where a form is wrong the variances may settle with one output given up for another: a second start is what
-        # every output by itself can be fitted to.
-        n, inside = float(products.count.sum()), state.inside
-        alone = [
-            np.linalg.lstsq(A, x, rcond=1e-10)[0]
-            for A, x in zip(S[inside].swapaxes(0, 1), residual[inside].T, strict=True)
-        ]
-        variance = np.array([np.mean((residual - S @ step)[inside, c] ** 2) for c, step in enumerate(alone)])
-        for _ in range(ROUNDS):
-            fit = products.fit(columns, mean, precision, np.maximum(variance, 1e-12 * best.variance))
-            variance = products.squares(columns, fit.step).sum(axis=0) / n
-        deviance = n * float(np.sum(np.log(variance))) + float(np.sum(precision * (fit.step - mean) ** 2))
-        if deviance < best.deviance:
-            best = replace(fit, variance=variance, deviance=deviance)
+        best = Products.of(residual, S, state.folds).fit(np.arange(S.shape[2]), mean, precision)
         return best, residual - S @ best.step
 
     @cached_property
@@ -187,7 +172,8 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
     if not (rest or state.apart):
         return Forms((), ())
     start = _Model(state)
-    reached = _reached(_without(state, rest, ()), state, shown)
+    named_only = _without(state, rest, ())
+    reached = _reached(named_only, state, shown)
     named = {name: label for name, label in named.items() if label.split(" over ")[0] in reached}
     bare, within = (_without(state, [*rest, *named], apart) for apart in ((), state.apart))
     found = [_beside(one, reached, (), rest, state) for one in ([bare, within] if state.apart else [bare])]
@@ -200,7 +186,7 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
         out = [*(name for name in named if name not in alone), *left.replaced]
         models.append(_Model(_without(state, out, state.apart), more))
     models = [model for model in models if model.terms]
-    curves = _curves(state, reached)
+    curves = _curves(named_only, reached)
     wholes = [_fitted(_curved(_bare(model, rest), curves)) for model in models]
     tried = [_eliminated(model, items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
     best = _best(start, tried)
@@ -291,7 +277,7 @@ def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
     """Coefficients whose offsets a polynomial explains as well, and that."""
     found, least = {}, -model.state.settings.ambiguous
     for name in model.state.apart:
-        own = [(_instead(model, name, [f]).beyond(model), f) for f in curves if _coefficient(f) == name]
+        own = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if _coefficient(f) == name]
         gain, best = max(own, key=lambda pair: pair[0])
         found |= {name: best} if gain > least else {}
     return found
@@ -319,8 +305,9 @@ def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]
 
 
 def _fitted(model: _Model) -> _Model:
-    """With the parameters at the optimum beside the terms, to first order in these."""
-    return replace(model, state=refitted(model.state)[0])
+    """With the parameters at the optimum beside the terms."""
+    state = model.wide
+    return replace(model, state=moved(model.state, optimum(state, range(len(state.folds)))))
 
 
 def _best(start: _Model, models: Sequence[_Model]) -> _Model:
