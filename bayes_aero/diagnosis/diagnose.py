@@ -161,7 +161,7 @@ def without_conditional(
 
 
 def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
-    """Whether hold-out data are predicted worse with a cause: all together, or one of the coefficients."""
+    """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
     return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
 
 
@@ -249,7 +249,7 @@ def _causes_in(
 
 
 def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
-    """A gain with the coefficients because of which backward elimination took a cause out."""
+    """A gain with the outputs because of which backward elimination took a cause out."""
     return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
@@ -344,7 +344,12 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, hel
 
     def judged(c: Cause) -> Cause:
         if c.name in confirmation.missed:
-            return replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
+            return replace(
+                c,
+                confirmed=c.name in confirmation.kept,
+                missed=confirmation.missed[c.name],
+                gain=_with_harm(c.gain, confirmation, c.name),
+            )
         return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
 
     causes = tuple(judged(c) for c in found.causes)

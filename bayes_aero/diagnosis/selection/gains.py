@@ -10,9 +10,9 @@ from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
-    coefficient_gains,
     holdout_gain,
     measured_blocks,
+    output_gains,
     split_name,
     truncated,
 )
@@ -69,7 +69,7 @@ def _sensor_gains(
     base = before = corrected(())
     for number, name in enumerate(extension.causes):
         after = corrected([*_sure(extension.causes, number, kept), name])
-        gains = coefficient_gains(before, after, card)
+        gains = output_gains(before, after, card)
         found[name] = Gain(
             *holdout_gain(*pairs[name], state), split_name(state), base.scores(measured), after.scores(measured),
             {n: gain for n, gain in gains.items() if state.settings.degrades(*gain)},
