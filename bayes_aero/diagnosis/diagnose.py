@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
-from bayes_aero.diagnosis.screening.accuracy import implausible
+from bayes_aero.diagnosis.screening.accuracy import implausible, implausible_candidate
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
@@ -296,14 +296,18 @@ def rivals_of(
 
     Of both those are left out that predict hold-out data `worse` in its place. `noise` is the share of the cause that
     noise of the recorded channels can make: it may outdo its rivals by recording the same motion with less of it.
-    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
+    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`), nor
+    what must be larger for it than aircraft have.
     """
     state, fit = extension.state, extension.fit
+    effects = {e.name: e for e in state.full.candidates}
+    out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
     ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
-        if standing.effect == name or (able and standing.effect not in worse):
+        able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
+        if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
