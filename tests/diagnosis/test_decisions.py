@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import erfc
 from test_credibility import cause
 from test_mixing import part
 
@@ -16,6 +17,8 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import consistency
 from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_result import SearchResult
 from bayes_aero.diagnosis.selection import backward_elimination as elimination
@@ -23,6 +26,7 @@ from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, ba
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, output_gains
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.structure import unexplained
 from bayes_aero.diagnosis.trajectories.elimination import _Flight
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
 from bayes_aero.effects import CATALOGUE
@@ -310,3 +314,27 @@ def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
     told = [s for s in diagnosis_sentences(d) if s.startswith("The estimate of airspeed_scale")]
     assert "airspeed_bias (correlation -0.97)" in told[0]
     assert decided.without_conditional((scale,), ()) == ((scale,), ())
+
+
+@pytest.mark.parametrize(("deviations", "told"), [(0.358, False), (1.9, False), (2.1, True)])
+def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, deviations, told):
+    """Two manoeuvres: p = erfc(d / sqrt 2) of an offset of d standard errors, .72 at 0.358 and .05 at 1.96."""
+    at, step = np.array([0, 1]), np.array([0.0, deviations * np.sqrt(2.0)])
+    fit, less = (Fit(at, step, np.eye(2), np.array([variance]), 0.0) for variance in (1.0, 1.25))
+    state = part(
+        SelectionState, apart=("Cm",), theta=np.zeros(0), nuisance=2, variance_inflation=1.0, folds=(),
+        full=part(CandidateModel, settings=DEFAULT),
+        responses=SimpleNamespace(flights=SimpleNamespace(names=("one", "two"), lengths=(9, 9))),
+    )  # fmt: skip
+    monkeypatch.setattr(SelectionState, "fit", lambda one: fit if one.apart else less)
+    monkeypatch.setattr(SelectionState, "left", lambda *_: np.zeros((18, 1)))
+    for name, given in {
+        "moved": lambda *_, **__: part(SelectionState, apart=()), "autocorrelation_of": lambda *_: None,
+        "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unexplained, name, given)
+    found = unexplained.offsets_found(part(Extension, state=state))
+    assert [(one.coefficient, one.channel) for one in found] == ([("Cm", "manoeuvre")] if told else [])
+    for one in found:
+        assert one.p_value == pytest.approx(erfc(deviations / np.sqrt(2.0)))
+        assert one.offsets == {"two": pytest.approx((deviations * np.sqrt(2.0), np.sqrt(2.0)))}
