@@ -35,7 +35,7 @@ from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling,
 from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
 from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins, without_hold
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.terms.result import SampledTerms
@@ -192,7 +192,8 @@ def causes_of(
         forms = searched.forms if extension is searched.model else {}
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
-            names = [n for n in larger.causes if n in larger.implausible]
+            out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
+            names = [n for n in larger.causes if n in out]
             found += _causes_in(full, stage, larger, names, None, {}, {})
     return found
 
