@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
-from bayes_aero.diagnosis.screening.accuracy import implausible
+from bayes_aero.diagnosis.screening.accuracy import implausible, implausible_candidate
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
@@ -35,7 +35,7 @@ from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling,
 from bayes_aero.diagnosis.selection.cross_validation import split_name
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
 from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins
+from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins, without_hold
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.terms.result import SampledTerms
@@ -161,7 +161,7 @@ def without_conditional(
 
 
 def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
-    """Whether hold-out data are predicted worse with a cause: all together, or one of the coefficients."""
+    """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
     return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
 
 
@@ -192,7 +192,8 @@ def causes_of(
         forms = searched.forms if extension is searched.model else {}
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
-            names = [n for n in larger.causes if n in larger.implausible]
+            out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
+            names = [n for n in larger.causes if n in out]
             found += _causes_in(full, stage, larger, names, None, {}, {})
     return found
 
@@ -249,7 +250,7 @@ def _causes_in(
 
 
 def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
-    """A gain with the coefficients because of which backward elimination took a cause out."""
+    """A gain with the outputs because of which backward elimination took a cause out."""
     return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
@@ -296,14 +297,18 @@ def rivals_of(
 
     Of both those are left out that predict hold-out data `worse` in its place. `noise` is the share of the cause that
     noise of the recorded channels can make: it may outdo its rivals by recording the same motion with less of it.
-    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`).
+    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`), nor
+    what must be larger for it than aircraft have.
     """
     state, fit = extension.state, extension.fit
+    effects = {e.name: e for e in state.full.candidates}
+    out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
     ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
-        if standing.effect == name or (able and standing.effect not in worse):
+        able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
+        if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
     own = best.get(name)
     if own is None:
@@ -344,7 +349,12 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, hel
 
     def judged(c: Cause) -> Cause:
         if c.name in confirmation.missed:
-            return replace(c, confirmed=c.name in confirmation.kept, missed=confirmation.missed[c.name])
+            return replace(
+                c,
+                confirmed=c.name in confirmation.kept,
+                missed=confirmation.missed[c.name],
+                gain=_with_harm(c.gain, confirmation, c.name),
+            )
         return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
 
     causes = tuple(judged(c) for c in found.causes)

@@ -41,7 +41,7 @@ class Gain:
 
     `elpd` is the sum of log predictive densities gained, divided by the variance inflation;
     `elpd_se` its deviation from sums over 10 s. `before` and `after` score each coefficient:
-    card's model, and with all so far. `degraded`: coefficients that are predicted worse with it, beyond noise
+    card's model, and with all so far. `degraded`: outputs that are predicted worse with it, beyond noise
     (see `DiagnosisSettings.degrades`), with that gain.
     """
 
@@ -58,7 +58,7 @@ class Cause:
     """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
 
     `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation, and no
-    coefficient is predicted worse with it; what is not confirmed stays out of the model that is flown and compared (see
+    output is predicted worse with it; what is not confirmed stays out of the model that is flown and compared (see
     `confirmation`). `rival_gains`: hold-out log density that a rival in its place has beyond it, where that was
     compared. `joint`: other causes whose estimates are correlated with its own, and that correlation: neither size
     holds without the other. `implausible`: parameters beyond

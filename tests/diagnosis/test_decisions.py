@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import erfc
 from test_credibility import cause
 from test_mixing import part
 
@@ -16,12 +17,18 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import consistency
 from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_result import SearchResult
+from bayes_aero.diagnosis.selection import backward_elimination as elimination
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, coefficient_gains, holdout_gain
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, output_gains
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.structure import unexplained
+from bayes_aero.diagnosis.trajectories.elimination import _Flight
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
@@ -76,7 +83,7 @@ class Told:
         (name,) = after - before
         return self.all_of[name]
 
-    def coefficient_gains(self, before: frozenset[str], after: frozenset[str], /) -> dict[str, tuple[float, float]]:
+    def output_gains(self, before: frozenset[str], after: frozenset[str], /) -> dict[str, tuple[float, float]]:
         (name,) = after - before
         return {"CL": (1.0, 0.5), "Cm": self.of_Cm[name]}
 
@@ -110,12 +117,68 @@ def test_the_gain_of_each_coefficient_is_that_of_its_mean_square():
         SelectionState, responses=responses, outputs=("CL", "CD", "Cm"), folds=(slice(0, 100), slice(100, n)),
         variance_inflation=2.0,
     )  # fmt: skip
-    gains = coefficient_gains(*left, state)
+    gains = output_gains(*left, state)
     expected = {"CL": 50.0 * np.log(100.0), "CD": 0.0, "Cm": -50.0 * np.log(9.7 / 1.04)}
     assert {name: gain for name, (gain, _) in gains.items()} == pytest.approx(expected, abs=1e-9)
     assert holdout_gain(*left, state)[0] == pytest.approx(sum(expected.values()))
     assert sum(expected.values()) > 0.0  # all together they confirm it
     assert DEFAULT.degrades(*gains["Cm"])
+
+
+@pytest.mark.parametrize("compared", ["coefficients", "innovations", "trajectories", "flight path"])
+def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meets_the_record(compared, monkeypatch):
+    """Mean squares times 0.01, 1 and 9.7 / 1.04: all together gain, the last loses 50 log(9.7 / 1.04) nats of 200
+    samples at a variance inflation of 2. Of the flight path, which wanders, coefficients say what becomes worse."""
+    rng, n, outputs = (
+        np.random.default_rng(6),
+        200,
+        ("CL", "CD", "Cm") if compared == "coefficients" else ("V", "q", "h"),
+    )
+    noise = rng.standard_normal((n, 3))
+
+    def left(effects):
+        return noise * np.array([0.1, 1.0, np.sqrt(9.7 / 1.04)]) if effects else noise
+
+    if compared == "trajectories":
+        flown = SimpleNamespace(fit=SimpleNamespace(flown=SimpleNamespace(outputs=outputs)))
+        for name in ("first_order", "refitted"):
+            monkeypatch.setattr(_Flight, name, lambda _, effects: HoldoutScore(tuple(np.split(left(effects), 2))))
+        unseen = part(_Flight, contender=flown, noise=SimpleNamespace(variance_inflation=2.0))
+        found = backward_elimination(("rudder_moment",), unseen)
+    else:
+        for name in ("first_order", "refitted"):
+            unseen = lambda *told: LeftOut(left(told[-1]), np.ones((n, 3)), np.ones(n, bool), outputs)
+            monkeypatch.setattr(LeftOut, name, unseen)
+        monkeypatch.setattr(elimination, "truncated", lambda _, effects: effects)
+        parts = np.arange(n) if compared == "innovations" else None
+        responses = SimpleNamespace(
+            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
+            flights=SimpleNamespace(lengths=(100, 100)),
+        )  # fmt: skip
+        found = elimination.confirmation(part(
+            SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
+            variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
+        ))  # fmt: skip
+    assert found.missed["rudder_moment"][0] == pytest.approx(50.0 * np.log(100.0 * 1.04 / 9.7))
+    if compared == "flight path":
+        assert found.kept == ("rudder_moment",)
+        return
+    assert found.kept == ()
+    ((worse, (gain, se)),) = found.harmed["rudder_moment"].items()
+    assert worse == outputs[2]
+    assert gain == pytest.approx(-50.0 * np.log(9.7 / 1.04))
+    assert DEFAULT.degrades(gain, se)
+
+
+def test_what_held_out_flights_predict_worse_is_not_confirmed_and_said_so(diagnosed):
+    d = diagnosed.view.diagnosis
+    name = d.causes[0].name
+    flights = Confirmation((), {name: (90.0, 5.0)}, {name: {"q": (-111.6, 20.0)}})
+    found = decided.judged_on_held_out_flights(d, flights)
+    assert not found.causes[0].confirmed
+    assert not contradictions(found)
+    told = next(s for s in diagnosis_sentences(found) if s.startswith(f"{name}: "))
+    assert "with it they are predicted worse: log density of q -111.6 ± 20.0" in told
 
 
 def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, **not_testable: str) -> SearchResult:
@@ -251,3 +314,27 @@ def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
     told = [s for s in diagnosis_sentences(d) if s.startswith("The estimate of airspeed_scale")]
     assert "airspeed_bias (correlation -0.97)" in told[0]
     assert decided.without_conditional((scale,), ()) == ((scale,), ())
+
+
+@pytest.mark.parametrize(("deviations", "told"), [(0.358, False), (1.9, False), (2.1, True)])
+def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, deviations, told):
+    """Two manoeuvres: p = erfc(d / sqrt 2) of an offset of d standard errors, .72 at 0.358 and .05 at 1.96."""
+    at, step = np.array([0, 1]), np.array([0.0, deviations * np.sqrt(2.0)])
+    fit, less = (Fit(at, step, np.eye(2), np.array([variance]), 0.0) for variance in (1.0, 1.25))
+    state = part(
+        SelectionState, apart=("Cm",), theta=np.zeros(0), nuisance=2, variance_inflation=1.0, folds=(),
+        full=part(CandidateModel, settings=DEFAULT),
+        responses=SimpleNamespace(flights=SimpleNamespace(names=("one", "two"), lengths=(9, 9))),
+    )  # fmt: skip
+    monkeypatch.setattr(SelectionState, "fit", lambda one: fit if one.apart else less)
+    monkeypatch.setattr(SelectionState, "left", lambda *_: np.zeros((18, 1)))
+    for name, given in {
+        "moved": lambda *_, **__: part(SelectionState, apart=()), "autocorrelation_of": lambda *_: None,
+        "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(unexplained, name, given)
+    found = unexplained.offsets_found(part(Extension, state=state))
+    assert [(one.coefficient, one.channel) for one in found] == ([("Cm", "manoeuvre")] if told else [])
+    for one in found:
+        assert one.p_value == pytest.approx(erfc(deviations / np.sqrt(2.0)))
+        assert one.offsets == {"two": pytest.approx((deviations * np.sqrt(2.0), np.sqrt(2.0)))}

@@ -122,7 +122,7 @@ class Independent:
     def holdout_gain(self, before, after):
         return after - before, 1.0
 
-    def coefficient_gains(self, before, after):  # noqa: ARG002
+    def output_gains(self, before, after):  # noqa: ARG002
         return {}
 
 

@@ -141,3 +141,28 @@ def test_what_only_mixes_noise_is_no_rival(monkeypatch, together, rivals):
     probability, close = diagnose.rivals_of(part(Extension, state=state, fit=None), "sideslip_cubed_yaw")
     assert close == rivals
     assert probability == pytest.approx(0.5 if rivals else 1.0)
+
+
+@pytest.mark.parametrize(("size", "close"), [(0.9, ("vane_position",)), (1.1, ())])
+@pytest.mark.parametrize("told", ["first order", "fitted before"])
+def test_what_must_be_larger_than_aircraft_have_is_no_rival(monkeypatch, size, close, told):
+    """A vane farther ahead than on any aircraft explains nothing, however well it fits."""
+    largest = CATALOGUE["vane_position"].sizes["vane_position"][1]
+    step = size * largest if told == "first order" else 0.5 * largest
+
+    def standing(name, gain, step):
+        return CandidateScore(name, (0,), None, gain, 12.0, 1.0, 50.0, (step,), (0.01,), gain, 1.0)
+
+    ranked = (standing("vane_position", 260.0, step), standing("alpha_bias", 250.0, 0.01))
+    monkeypatch.setattr(diagnose, "screen", lambda *_, **__: part(ScreeningResult, candidate_scores=ranked))
+    full = part(CandidateModel, candidates=tuple(CATALOGUE[one.effect] for one in ranked), settings=DEFAULT)
+    responses = SimpleNamespace(model=SimpleNamespace(coefficients=("CL",)))
+    state = part(SelectionState, full=full, responses=responses, outputs=("V",), active=("vane_position",))
+    before = part(
+        Extension, base=part(SelectionState, active=()), state=state, too_large=None,
+        sizes={"vane_position": Size(size * largest, 1.0, "m")},
+    )  # fmt: skip
+    found = part(Extension, state=state, fit=None, too_large=before if told == "fitted before" else None)
+    probability, rivals = diagnose.rivals_of(found, "alpha_bias")
+    assert rivals == close
+    assert probability == pytest.approx(0.5 if close else 1.0)

@@ -5,12 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_mixing import part
 
 from bayes_aero.api import read
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.consistency import sensor_errors
 from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_diagnosis, errors_of_path
 from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
+from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.joined_records import joined
@@ -118,6 +127,44 @@ def test_an_offset_of_the_pitot_line_is_none_of_the_airspeed(card, hidden, name,
     size = known.errors[name]["parameters"][name]
     assert size["mean"] == pytest.approx(true, abs=4.0 * size["sd"])
     assert size["sd"] < 0.02 * abs(true)
+
+
+def test_beside_an_error_larger_than_sensors_have_the_others_are_found(card):
+    """A vane 9 deg off is no error that vanes have and is not corrected; the airspeed is judged beside it."""
+    record = misread(card, bias=-3.0)
+    record = replace(record, channels={**record.channels, "alpha": record.channels["alpha"] + np.radians(9.0)})
+    known, _ = found_in(record, card)
+    assert list(known.errors) == ["airspeed_bias"]
+    size = known.errors["airspeed_bias"]["parameters"]["airspeed_bias"]
+    assert size["mean"] == pytest.approx(-3.0, abs=4.0 * size["sd"])
+
+
+@pytest.mark.parametrize("gained", [-2.0, -40.0])
+def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_have(monkeypatch, gained):
+    """Another that explains it within 3 nats takes its place; where none does, it stays and corrects nothing."""
+    names, asked = ("airspeed_scale", "airspeed_bias", "alpha_scale"), []
+    full = CandidateModel(Model.of(names, axes=tuple(Axis)), (), tuple(CATALOGUE[n] for n in names), {})
+
+    def linearised(own, *_):
+        asked.append(tuple(e.name for e in own.candidates))
+        return part(SelectionState, full=own, active=names[:2] if len(asked) == 1 else names[2:])
+
+    def selected(state, **_):
+        no_fit, base = part(Fit), part(SelectionState, active=())
+        sizes = {"airspeed_scale": Size(-0.06, 0.01, "1"), "airspeed_bias": Size(10.7, 0.5, "m/s"),
+                 "alpha_scale": Size(0.1, 0.01, "1")}  # fmt: skip
+        return Extension(base, no_fit, state, no_fit, (), sizes, state.active, ())
+
+    for name, given in {
+        "linearised": linearised, "forward_selection": selected, "widened": lambda found, *_: found,
+        "nats_gained": lambda *_: gained, "without_hold": lambda one: {n: {} for n in one.state.active},
+    }.items():  # fmt: skip
+        monkeypatch.setattr(sensor_errors, name, given)
+    monkeypatch.setattr(FlightPathError, "outputs", ("airspeed",))
+    found = sensor_errors.check_sensors(full, part(FlightPathError), np.zeros(3), seed=0)
+    assert asked == [names, names[2:]]
+    assert found.state.active == (names[2:] if gained > -3.0 else names[:2])
+    assert [one.implausible for one in found.larger] == ([("airspeed_bias",)] if gained > -3.0 else [])
 
 
 PITOT = Path(__file__).resolve().parents[3] / "shared" / "trials" / "pitot_zero_offset.csv"

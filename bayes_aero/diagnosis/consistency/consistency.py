@@ -101,12 +101,13 @@ def errors_of_path(known: Extension) -> KnownErrors:
     One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     estimated together with such a one is no error by itself, either.
     """
-    named = {e.name: e for e in known.state.full.candidates}
+    named = {e.name: e for one in (known, *known.larger) for e in one.state.full.candidates}
     joint, out = correlated(known, known.state.active), without_hold(known)
-    unheld = {name: partners for name, partners in out.items() if partners}
+    alone = [(one, name, with_) for one in (known, *known.larger) for name, with_ in without_hold(one).items() if with_]
+    unheld = {name for _, name, _ in alone}
     found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
-    pairs = (_unheld(named[name], known.sizes, partners) for name, partners in unheld.items())
+    pairs = (_unheld(named[name], one.sizes, partners) for one, name, partners in alone)
     return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))
 
 

@@ -13,7 +13,8 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
-from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection
+from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained
+from bayes_aero.diagnosis.selection.plausibility import without_hold
 from bayes_aero.diagnosis.selection.undecided_errors import with_several_instead
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.errors import InputError
@@ -43,13 +44,24 @@ def check_sensors(
 ) -> Extension:
     """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
 
-    Nothing else is in but where integrals begin.
+    Nothing else is in but where integrals begin. Where one is larger than sensors have, all is selected again without
+    it and what holds only beside it. If that explains the record as well, it had stood in for others. If not, it stays,
+    for the others cannot be judged without it, and corrects nothing (see `without_hold`).
     """
-    candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in known)
-    own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
-    state = linearised(own, responses, responses.outputs, theta)
-    found = forward_selection(state, seed=seed, checked=_checked)
-    return widened(found, found.state, found.fit)
+
+    def selected(barred: Sequence[str]) -> Extension:
+        candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
+        own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
+        state = linearised(own, responses, responses.outputs, theta)
+        found = forward_selection(state, seed=seed, checked=_checked)
+        return widened(found, found.state, found.fit)
+
+    first = found = selected(())
+    out: tuple[str, ...] = ()
+    while found.implausible:
+        out = (*out, *without_hold(found))
+        found = replace(selected(out), too_large=found)
+    return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
 
 
 def _checked(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:

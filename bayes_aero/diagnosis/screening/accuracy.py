@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
-from bayes_aero.diagnosis.screening.screening import uncertainty
+from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
@@ -59,6 +59,18 @@ def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
         if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
             found[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
     return found
+
+
+def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
+    """Whether a candidate would be `implausible` at its first-order estimate, or at the value at which it was tried."""
+    if standing.value is None:
+        told = {
+            p.name: Size(p.neutral + x, 0.0, p.unit) for p, x in zip(effect.parameters, standing.step, strict=False)
+        }
+    else:
+        tried = next(name for name, values in effect.scan.items() if standing.value in values)
+        told = {tried: Size(standing.value, 0.0, "")}
+    return bool(implausible(effect, {n: size for n, size in told.items() if math.isfinite(size.mean)}))
 
 
 def recording_noise(flights: Recorded) -> dict[str, float]:

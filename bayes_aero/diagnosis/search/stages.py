@@ -110,7 +110,9 @@ def _with(theta: Float[np.ndarray, " k"], full: CandidateModel, told: Mapping[st
 
 def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
     """What the coefficients may still add, once the flight path has named its sensors."""
-    taken = () if sensors is None else sensors.state.active
+    taken = set[str]()
+    if sensors is not None:
+        taken = {*sensors.state.active, *(n for larger in sensors.larger for n in without_hold(larger))}
     candidates = tuple(e for e in full.candidates if e.name not in taken)
     return replace(full, candidates=candidates, priors=_kinematic_priors(full, sensors))
 

@@ -3,7 +3,7 @@
 An election asks only that a candidate gains at all on data left out, and adds one after the other. Taken together
 some are superfluous, and what is superfluous harms elsewhere: a delay that fits one manoeuvre's noise spoils the
 simulation of the next. So additions are taken out again one at a time, the least useful first, as long as unseen data
-do not miss them, or predict a coefficient worse with them than without.
+do not miss them, or an output is predicted worse with them than without.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeVar, runtime_checkable
 
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, coefficient_gains, holdout_gain, truncated
+from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, output_gains, truncated
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 
 
@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 class Confirmation:
     """`kept`: additions that unseen data miss. `missed`: the log density each is missed by, and its deviation.
 
-    `harmed`: of those not kept, coefficients that are predicted worse with the addition, with that gain of log density.
+    `harmed`: of those not kept, outputs that are predicted worse with the addition, with that gain of log density.
     """
 
     kept: tuple[str, ...]
@@ -48,8 +48,8 @@ class Predictions(Protocol[T]):
         """Log density that `after` has beyond `before`, over the variance inflation, and its deviation."""
         ...
 
-    def coefficient_gains(self, before: T, after: T, /) -> Mapping[str, tuple[float, float]]:
-        """The same of each coefficient; empty where other outputs are predicted."""
+    def output_gains(self, before: T, after: T, /) -> Mapping[str, tuple[float, float]]:
+        """The same of each output."""
         ...
 
 
@@ -58,13 +58,13 @@ def backward_elimination(
 ) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
 
-    What stays is missed by `settings.hold_out` standard errors of its log density (nats), and degrades no coefficient
+    What stays is missed by `settings.hold_out` standard errors of its log density (nats), and degrades no output
     (see `DiagnosisSettings.degrades`); where all that wait are missed by `settings.hold_out_first_order` of them to
     first order and degrade none, nothing is fitted again, and that is reported.
     """
 
     def degraded(without: T, whole: T) -> dict[str, tuple[float, float]]:
-        gains = unseen.coefficient_gains(without, whole)
+        gains = unseen.output_gains(without, whole)
         return {name: gain for name, gain in gains.items() if settings.degrades(*gain)}
 
     plain = settings.hold_out_first_order
@@ -92,8 +92,8 @@ def backward_elimination(
 
 
 @dataclass(frozen=True)
-class _Coefficients:
-    """Those of the record, from sensitivities where the state stands or from fits of their own."""
+class _Recorded:
+    """Outputs of a state, from sensitivities where the state stands or from fits of their own."""
 
     state: SelectionState
 
@@ -106,13 +106,13 @@ class _Coefficients:
     def holdout_gain(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
         return holdout_gain(before, after, self.state)
 
-    def coefficient_gains(self, before: LeftOut, after: LeftOut) -> Mapping[str, tuple[float, float]]:
-        return coefficient_gains(before, after, self.state)
+    def output_gains(self, before: LeftOut, after: LeftOut) -> Mapping[str, tuple[float, float]]:
+        return output_gains(before, after, self.state)
 
 
 def confirmation(state: SelectionState) -> Confirmation:
-    """What unseen coefficients confirm of all additions of a state."""
-    return backward_elimination(state.active, _Coefficients(state), state.settings)
+    """What unseen data confirm of all additions of a state."""
+    return backward_elimination(state.active, _Recorded(state), state.settings)
 
 
 def _less(effects: Sequence[str], one: str) -> list[str]:

@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.folds import blocks_of
 from bayes_aero.diagnosis.screening.parameter_fit import optimum
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.inference.scores import Scores, log_density, log_score_gain, score
+from bayes_aero.inference.scores import Scores, log_density, log_score_gain, log_score_gains, score
 
 
 def split_name(state: SelectionState) -> str:
@@ -114,12 +114,14 @@ def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tupl
     return log_score_gain(before.density(), after.density(), state.variance_inflation, _lengths(state))
 
 
-def coefficient_gains(before: LeftOut, after: LeftOut, state: SelectionState) -> dict[str, tuple[float, float]]:
-    """`holdout_gain` of each coefficient by itself; empty where a state has other outputs."""
-    if state.outputs != state.responses.model.coefficients:
+def output_gains(before: LeftOut, after: LeftOut, state: SelectionState) -> dict[str, tuple[float, float]]:
+    """`holdout_gain` of each output by itself; empty along the flight path, where integrals wander: of its errors the
+    coefficients say what they make worse."""
+    if state.outputs != state.responses.model.coefficients and state.responses.jackknife_blocks is None:
         return {}
-    pairs = zip(state.outputs, before.densities().T, after.densities().T, strict=True)
-    return {name: log_score_gain(one, other, state.variance_inflation, _lengths(state)) for name, one, other in pairs}
+    return log_score_gains(
+        state.outputs, before.densities(), after.densities(), state.variance_inflation, _lengths(state)
+    )
 
 
 def _lengths(state: SelectionState) -> list[int]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from bayes_aero.diagnosis.result import Gain
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.selection.cross_validation import (
     LeftOut,
-    coefficient_gains,
     holdout_gain,
     measured_blocks,
+    output_gains,
     split_name,
     truncated,
 )
@@ -69,7 +71,7 @@ def _sensor_gains(
     base = before = corrected(())
     for number, name in enumerate(extension.causes):
         after = corrected([*_sure(extension.causes, number, kept), name])
-        gains = coefficient_gains(before, after, card)
+        gains = output_gains(before, after, card)
         found[name] = Gain(
             *holdout_gain(*pairs[name], state), split_name(state), base.scores(measured), after.scores(measured),
             {n: gain for n, gain in gains.items() if state.settings.degrades(*gain)},
@@ -81,7 +83,8 @@ def _sensor_gains(
 def rival_gains(
     extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again."""
+    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again; minus
+    infinity for one that is larger then than aircraft have."""
     ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
     state = truncated(extension.state, kept)
     own, found = LeftOut.refitted(refitted(state)[0]), {}
@@ -90,5 +93,9 @@ def rival_gains(
         if standing is not None:
             other, _ = refitted(added(removed(extension.state, cause), standing))
             other, _ = refitted(truncated(other, [*(e for e in kept if e != cause), rival]))
-            found[rival] = holdout_gain(own, LeftOut.refitted(other), state)
+            effect = next(e for e in state.full.candidates if e.name == rival)
+            values = dict(zip(other.full.model.names, other.theta, strict=True))
+            fitted = {p.name: Size(float(values[p.name]), 0.0, p.unit) for p in effect.parameters if p.name in values}
+            absurd = bool(implausible(effect, fitted))
+            found[rival] = (-math.inf, 0.0) if absurd else holdout_gain(own, LeftOut.refitted(other), state)
     return found

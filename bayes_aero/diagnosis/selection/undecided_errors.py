@@ -47,8 +47,9 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         asked = standing is not None and _asked(state, effect, standing)
         mean, sd = _size(found, effect, standing)
         wide = max(sd, float(among[place]))
-        imitators, share = _imitators(gram, effects, place, state.settings)
         least, _ = effect.sizes[parameter.name]
+        there = max(least, abs(mean)) if standing is None else least
+        imitators, share = _imitators(gram, effects, place, state.settings, there)
         decided = standing is None and abs(jointly[place]) >= state.settings.least_score * wide
         if decided or state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
@@ -107,7 +108,8 @@ def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionStat
             continue
         others = [name for name in state.active if name != effect.name]
         neutral = state.full.at_neutral(state.theta, [effect.name])
-        for together, share in _nearest(gram, effects, place, state.settings):
+        least, _ = effect.sizes[effect.parameters[0].name]  # those of absurd size are taken out afterwards
+        for together, share in _nearest(gram, effects, place, state.settings, least):
             if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
                 continue
             wider, wider_fit = refitted(moved(state, neutral, (*others, *together)))
@@ -133,21 +135,22 @@ def _size(found: Extension, effect: Effect, standing: CandidateScore | None) -> 
 
 
 def _imitators(
-    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
 ) -> tuple[tuple[str, ...], float]:
-    """The fewest other errors, each of a size that sensors have, that do what one error does; and their share of it."""
-    nearest = _nearest(gram, effects, place, settings)
+    """The fewest other errors, each of a size that sensors have, that do what one of this size does; and their share
+    of it."""
+    nearest = _nearest(gram, effects, place, settings, size)
     return next((one for one in nearest if one[1] >= settings.imitated), ((), 0.0))
 
 
 def _nearest(
-    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
 ) -> Iterator[tuple[tuple[str, ...], float]]:
     """One other error, two, and so on, that do most of what one error does; and their share of it."""
     chosen: list[int] = []
     for _ in range(settings.imitators):
         others = [k for k in range(len(effects)) if k != place and k not in chosen]
-        shares = {k: _share(gram, effects, place, [*chosen, k]) for k in others}
+        shares = {k: _share(gram, effects, place, [*chosen, k], size) for k in others}
         if not shares:
             return
         best = max(shares, key=lambda k: shares[k])
@@ -155,12 +158,13 @@ def _nearest(
         yield tuple(effects[k].name for k in chosen), shares[best]
 
 
-def _share(gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, others: Sequence[int]) -> float:
-    """Share of what an error of the least size worth a name does that `others` do; none if they must be too large."""
+def _share(
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, others: Sequence[int], size: float
+) -> float:
+    """Share of what an error of this size does that `others` do; none if they must be too large."""
     at = np.array(others)
     factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
-    least, _ = effects[place].sizes[effects[place].parameters[0].name]
     largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
-    if np.any(np.abs(factors) * least > largest):
+    if np.any(np.abs(factors) * size > largest):
         return 0.0
     return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.candidate_set import finite
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore, holdout_gain, output_gains
 from bayes_aero.effect import Effect
 from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
@@ -134,5 +134,7 @@ class _Flight:
             return np.inf, 0.0
         return holdout_gain(before, after, self.noise.variance_inflation)
 
-    def coefficient_gains(self, *_: HoldoutScore) -> Mapping[str, tuple[float, float]]:
-        return {}
+    def output_gains(self, before: HoldoutScore, after: HoldoutScore) -> Mapping[str, tuple[float, float]]:
+        if not before.inside:
+            return {}
+        return output_gains(self.contender.fit.flown.outputs, before, after, self.noise.variance_inflation)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.results import Path
-from bayes_aero.inference.scores import log_density, log_score_gain
+from bayes_aero.inference.scores import log_density, log_score_gain, log_score_gains
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,24 @@ class HoldoutScore:
         return cls(tuple(x / s for x, s in zip(left, noise_growth, strict=True)), all(p.inside for p in paths))
 
     def density(self) -> Float[np.ndarray, " m"]:
-        """Log density of every sample but for what the noise_growth adds: normal, with the variance that the residuals
-        themselves have, output by output."""
+        """Log density of every sample, all outputs together."""
+        return self.densities().sum(axis=1)
+
+    def densities(self) -> Float[np.ndarray, "m c"]:
+        """Log density of every sample by output but for what the noise_growth adds: normal, with the variance that the
+        residuals themselves have."""
         r = np.concatenate(self.residual)
-        return log_density(r, np.mean(r**2, axis=0)).sum(axis=1)
+        return log_density(r, np.mean(r**2, axis=0))
 
 
 def holdout_gain(before: HoldoutScore, after: HoldoutScore, variance_inflation: float) -> tuple[float, float]:
     """Log density that `after` has beyond `before` on the same segments, over the variance inflation; deviation."""
     return log_score_gain(before.density(), after.density(), variance_inflation, [len(r) for r in before.residual])
+
+
+def output_gains(
+    names: Sequence[str], before: HoldoutScore, after: HoldoutScore, variance_inflation: float
+) -> dict[str, tuple[float, float]]:
+    """`holdout_gain` of each output by itself."""
+    lengths = [len(r) for r in before.residual]
+    return log_score_gains(names, before.densities(), after.densities(), variance_inflation, lengths)

@@ -123,8 +123,12 @@ def lag_sentences(flown: Trajectories) -> list[str]:
 def cause_sentences(flown: Trajectories) -> list[str]:
     """Which confirmed causes the hold-out trajectories need, and by how much."""
     missed, kept, sentences = flown.asked.missed, flown.asked.kept, []
-    if flown.out:
-        gains = [f"{e} (by {nats_text(*missed[e], '+')})" for e in flown.out]
+    harmed = flown.asked.harmed
+    for e, worse in harmed.items():
+        gains = [f"{output} by {nats_text(-gain, se)}" for output, (gain, se) in worse.items()]
+        sentences.append(f"With {e} hold-out trajectories are predicted worse in {several(gains)}: it is omitted.")
+    if idle := [e for e in flown.out if e not in harmed]:
+        gains = [f"{e} (by {nats_text(*missed[e], '+')})" for e in idle]
         them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
         sentences.append(
             f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
