@@ -160,3 +160,82 @@ def test_revolutions_are_what_one_over_a_minute_counts(tmp_path):
     guess = guessed(read_raw(path).columns)[0]["engine_speed"]
     card = [Channel("time", "s", label="Time [s]"), Channel("engine_speed", str(guess.unit), label=guess.column.label)]
     np.testing.assert_allclose(read_record(path, card)["engine_speed"][0], 2400.0 * 2.0 * np.pi / 60.0, rtol=1e-9)
+
+
+ROLL, PITCH = ("p", "phi"), ("q", "theta")
+
+
+def _turns(size=1.0):
+    """Gentle turns and climbs from kinematics, coordinated, in SI: no angle exceeds 1.5 deg, no rate 0.5 deg/s."""
+    time = np.arange(0.0, 60.0, 0.05)
+    phi, theta = 0.02 * size * np.sin(0.3 * time), 0.02 * size * np.sin(0.25 * time)
+    V = np.full(len(time), 80.0)
+    alpha = 0.012 * size * (1.0 + np.sin(0.4 * time))
+    turn = GRAVITY / V * np.tan(phi)
+    psi, climbing = np.cumsum(turn) * 0.05, np.gradient(theta, time)
+    p, q = np.gradient(phi, time) - turn * np.sin(theta), climbing * np.cos(phi) + turn * np.sin(phi) * np.cos(theta)
+    r = turn * np.cos(phi) * np.cos(theta) - climbing * np.sin(phi)
+    altitude = 2000.0 + np.cumsum(V * np.sin(theta - alpha)) * 0.05
+    return {
+        "time": time, "phi": phi, "theta": theta, "psi": psi, "alpha": alpha, "p": p, "q": q, "r": r, "airspeed": V,
+        "altitude": altitude,
+    }  # fmt: skip
+
+
+def _units_guessed(folder, columns, headings):
+    """Units of channels whose headings state none unless `headings` does, with noise of 2 % of each signal."""
+    rng, path = np.random.default_rng(5), folder / "run.csv"
+    noisy = [x if n == "time" else x + 0.02 * np.std(x) * rng.standard_normal(len(x)) for n, x in columns.items()]
+    header = ",".join(headings.get(name, name) for name in columns)
+    np.savetxt(path, np.stack(noisy, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
+    return {name: guess.unit for name, guess in guessed(read_raw(path).columns)[0].items()}
+
+
+@pytest.mark.parametrize("degrees", [(), ("phi", "theta"), ("p", "q"), ("phi", "theta", "p", "q")])
+def test_attitudes_that_are_small_have_the_unit_that_the_rates_make(tmp_path, degrees):
+    """None of them is too large for radians. The rates' units are stated."""
+    true = _turns()
+    columns = {n: x / DEG if n in degrees else x for n, x in true.items() if n in ("time", *ROLL, *PITCH)}
+    stated = {n: f"{n} [{'deg/s' if n in degrees else 'rad/s'}]" for n in ("p", "q")}
+    found = _units_guessed(tmp_path, columns, stated)
+    assert {n: found[n] for n in ("phi", "theta")} == {n: "deg" if n in degrees else "rad" for n in ("phi", "theta")}
+
+
+@pytest.mark.parametrize("degrees", [("phi", "theta"), ("p", "q")])
+def test_rates_and_attitudes_in_unlike_units_tell_each_other(tmp_path, degrees):
+    true = _turns()
+    columns = {n: x / DEG if n in degrees else x for n, x in true.items() if n in ("time", *ROLL, *PITCH)}
+    found = _units_guessed(tmp_path, columns, {})
+    meant = {n: ("deg" if n in degrees else "rad") + ("/s" if n in "pq" else "") for n in (*ROLL, *PITCH)}
+    assert {n: found[n] for n in meant} == meant
+
+
+@pytest.mark.parametrize(
+    ("stated", "degrees"),
+    [
+        *[((), both) for both in ((), ("alpha", "theta"))],
+        *[((n,), d) for n in ("theta", "alpha") for d in ((), ("alpha",), ("theta",), ("alpha", "theta"))],
+    ],
+)
+def test_small_flow_angles_have_the_unit_that_the_climb_makes(tmp_path, degrees, stated):
+    """Where neither is stated, both are in one unit."""
+    true = _turns()
+    names = ("time", "theta", "alpha", "airspeed", "altitude")
+    columns = {n: true[n] / DEG if n in degrees else true[n] for n in names}
+    units = {n: "deg" if n in degrees else "rad" for n in ("theta", "alpha")}
+    headings = {n: f"{n} [{units[n]}]" for n in stated} | {"airspeed": "airspeed [m/s]", "altitude": "altitude [m]"}
+    found = _units_guessed(tmp_path, columns, headings)
+    assert {n: found[n] for n in units} == units
+
+
+@pytest.mark.parametrize("unit", ["deg/s", "rad/s"])
+@pytest.mark.parametrize("without", [(), ("psi",)])
+@pytest.mark.parametrize("speed", [1.0, 1852.0 / 3600.0, FT])
+def test_a_small_yaw_rate_beside_rates_in_radians_has_the_unit_of_the_turn(tmp_path, unit, without, speed):
+    """From the heading, and without one from the bank, whatever the airspeed is in. r stays below 2 deg/s."""
+    true = _turns(4.0)
+    columns = {n: x for n, x in true.items() if n not in (*without, "alpha", "altitude")}
+    columns |= {"r": true["r"] / (DEG if unit == "deg/s" else 1.0), "airspeed": true["airspeed"] / speed}
+    stated = {"p": "p [rad/s]", "q": "q [rad/s]", "phi": "phi [rad]", "theta": "theta [rad]", "psi": "psi [rad]"}
+    assert np.abs(true["r"]).max() < 6.0 * DEG
+    assert _units_guessed(tmp_path, columns, stated)["r"] == unit

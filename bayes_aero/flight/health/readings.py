@@ -29,6 +29,7 @@ GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha"
 SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
 ONE_G = 0.5  # logarithm of the median load factor within which accelerations are in their unit: 0.6 to 1.65
 DENSITY0 = 1.225  # kg/m3
+AGREES = 0.0513  # logarithm of 5 %: two standard deviations of airspeed, 2 %, and of what it is held against, 1.5 %
 THIN = 0.93  # calibrated over true airspeed from which the two can be told apart
 
 
@@ -42,7 +43,7 @@ class Reading:
     mend: str
     applied: Callable[[View], dict[str, np.ndarray]]
     subject: str = ""  # who it is said of, if not of all the channels
-    factor: float = 1.0  # of a unit, by which the channels are multiplied
+    factor: float = 1.0  # of a unit or a kind of airspeed, by which the channels are multiplied
 
     @property
     def names(self) -> str:
@@ -61,6 +62,7 @@ ANGLES = tuple(
 """Angles that count the other way where the axes do: pitch attitude about an axis to the left, a heading about one that
 points up, which a compass does not turn with."""
 EVIDENT = 4  # channels that count the other way together, from which axes are likelier than as many wrong signs
+ALL = 3  # such channels, where the sensors recorded no more: a longitudinal record's ax, az and q
 Moves = Mapping[str, tuple[str, int]]
 """The channel and sign that each is to be read from, of those for which that is not itself."""
 
@@ -129,7 +131,8 @@ def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
     exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
     axes, rest = axes_of(moves, recorded)
     axes = "" if rest else axes
-    evident = bool(axes) and (bool(exchanged) or len(moves) >= EVIDENT)
+    sensors = len(recorded & {n for names in INSTRUMENTS.values() for n in names})
+    evident = bool(axes) and (bool(exchanged) or len(moves) >= (ALL if sensors <= ALL else EVIDENT))
     signs: dict[int, list[str]] = {}
     for name, (source, sign) in moves.items():
         signs.setdefault(sign * declared(card, source).sign, []).append(name)
@@ -246,7 +249,10 @@ def _kinds(view: View, recorded: frozenset[str]) -> Iterator[Reading]:
             "this density"
         )
         mend = "divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
-        yield Reading(("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio})
+        yield Reading(
+            ("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio},
+            factor=float(1.0 / np.median(ratio)),
+        )  # fmt: skip
 
 
 def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:

@@ -22,6 +22,7 @@ ALIKE = 0.84  # likeness of a heading to a known one
 ANGLE = 1.6  # rad; no angle of attack, attitude or deflection of a sound record is larger
 FASTEST = 6.0  # rad/s; no aircraft of these records turns faster, and deg/s commonly are more; our choice
 STEEP = 0.7  # rad; more is no attitude of a flight in which none exceeds `ANGLE`; our choice
+BETWEEN = math.sqrt(180.0 / math.pi)  # times one unit of angle, midway to the other on a logarithmic scale
 TURN, TURNING = 6.4, ("phi", "psi")  # rad; a heading in radians reaches 6.28, a bank in a roll, too
 MIDDLING = 0.9  # kg/m3, within a third of the air's from sea level to 6 km
 USUAL = (("m/s", "m"), ("kt", "ft"), ("ft/s", "ft"), ("km/h", "m"))  # units of airspeed and height in one file
@@ -44,6 +45,8 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
             elif loose:
                 unknown.append(column)
     found = _time(found)
+    found = _angles_by_rates(found)
+    found = _angles_by_path(found)
     found = _angles(found)
     found = _rates(found)
     found = _rates_of_rates(found)
@@ -113,6 +116,54 @@ def _time(found: dict[str, Guess]) -> dict[str, Guess]:
     return found | {"time": guess.because(f"its median step is {step:.6g}", unit=unit)}
 
 
+def _angles_by_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Bank and pitch attitude change as the roll and pitch rates say, which tells their units apart.
+
+    Where neither unit is stated, the two tell each other only if they differ.
+    """
+    step = step_of(found)
+    for name, attitude in (("p", "phi"), ("q", "theta")):
+        rate, angle = found.get(name), found.get(attitude)
+        if rate is None or angle is None or step is None or angle.unit is not None:
+            continue
+        turning, stated = np.gradient(smooth(angle.values)) / step, rate.unit is not None
+        slope = slope_of(smooth(rate.si), turning) if alike(smooth(rate.si), turning) else None
+        if slope is None or not (stated or abs(math.log(abs(slope))) > math.log(BETWEEN)):
+            continue
+        unit, other = ("deg", "rad/s") if abs(slope) > BETWEEN else ("rad", "deg/s")
+        why = f"it changes at {abs(slope):.2g} times {name}" + (f" in {'rad/s' if stated else 'its numbers'}")
+        found[attitude] = angle.because(why, unit=unit)
+        if not stated:
+            found[name] = rate.because(f"{attitude} changes at {abs(slope):.2g} times its numbers", unit=other)
+    return found
+
+
+def _angles_by_path(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Pitch attitude less angle of attack is the angle of the path, as climb and airspeed make it where their units are
+    stated."""
+    step, names = step_of(found), ("theta", "alpha", "airspeed", "altitude")
+    if step is None or not all(name in found for name in names):
+        return found
+    theta, alpha, speed, height = (found[name] for name in names)
+    missing = [g for g in (theta, alpha) if g.unit is None]
+    if not missing or speed.unit is None or height.unit is None:
+        return found
+    path = np.arcsin(np.clip(np.gradient(smooth(height.si)) / step / np.maximum(smooth(speed.si), 1.0), -1.0, 1.0))
+    if len(missing) == 2:
+        said, meant = theta.values - alpha.values, path
+    elif theta.unit is None:
+        said, meant = theta.values, alpha.si + path
+    else:
+        said, meant = alpha.values, theta.si - path
+    said, meant = smooth(said), smooth(meant)
+    slope = slope_of(meant, said) if alike(said, meant) else None
+    if slope is None or slope <= 0.0:
+        return found
+    unit = "deg" if slope > BETWEEN else "rad"
+    why = f"theta - alpha is the angle of the climb in {unit}"
+    return found | {g.channel: g.because(why, unit=unit) for g in missing}
+
+
 def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
     """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file.
 
@@ -139,7 +190,7 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
     One instrument gives all three: a small rate in degrees is as large as another in radians.
     """
     step = step_of(found)
-    for name, attitude in (("p", "phi"), ("q", "theta")):  # heading alone tells little of the yaw rate
+    for name, attitude in (("p", "phi"), ("q", "theta")):
         guess, angle = found.get(name), found.get(attitude)
         if guess is None or angle is None or step is None:
             continue
@@ -152,6 +203,7 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
         found[name] = guess.because(
             f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
         )
+    found = _yaw_rate(found)
     rates = [found[name] for name in ("p", "q", "r") if name in found]
     known = {guess.unit: guess.channel for guess in rates if guess.unit is not None}
     reach = max((largest(guess) for guess in rates), default=0.0)
@@ -163,6 +215,30 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
             own = largest(guess) if known else reach  # what differs from the others is judged by itself
             unit = "deg/s" if own > ANGLE or (not known and _degrees(found)) else "rad/s"
             found[guess.channel] = guess.because(f"the rates reach {reach:.3g}", unit=unit)
+    return found
+
+
+def _yaw_rate(found: dict[str, Guess]) -> dict[str, Guess]:
+    """Unit of the yaw rate from the heading, r = psi' cos(theta) cos(phi) - theta' sin(phi), else from the bank of a
+    turn, r = g sin(phi) cos(theta) / V: no unit of airspeed is as far from another as degrees are from radians."""
+    guess, step = found.get("r"), step_of(found)
+    if guess is None or guess.unit is not None or step is None:
+        return found
+    zero = np.zeros(len(guess.values))
+    phi, theta = (found[name].si if name in found else zero for name in ("phi", "theta"))
+    ways: list[tuple[str, np.ndarray]] = []
+    if "psi" in found:
+        psi, pitching = np.gradient(smooth(np.unwrap(found["psi"].si))) / step, np.gradient(smooth(theta)) / step
+        ways.append(("heading", psi * np.cos(theta) * np.cos(phi) - pitching * np.sin(phi)))
+    if "airspeed" in found and "phi" in found:
+        ways.append(("bank", GRAVITY * np.sin(phi) * np.cos(theta) / np.maximum(found["airspeed"].values, 1.0)))
+    for of, turning in ways:
+        own = smooth(guess.values)
+        slope = slope_of(turning, own) if alike(own, turning) else None
+        if slope is not None and abs(slope) > 1e-3:
+            unit = "deg/s" if abs(slope) > BETWEEN else "rad/s"
+            why = f"it is {abs(slope):.2g} times what the {of} makes in rad/s"
+            return found | {"r": guess.because(why, unit=unit)}
     return found
 
 

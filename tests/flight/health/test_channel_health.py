@@ -18,6 +18,7 @@ from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.dynamics.path.flight_path import path_states
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health.across.refuted import refuted
 from bayes_aero.flight.health.channel.frozen import frozen
 from bayes_aero.flight.health.channel.held import interpolated_period
 from bayes_aero.flight.health.channel.saturated import saturated
@@ -180,6 +181,71 @@ def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed(
     channels = tuple(replace(c, sign=-1) if c.name in FORWARD_LEFT_UP else c for c in attas.channels)
     followed = replace(attas, channels=channels)
     assert channel_health([read_record(TRIALS / "axes_flu.csv", channels)], followed) == ()
+
+
+LATERAL = ("phi", "psi", "beta", "p", "r", "ay")
+
+
+@pytest.mark.parametrize(
+    ("turned", "fault", "named"),
+    [
+        (("q", "az", "theta"), "axes", "the axes of the sensors are x forward, y left, z up"),
+        (("q", "az", "theta", "alpha"), "axes", "the axes of the sensors are x forward, y left, z up"),
+        (("q", "az"), "sign", "as where the axes of the sensors are x forward, y left, z up"),  # or two wrong signs
+        (("ax", "az"), "sign", "as where the axes of the sensors are x aft, y right, z up"),
+        (("ax", "az", "q"), "sign", ""),  # of the other hand
+        (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
+        *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")),
+    ],
+)
+@pytest.mark.parametrize("without", [(), ("altitude",)])
+def test_axes_of_a_longitudinal_record_are_named_and_all_signs_are_advised_at_once(turned, fault, named, without):
+    missing = (*LATERAL, *without)
+    own = replace(card(), channels=tuple(c for c in card().channels if c.name not in missing))
+    record = changed(flight(1, bank=0.0), without=missing)
+    findings = [f for f in channel_health([changed(record, **{n: -record[n] for n in turned})], own) if f.grave]
+    assert {f.fault for f in findings} == {fault}
+    assert len(findings) == 1 or not named
+    assert named in findings[0].sentence
+    assert ("axes" in findings[0].sentence) == bool(named)
+    advised = [re.search(r"sign = -1 at ([\w, ]+) on the card", f.sentence)[1].split(", ") for f in findings]
+    assert sorted(name for names in advised for name in names) == sorted(turned)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit", "size"),
+    [
+        (("airspeed",), "kt", KNOT), (("airspeed",), "km/h", 1.0 / 3.6), (("airspeed",), "mph", 0.44704),
+        (("airspeed",), "ft/s", FOOT), (("altitude",), "ft", FOOT), (("ax", "ay", "az"), "g", G),
+        (("ax", "ay", "az"), "ft/s^2", FOOT),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("seed", [0, 1])
+def test_units_are_named_alone(names, unit, size, seed):
+    """km/h and ft/s are ten per cent apart, knots and mph fifteen."""
+    record = flight(seed, seconds=30.0)
+    wrong = changed(record, **{n: record[n] / size for n in names})
+    (finding,) = [f for f in refuted(wrong, card())[0] if f.grave]
+    assert (finding.fault, finding.channel) == ("unit", names[0])
+    assert re.findall(r'unit = "([^"]+)"', finding.sentence) == [unit]
+
+
+def test_units_that_agree_alike_are_both_named():
+    """An airspeed in ft/s that is 4.75 % too large is as near to km/h."""
+    record = flight(0, seconds=30.0)
+    (finding,) = refuted(changed(record, airspeed=1.0475 * record["airspeed"] / FOOT), card())[0]
+    assert set(re.findall(r'unit = "([^"]+)"', finding.sentence)) == {"ft/s", "km/h"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_errors_of_scale_of_a_tenth_and_biases_are_no_unit_and_no_kind_of_airspeed(seed):
+    rng = np.random.default_rng(seed)
+    record = flight(seed, seconds=30.0)
+    names = ("ax", "ay", "az", "p", "q", "r", "alpha", "beta", "airspeed")
+    bias = {"ax": 0.3, "ay": 0.3, "az": 0.3, "p": 0.003, "q": 0.003, "r": 0.003, "alpha": 0.01, "beta": 0.01}
+    off = {n: rng.choice([0.9, 1.1]) * record[n] + rng.choice([-1.0, 1.0]) * bias.get(n, 2.0) for n in names}
+    faults = {f.fault for f in refuted(changed(record, **off), card())[0]}
+    assert not faults & {"unit", "airspeed_kind", "gravity", "sign", "axes"}
 
 
 @pytest.mark.parametrize("seed", range(12))

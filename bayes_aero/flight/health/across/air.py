@@ -7,7 +7,7 @@ import numpy as np
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.across.explained import off_by_factor
 from bayes_aero.flight.health.finding import HealthFinding, found
-from bayes_aero.flight.health.readings import DENSITY0, THIN, thinness
+from bayes_aero.flight.health.readings import AGREES, DENSITY0, THIN, thinness
 from bayes_aero.flight.health.standard import GAMMA, GAS
 from bayes_aero.flight.record import FlightRecord
 
@@ -45,7 +45,8 @@ def as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFind
     if (
         ratio is None
         or not (middle := float(np.median(ratio))) < THIN
-        or abs(np.log(k / middle)) > 0.35 * -np.log(middle)
+        or abs(np.log(k / middle)) > AGREES
+        or abs(np.log(k)) < AGREES
     ):
         return []
     sentence = (

@@ -61,15 +61,15 @@ def off_by_factor(
     if explained and not culprits:
         return []
     if culprits:
-        channel, unit = culprits[0]
+        channel, unit, fault = *culprits[0], "unit"
         why = " or ".join(f"{n}, {declared(card, n).unit} on the card, is in {u}" for n, u in culprits)
         mend = f'set unit = "{unit}" for {channel} on the card'
     else:
-        channel, why = name, "no unit explains it"
+        channel, why, fault = name, "no unit explains it", "factor"
         mend = f"correct {' or '.join(powers)} in the file, or take it off the card"
     sentence = f"{name} is {k:.3g} times {meant} throughout ({why}); {mend}"
     grave = channel in GRAVE if grave is None else grave
-    return [found(record, channel, "unit", sentence, at=(0, record.n - 1), grave=grave)]
+    return [found(record, channel, fault, sentence, at=(0, record.n - 1), grave=grave)]
 
 
 def _explains(card: Card, name: str, k: float, power: int, near: float) -> list[str]:

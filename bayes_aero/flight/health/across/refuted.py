@@ -22,6 +22,7 @@ from bayes_aero.flight.health.across.kinematics import (
 )
 from bayes_aero.flight.health.finding import HealthFinding, found
 from bayes_aero.flight.health.readings import (
+    AGREES,
     ATTITUDE,
     FLOW,
     INSTRUMENTS,
@@ -39,7 +40,7 @@ MENDED = 0.4  # of its misfit a relation may keep under the reading that is said
 WORSE = 1.3  # times its misfit another relation may have there, if it is above the limit then
 TIED = 0.15  # of the best gain: readings that nearly gain as much cannot be told from the best
 MOST = 4  # faults of one record
-BESIDE = 1.2  # times a unit's factor, and by which it is divided, where the record must fit worse
+BESIDE = np.linspace(-0.18, 0.18, 19)  # logarithms beside a unit's factor, among which the record's own is sought
 FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from another
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
 FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
@@ -68,7 +69,10 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
     said, left = _chain(record, card, view, recorded, before)
     if len(said) > 1 or (max(left.values(), default=0.0) > 1.0):
         whole = _whole(record, card, view, recorded, before)
-        if whole is not None and (max(left.values()) > 1.0 or whole[0][1].fault == "axes"):
+        signs = {r.channels[0] for r, _ in said if r.fault == "sign"}
+        if whole is not None and (
+            max(left.values()) > 1.0 or whole[0][1].fault == "axes" or signs == set(whole[0][0].channels)
+        ):
             said = [whole[0]]
             left = whole[1]
     for reading, _ in said:
@@ -98,7 +102,11 @@ def _chain(
         gain, best, after = max(gains, key=lambda one: (one[0], -len(one[1].channels)))
         if gain <= 0.0:
             break
-        tied = [reading for other, reading, _ in gains if other > (1.0 - TIED) * gain and reading is not best]
+        tied = [
+            reading
+            for other, reading, _ in gains
+            if reading is not best and (other > (1.0 - TIED) * gain or (other > 0.0 and _rivals(reading, best)))
+        ]
         said.append((best, _mended(before, after), _finding(record, best, _distinct(best, tied), before, after)))
         view, before = {**view, **best.applied(view)}, after
     if all(any(before[name] <= 1.0 for name in mended) for _, mended, _ in said):
@@ -169,7 +177,7 @@ def _sum_of_logs(found: dict[str, float]) -> float:
 def _own_factor(
     view: View, recorded: frozenset[str], reading: Reading, before: dict[str, float], after: dict[str, float]
 ) -> bool:
-    """Whether the factor of a unit is the one that the record itself asks for: others beside it fit worse.
+    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best.
 
     A smaller number fits better than a wrong one whatever its unit is.
     """
@@ -177,9 +185,8 @@ def _own_factor(
         return True
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
     unit = reading.applied(view)
-    beside = ({**view, **{n: k * x for n, x in unit.items()}} for k in (BESIDE, 1.0 / BESIDE))
-    own = _sum_of_logs({n: after[n] for n in names})
-    return all(_sum_of_logs(misfits(v, recorded, names)) > own for v in beside)
+    beside = ({**view, **{n: np.exp(k) * x for n, x in unit.items()}} for k in BESIDE)
+    return bool(abs(BESIDE[np.argmin([_sum_of_logs(misfits(v, recorded, names)) for v in beside])]) < AGREES)
 
 
 def _mended(before: dict[str, float], after: dict[str, float]) -> list[str]:
@@ -230,13 +237,20 @@ def _gain(before: dict[str, float], after: dict[str, float]) -> float:
 
 
 def _distinct(best: Reading, tied: list[Reading]) -> list[Reading]:
-    """Of the readings that are as good, those of other channels."""
+    """Of the readings that are as good, those of other channels; and all units that agree."""
     seen, kept = {best.channels}, []
     for reading in tied:
-        if not set(reading.channels) & set(best.channels) and reading.channels not in seen:
+        if _rivals(reading, best):
+            kept.append(reading)
+        elif not set(reading.channels) & set(best.channels) and reading.channels not in seen:
             seen.add(reading.channels)
             kept.append(reading)
     return kept[:2]
+
+
+def _rivals(one: Reading, other: Reading) -> bool:
+    """Whether they are two units (or kinds of airspeed) of the same channels."""
+    return one.channels == other.channels and 1.0 not in (one.factor, other.factor)
 
 
 def _finding(
@@ -244,7 +258,8 @@ def _finding(
 ) -> HealthFinding:
     relation = max(_mended(before, after), key=lambda n: min(before[n], 1e6) / max(after[n], 0.05))
     other = "".join(f", or {r.names} {r.looks}" for r in tied)
-    sentence = f"{best.names} {best.looks}{other}: {_evidence(relation, before, after)}; {best.mend}"
+    mend = ", or ".join([best.mend, *(r.mend for r in tied if _rivals(r, best))])
+    sentence = f"{best.names} {best.looks}{other}: {_evidence(relation, before, after)}; {mend}"
     return found(record, best.channels[0], best.fault, sentence, at=(0, record.n - 1))
 
 
