@@ -116,7 +116,8 @@ def test_an_offset_of_a_coefficient_in_one_manoeuvre_is_its_constant_there():
 
 
 @pytest.mark.verify
-def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flights(card):
+@pytest.mark.parametrize("compared", ["trajectories", "innovations"])
+def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flights(compared, card):
     """Lift 0.06 larger in the second flight, flown with flaps that hardly move: the offset is reported, and no flap."""
     made = Parameter("CLstep", "1", 0.0, 0.0, "more lift", Prior("normal", 0.0, 1.0), (-1.0, 1.0))
     step = Effect(
@@ -131,7 +132,8 @@ def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flight
         channels = {n: np.asarray(x) for n, x in flight.channels.items() if n not in ("ax", "ay", "az")}
         channels["flap"] = flap + 0.004 * np.sin(0.3 * np.asarray(flight.time) + k)
         records.append(FlightRecord.from_arrays(flight.name, np.asarray(flight.time), channels, "simulated"))
-    found = diagnose(records, card, gains_wanted=False, process_noise=False)
+    found = diagnose(records, card, gains_wanted=False, process_noise=compared == "innovations")
+    assert found.compared == compared
     assert not found.causes
     (told,) = found.unknown
     assert (told.coefficient, told.channel) == ("CL", "manoeuvre")
