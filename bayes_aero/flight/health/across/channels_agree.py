@@ -140,7 +140,7 @@ def _dynamic_pressure(record: FlightRecord, card: Card, view: View) -> list[Heal
     said = off_by_factor(record, card, k, powers, meant, off=off, near=near, grave=rests, explained=True)
     if said or abs(np.log(k)) < off:
         return said
-    grave = bool(rests) or abs(np.log(k)) > DAY  # density or airspeed may be what is wrong
+    grave = bool(rests or abs(np.log(k)) > DAY)  # density or airspeed may be what is wrong
     kind = as_calibrated(record, k**-0.5, "what dynamic pressure and density make")
     return kind or _impact(record, k, view) or off_by_factor(record, card, k, powers, meant, off=off, grave=grave)
 
