@@ -88,22 +88,22 @@ class Products:
         own, centre = precision[columns], mean[columns]
 
         def stepped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Step and normal matrix for (..., k+1, k+1) products of samples that are divided by their deviations."""
-            normal = information[..., 1:, 1:] + np.eye(k) * own[:, None, :]
-            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), TINY))
-            scaled = normal * scale[..., :, None] * scale[..., None, :] + RIDGE * np.eye(k)
-            right = (information[..., 1:, 0] + own * centre) * scale
-            return scale * np.linalg.solve(scaled, right[..., None])[..., 0], normal
+            """Step and normal matrix for (j, k+1, k+1) products of samples that are divided by their deviations."""
+            normal = information[:, 1:, 1:] + np.eye(k) * own[:, None, :]
+            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), TINY))
+            scaled = normal * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
+            right = (information[:, 1:, 0] + own * centre) * scale
+            return scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0], normal
 
-        def variance_of(products: np.ndarray, step: np.ndarray) -> np.ndarray:
-            """Mean squares (j, c) that steps of all outputs (j, 1, k), or of each (j, c, k), leave."""
-            v = np.concatenate([np.ones((*step.shape[:-1], 1)), -step], axis=-1)
-            return np.maximum((v[..., None, :] @ (products @ v[..., :, None]))[..., 0, 0] / n, least)
+        def variance_of(step: np.ndarray) -> np.ndarray:
+            """Mean squares (j, c) that a step of all outputs (j, 1, k), or one of each (j, c, k), leaves."""
+            v = np.concatenate([np.ones((*step.shape[:2], 1)), -step], axis=2)
+            return np.maximum((v[:, :, None, :] @ (part @ v[:, :, :, None]))[:, :, 0, 0] / n, least)
 
         def settled(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
             for _ in range(ROUNDS if held is None else 1):
                 step, normal = stepped(np.einsum("jc,jckl->jkl", 1.0 / variance, part))
-                variance = variance_of(part, step[:, None, :]) if held is None else variance
+                variance = variance_of(step[:, None, :]) if held is None else variance
             deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
             return step, normal, variance, deviance
 
@@ -113,11 +113,12 @@ class Products:
         # there, and as what each output alone can be fitted to.
         begin = np.maximum(part[:, :, 0, 0] / n, TINY)
         alone = [stepped(part[:, c] / begin[:, c, None, None])[0] for c in range(part.shape[1])]
-        first, second = settled(begin), settled(variance_of(part, np.stack(alone, axis=1)))
+        first, second = settled(begin), settled(variance_of(np.stack(alone, axis=1)))
         better = second[3] < first[3]
-        return tuple(
+        step, normal, variance, deviance = (
             np.where(better.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(first, second, strict=True)
         )
+        return step, normal, variance, deviance
 
     def fit(
         self,
