@@ -205,7 +205,8 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
         )
     found = _yaw_rate(found)
     rates = [found[name] for name in ("p", "q", "r") if name in found]
-    known = {guess.unit: guess.channel for guess in rates if guess.unit is not None}
+    stated = [guess for guess in rates if guess.unit is not None]  # the yaw rate may be of another instrument
+    known = {guess.unit: guess.channel for guess in stated if guess.channel != "r" or len(stated) == 1}
     reach = max((largest(guess) for guess in rates), default=0.0)
     for guess in rates:
         if guess.unit is None and len(known) == 1 and (largest(guess) <= FASTEST or "deg/s" in known):
