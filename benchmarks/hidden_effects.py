@@ -139,7 +139,8 @@ def report(out: Path) -> None:
         print(f"silence, {noise}: false alarms {_share(sum(alarmed(r) for r in here), len(here))}")
     print("silence, all: false alarms", _share(sum(alarmed(r) for r in silence), len(silence)))
     print("  named falsely:", Counter(c["name"] for r in silence for c in r["causes"]).most_common())
-    _naming(rows["one"])
+    if rows["one"]:
+        _naming(rows["one"])
     two = [r for r in rows["two"] if len(r["scores"]) == 2 and min(r["scores"].values()) >= CLEAR]
     both = sum(all(named(r, name) for name in r["hidden"]) for r in two)
     print(f"two effects, both >= {CLEAR:g} standard errors: both named {_share(both, len(two))}")

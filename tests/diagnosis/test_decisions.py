@@ -129,12 +129,8 @@ def test_the_gain_of_each_coefficient_is_that_of_its_mean_square():
 def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meets_the_record(compared, monkeypatch):
     """Mean squares times 0.01, 1 and 9.7 / 1.04: all together gain, the last loses 50 log(9.7 / 1.04) nats of 200
     samples at a variance inflation of 2. Of the flight path, which wanders, coefficients say what becomes worse."""
-    rng, n, outputs = (
-        np.random.default_rng(6),
-        200,
-        ("CL", "CD", "Cm") if compared == "coefficients" else ("V", "q", "h"),
-    )
-    noise = rng.standard_normal((n, 3))
+    n, outputs = 200, ("CL", "CD", "Cm") if compared == "coefficients" else ("V", "q", "h")
+    noise = np.random.default_rng(6).standard_normal((n, 3))
 
     def left(effects):
         return noise * np.array([0.1, 1.0, np.sqrt(9.7 / 1.04)]) if effects else noise

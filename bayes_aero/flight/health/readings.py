@@ -29,7 +29,7 @@ GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha"
 SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
 ONE_G = 0.5  # logarithm of the median load factor within which accelerations are in their unit: 0.6 to 1.65
 DENSITY0 = 1.225  # kg/m3
-AGREES = 0.0513  # logarithm of 5 %: two standard deviations of airspeed, 2 %, and of what it is held against, 1.5 %
+AGREES = 0.0513  # logarithm of 5 %: two standard deviations of an airspeed, 2 %, and of its reference, 1.5 %; assumed
 THIN = 0.93  # calibrated over true airspeed from which the two can be told apart
 
 

@@ -131,10 +131,10 @@ def _angles_by_rates(found: dict[str, Guess]) -> dict[str, Guess]:
         if slope is None or not (stated or abs(math.log(abs(slope))) > math.log(BETWEEN)):
             continue
         unit, other = ("deg", "rad/s") if abs(slope) > BETWEEN else ("rad", "deg/s")
-        why = f"it changes at {abs(slope):.2g} times {name}" + (f" in {'rad/s' if stated else 'its numbers'}")
+        why = f"it changes at {abs(slope):.2g} times {name}{' in rad/s' if stated else ''}"
         found[attitude] = angle.because(why, unit=unit)
         if not stated:
-            found[name] = rate.because(f"{attitude} changes at {abs(slope):.2g} times its numbers", unit=other)
+            found[name] = rate.because(f"{attitude} changes at {abs(slope):.2g} times it", unit=other)
     return found
 
 
