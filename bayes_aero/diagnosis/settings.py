@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
 
@@ -79,10 +81,15 @@ class DiagnosisSettings:
     imitators: int = 3  # errors that imitate one together
     open_share: float = 0.5  # of what an output leaves that an unconfirmed error must explain to be reported
 
-    def degrades(self, gain: float, se: float) -> bool:
+    def degrades(self, gain: float, se: float, among: int = 1) -> bool:
         """Whether a gain in hold-out log density (nats, with its standard error) is a loss beyond the margin within
-        which two models are as good, and beyond noise."""
-        return gain < -max(self.ambiguous, self.hold_out * se)
+        which two models are as good, and beyond noise; of `among` such gains one is so by chance in 5 %."""
+        chance = NormalDist().cdf(-self.hold_out) / among
+        return bool(gain < -max(self.ambiguous, -NormalDist().inv_cdf(chance) * se))
+
+    def degraded(self, gains: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Of the gains of several outputs, those that are losses."""
+        return {name: gain for name, gain in gains.items() if self.degrades(*gain, among=len(gains))}
 
 
 DEFAULT = DiagnosisSettings()

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.special import erfc
+from scipy.stats import norm
 from test_credibility import cause
 from test_mixing import part
 
@@ -164,6 +165,15 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
     assert worse == outputs[2]
     assert gain == pytest.approx(-50.0 * np.log(9.7 / 1.04))
     assert DEFAULT.degrades(gain, se)
+
+
+@pytest.mark.parametrize("outputs", [1, 3, 8])
+def test_outputs_that_are_asked_at_once_share_the_chance_of_one(outputs):
+    """Standard errors by which the largest of so many losses is beyond noise in 5 %, each at its share."""
+    limit = norm.isf(0.05 / outputs)
+    for away, lost in ((0.99, False), (1.01, True)):
+        gains = {"one": (-20.0, 20.0 / (away * limit)), **{str(k): (1.0, 1.0) for k in range(outputs - 1)}}
+        assert ("one" in DEFAULT.degraded(gains)) == lost
 
 
 def test_what_held_out_flights_predict_worse_is_not_confirmed_and_said_so(diagnosed):

@@ -64,8 +64,7 @@ def backward_elimination(
     """
 
     def degraded(without: T, whole: T) -> dict[str, tuple[float, float]]:
-        gains = unseen.output_gains(without, whole)
-        return {name: gain for name, gain in gains.items() if settings.degrades(*gain)}
+        return settings.degraded(unseen.output_gains(without, whole))
 
     plain = settings.hold_out_first_order
     kept, missed, waiting = list(additions), {}, list(additions)

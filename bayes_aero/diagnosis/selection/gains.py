@@ -74,7 +74,7 @@ def _sensor_gains(
         gains = output_gains(before, after, card)
         found[name] = Gain(
             *holdout_gain(*pairs[name], state), split_name(state), base.scores(measured), after.scores(measured),
-            {n: gain for n, gain in gains.items() if state.settings.degrades(*gain)},
+            state.settings.degraded(gains),
         )  # fmt: skip
         before = after if name in kept else before
     return found

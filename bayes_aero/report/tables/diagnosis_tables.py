@@ -69,8 +69,8 @@ def causes_table(d: Diagnosis) -> Table:
             *(score(name, kind) for name in names for kind in ("r2", "rmse")),
         ],
         "Causes, in the order of selection",
-        "Hold-out data if removed: the change of their log density. *: no significant loss (one-sided, 5 %), so not "
-        "confirmed: named, but not in the extended model.",
+        "Hold-out data if removed: the change of their log density. *: not confirmed, for the loss is not significant "
+        "(one-sided, 5 %) or one output is predicted worse with the cause: named, but not in the extended model.",
         terminal_title,
         terminal_note,
     )
