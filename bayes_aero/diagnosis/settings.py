@@ -25,8 +25,9 @@ class DiagnosisSettings:
     least_score: float = 2.5  # a candidate below it is not beyond chance among dozens
 
     # Forward selection.
-    false_alarm_rate: float = 0.05  # family-wise, of each selection
-    refit_false_alarm_rate: float = 0.02  # of leaders that are fitted first, because they passed for slow noise
+    false_alarm_rate: float = 0.01  # family-wise, of each selection: a diagnosis holds several selections
+    refit_false_alarm_rate: float = 0.02  # of leaders that are fitted first and judged by the block jackknife
+    block_false_alarm_rate: float = 0.05  # of what is in already, or offsets: judged once more, not among all
     candidates_tried: int = 8  # leaders considered in one selection
     candidates_refitted: int = 3  # leaders that are fitted and judged by the block jackknife
     least_share: float = 0.04  # of a coefficient's remaining variance: imperfect regressors imitate less

@@ -6,7 +6,9 @@ import six_axes
 from stranger_six import Fighter, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import TRAJECTORIES
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.simulate.injection import hidden_flights
 
@@ -63,6 +65,20 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path):
     assert {channel for term in found.terms for channel in term.term.channels} <= {"alpha", "q", "airspeed", "elevator"}
     ((mean, sd),) = [term.size for term in found.terms if (term.coefficient, term.term.name) == ("CL", "qhat")]
     assert abs(mean - 15.0) < 4.0 * sd
+
+
+@pytest.mark.verify
+def test_a_wrong_form_is_no_camber_where_trajectories_are_compared(tmp_path):
+    """The fighter with few manoeuvres and no accelerometers: its lift by pitch rate is 15 qhat, and no cause is sure."""
+    plan = [(speed, "elevator") for speed in (190.0, 120.0, 90.0, 75.0)]
+    records, card = polynomial_fighter(tmp_path, Fighter(), plan, np.random.default_rng([2, 54]), 10.0, "longitudinal")
+    kept = [{name: x for name, x in r.channels.items() if name not in ("ax", "ay", "az")} for r in records]
+    flown = [FlightRecord.from_arrays(r.name, r.time, x) for r, x in zip(records, kept, strict=True)]
+    found = diagnose(flown, card, seed=1, gains_wanted=False, process_noise=False)
+    assert found.compared == TRAJECTORIES
+    assert not [cause.name for cause in found.causes if cause.sure]
+    terms = {term.term.name: term.size for term in found.terms if term.coefficient == "CL"}
+    assert terms["qhat"][0] == pytest.approx(15.0, rel=0.15)
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, UnexplainedStructure
+from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search.search_result import SearchResult
@@ -15,7 +14,7 @@ from bayes_aero.diagnosis.selection.residuals import noise_report
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.components import has_chunks
 from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
-from bayes_aero.diagnosis.terms.forms import Forms, forms_of
+from bayes_aero.diagnosis.terms.forms import Forms, described, forms_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -58,13 +57,12 @@ def search_coefficients(
         lambda: forms_of(both.aerodynamics, left, seed=seed + 3000),
         Forms((), ()),
     )
-    aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced))
-    aerodynamics = replace(aerodynamics, sizes={**aerodynamics.sizes, **found.sizes})
+    aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced), found.sizes)
     named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
     return SearchResult(
         full,
         (*named, (COEFFICIENTS, aerodynamics)),
-        (*_described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
+        (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
         noise_report(aerodynamics, outliers),
         (*_filtered(flights), *_too_short(aerodynamics.state), *_denials(both)),
         (*failures, *failed),
@@ -73,19 +71,6 @@ def search_coefficients(
         structures=found.structures,
         forms=found.rivals,
     )
-
-
-def _described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
-    """Structure by the first function that shows it, where terms describe all of it."""
-    known = {term.coefficient: term for term in reversed(found.terms)}
-    first = {u.coefficient: u for u in reversed(unknown)}
-    more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
-    more += [
-        UnexplainedStructure(coefficient, form, share, float("nan"))
-        for coefficient, form, share in ((*label.split(" over "), share) for label, share in found.functions)
-        if coefficient not in {**first, **known}
-    ]
-    return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
 
 
 def _filtered(flights: Flights) -> tuple[str, ...]:

@@ -73,7 +73,7 @@ def search_innovations(
         lambda: flown_forms(found, seed=seed + 3000, progress=progress),
         FlownForms(Forms((), ()), ()),
     )
-    found = withdrawn(found, left.forms.replaced)
+    found = withdrawn(found, left.forms.replaced, left.forms.sizes)
     notes = [
         "Of structure without a name, terms of the library are sought in innovations, and no functions of a channel or "
         "of time."
@@ -92,6 +92,7 @@ def search_innovations(
         failures,
         terms=left.forms.terms,
         structures=left.forms.structures,
+        forms=left.forms.rivals,
     )
 
 

@@ -80,7 +80,7 @@ def search_trajectories(
         lambda: flown_forms(found, seed=seed + 3000, progress=progress),
         FlownForms(Forms((), ()), ()),
     )
-    found = withdrawn(found, left.forms.replaced)
+    found = withdrawn(found, left.forms.replaced, left.forms.sizes)
     notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
     if absent := lacking(records, card):
         notes.append(
@@ -101,6 +101,7 @@ def search_trajectories(
         testable_now=False,
         terms=left.forms.terms,
         structures=left.forms.structures,
+        forms=left.forms.rivals,
     )
 
 
@@ -157,7 +158,7 @@ def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Prog
     among = found.steps[0].screening
     gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
-    if not (gain > settings.decisive and chance <= settings.false_alarm_rate):
+    if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
     other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
     if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:

@@ -92,7 +92,7 @@ def consistent_across_blocks(state: SelectionState, fit: Fit) -> tuple[Selection
         judged = Blocks(state, fit)
         chances = {effect: judged.p_value(effect) for effect in state.active}
         worst = max(chances, key=lambda effect: chances[effect])
-        if chances[worst] <= state.settings.false_alarm_rate:
+        if chances[worst] <= state.settings.block_false_alarm_rate:
             break
         state, fit = refitted(removed(state, worst))
     return state, fit

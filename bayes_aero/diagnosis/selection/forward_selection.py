@@ -288,7 +288,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str],
         look = RefitScore(state, standing, noise)
         if look.score < settings.least_score or look.log_bayes <= 0.0:
             continue
-        if (p := look.p_value()) <= settings.refit_false_alarm_rate:
+        if (p := look.p_value()) <= settings.false_alarm_rate:
             return Step(standing.effect, p, found, gain)
     highest = max((s.score for s in found.candidate_scores if s.effect not in barred), default=0.0)
     return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))

@@ -7,7 +7,7 @@ only if its score is beyond noise-only replicates and it predicts data left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.special import chdtrc
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen, uncertainty
@@ -95,7 +96,7 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
-        if p > state.settings.false_alarm_rate:
+        if p > state.settings.block_false_alarm_rate:
             continue
         deviation = np.sqrt(np.diag(covariance))
         names = state.responses.flights.names[1:]
@@ -171,10 +172,11 @@ def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[C
     return tuple(dropped)
 
 
-def withdrawn(found: Extension, names: Sequence[str]) -> Extension:
-    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before."""
-    causes = tuple(name for name in found.causes if name not in names)
-    return replace(found, causes=causes, minor=(*found.minor, *(n for n in found.causes if n in names)))
+def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
+    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before.
+    The others have the `sizes` beside it."""
+    causes, gone = ([n for n in found.causes if (n in names) is out] for out in (False, True))
+    return replace(found, causes=tuple(causes), minor=(*found.minor, *gone), sizes={**found.sizes, **sizes})
 
 
 def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:

@@ -28,7 +28,7 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.structure.components import share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
-from bayes_aero.diagnosis.terms.forms import Forms, Structure
+from bayes_aero.diagnosis.terms.forms import Forms, Structure, contest, described
 from bayes_aero.diagnosis.terms.search import NEAR, Found, reconsidered, sized, weights_of
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.progress import Progress
@@ -70,10 +70,13 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
     """
     if progress:
         progress("terms", 0.0)
+    instead = contest(extension)
+    if instead.terms or instead.replaced:
+        return FlownForms(instead, described((), instead))
     state, causes = extension.state, extension.causes
     found, rivals = _sought(state, seed)
     if not found:
-        return FlownForms(Forms((), ()), ())
+        return FlownForms(instead, ())
     replaced = superfluous(state, causes, [one.column.component for one in found])
     if replaced:
         bare = taken_out(state, replaced)
@@ -84,7 +87,8 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
         UnexplainedStructure(_coefficient(one.column), one.column.term.name, one.share, one.p_value, names)
         for one, names in zip(found, rivals, strict=True)
     ]
-    return FlownForms(Forms(sized(state, found), replaced, _structures(state, found)), tuple(unknown))
+    forms = instead._replace(terms=sized(state, found), replaced=replaced, structures=_structures(state, found))
+    return FlownForms(forms, tuple(unknown))
 
 
 def _coefficient(column: Column) -> str:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.result import UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import optimum, refitted
@@ -149,6 +150,19 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     replaced = replaced if found else ()
     terms, structures = sized(state, found), _structures(state, left, found)
     return instead._replace(terms=terms, replaced=replaced, structures=structures)
+
+
+def described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
+    """Structure by the first function that shows it, where terms describe all of it."""
+    known = {term.coefficient: term for term in reversed(found.terms)}
+    first = {u.coefficient: u for u in reversed(unknown)}
+    more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
+    more += [
+        UnexplainedStructure(coefficient, form, share, float("nan"))
+        for coefficient, form, share in ((*label.split(" over "), share) for label, share in found.functions)
+        if coefficient not in {**first, **known}
+    ]
+    return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
 
 
 def contest(extension: Extension, left: Left = NOTHING) -> Forms:
