@@ -69,7 +69,7 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path):
 
 @pytest.mark.verify
 def test_a_wrong_form_is_no_camber_where_trajectories_are_compared(tmp_path):
-    """The same fighter without accelerometers. Forms are sought to first order there, so only what is missing is sure."""
+    """The same fighter without accelerometers. Forms are sought to first order there, so few of them are sure."""
     plan = [(speed, "elevator") for speed in (190.0, 120.0, 90.0, 75.0) for _ in range(2)]
     records, card = polynomial_fighter(tmp_path, Fighter(), plan, np.random.default_rng([1, 54]), 10.0, "longitudinal")
     kept = [{name: x for name, x in r.channels.items() if name not in ("ax", "ay", "az")} for r in records]
