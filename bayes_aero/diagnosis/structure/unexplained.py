@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
@@ -90,7 +90,7 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
-        columns = state.offsets[_ones(state, name)]
+        columns = constants_of(state, name)
         at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
         covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
@@ -106,10 +106,11 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
     return tuple(found)
 
 
-def _ones(state: SelectionState, name: str) -> np.ndarray:
-    """Which of the free columns are the constants of a coefficient, in the order of the manoeuvres."""
+def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
+    """The columns of a coefficient's constants, in the order of the manoeuvres."""
     width, number = len(state.responses.flights.lengths), state.apart.index(name)
-    return len(state.offsets) - width * (len(state.apart) - number) + np.arange(width)
+    first = len(state.offsets) - width * (len(state.apart) - number)
+    return state.offsets[first : first + width]
 
 
 def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:

@@ -22,11 +22,11 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.structure.components import is_periodic, share_of, with_components
-from bayes_aero.diagnosis.structure.unexplained import Left, superfluous, taken_out
+from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import SAME, columns_of, likeness, polynomials, term_of
 from bayes_aero.diagnosis.terms.library import SEPARATED, Term
 from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.diagnosis.terms.search import Found, forms, gain_of, leader, sized
+from bayes_aero.diagnosis.terms.search import SWING, Found, forms, gain_of, leader, sized
 from bayes_aero.effect import Kind
 from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 from bayes_aero.inference.variance.variance_inflation import nats
@@ -219,7 +219,7 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
         Structure(best.state, name, tuple(own), tuple(c for n, others in mine.items() if n != name for c in others))
         for name, own in mine.items()
     )
-    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart))
+    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *_negligible(best))
     terms, sizes = sized(best.state, best.terms), _sizes(best, [name for name in causes if name not in gone])
     return Forms(terms, gone, structures, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shares)
 
@@ -289,11 +289,20 @@ def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
 
 def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
     """Coefficients whose offsets a polynomial explains as well, and that."""
-    found, least = {}, -model.state.settings.ambiguous
+    found, least = dict[str, Component](), -model.state.settings.ambiguous
     for name in model.state.apart:
         own = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if _coefficient(f) == name]
         gain, best = max(own, key=lambda pair: pair[0])
         found |= {name: best} if gain > least else {}
+    return found
+
+
+def _negligible(model: _Model) -> list[str]:
+    """Coefficients whose offsets, beside the terms, are smaller than what is worth modelling."""
+    found, columns = [], list(model.state.columns())
+    for name in model.state.apart:
+        at = [columns.index(column) for column in constants_of(model.state, name)]
+        found += [name] if np.ptp(model.fitted[0].step[at]) < SWING[name] else []
     return found
 
 
