@@ -116,7 +116,7 @@ def _between_knots(x: np.ndarray) -> int:
         corner = int(np.argmax(np.bincount((lag + np.arange(len(bends))) % period, bends, period)))
         on, off = _off_lines(x, corner, period), _off_lines(x, (corner + lag) % period, period)
         limit = 1.001 * max(step, STRAIGHT * float(np.sqrt(np.mean(off**2))))
-        stray, ends = ((missed > limit).any(axis=1) for missed in (on, off))
+        stray, ends = np.any(on > limit, axis=1), np.any(off > limit, axis=1)
         if ends.sum() < ENDS or stray.sum() > STRAY * ends.sum() or ends[1:][ends[:-1]].mean() < FOLLOW:
             continue
         if np.sqrt(np.mean(on[~stray] ** 2)) < EVEN * limit:
