@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from flights import card, changed, flight
+from flights import card, changed, flight, smooth
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
@@ -16,6 +16,7 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.across.channels_agree import across
 from bayes_aero.flight.health.across.controls import answers_no_input, feedback
 from bayes_aero.flight.health.across.derivatives import derivatives
+from bayes_aero.flight.health.channel.frozen import frozen
 from bayes_aero.flight.health.standard import standard_air
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
@@ -283,9 +284,54 @@ def test_an_input_without_a_signal_is_told_where_the_aircraft_answers_one(flown)
     moved = under_feedback(np.deg2rad(2.0), flown, gains=np.zeros(4))
     calm = under_feedback(0.0, gains=np.zeros(4))
     dead = [changed(record, elevator=np.full(record.n, 0.02)) for record in (moved, calm)]
-    assert [answers_no_input(record, "elevator") for record in (*dead, moved)] == [True, False, False]
+    assert [answers_no_input(record) for record in (*dead, moved)] == [True, False, False]
     (finding,) = [f for f in channel_health(dead[:1], read_card("short_period")) if f.fault == "frozen"]
     assert (finding.channel, finding.grave) == ("elevator", True)
+
+
+def test_an_input_without_a_signal_is_told_in_a_long_record_and_beside_a_stabilizer_that_trims():
+    """Seven seconds of input in two minutes of gusts. What a stabilizer picks up of the elevator's signal is no cause;
+    a stabilizer that makes the same motion is."""
+    moved = under_feedback(np.deg2rad(2.0), "3211", gains=np.zeros(4), seconds=120.0)
+    dead = changed(moved, elevator=np.full(moved.n, 0.02))
+    assert answers_no_input(dead)
+    assert answers_no_input(changed(dead, stabilizer=0.02 * moved["elevator"]))
+    assert not answers_no_input(changed(dead, stabilizer=0.5 * moved["elevator"]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pitching_by_the_inertia_of_roll_and_yaw_needs_no_input(seed):
+    """A short period that p r and p^2 - r^2 pitch, of moments of inertia of 1, 6 and 6.5; the elevator is fixed."""
+    rng, n, dt = np.random.default_rng(seed), 1000, 0.04
+    p, r = 0.8 * smooth(rng, n, dt, 0.7), 0.2 * smooth(rng, n, dt, 0.7)
+    x, rows = np.zeros(2), []
+    for k in range(n):
+        rows.append(x + np.array([8e-4, 4e-4]) * rng.standard_normal(2))
+        turning = -3.0 * x[0] - 1.2 * x[1] + 5.5 / 6.0 * p[k] * r[k] - 0.05 * (p[k] ** 2 - r[k] ** 2)
+        x = x + dt * np.array([-0.9 * x[0] + x[1], turning])
+    alpha, q = np.transpose(rows)
+    channels = {"alpha": alpha, "q": q, "p": p, "r": r, "elevator": np.full(n, 0.02)}
+    record = FlightRecord.from_arrays("rolls", np.arange(n) * dt, channels)
+    assert not answers_no_input(record)
+    assert answers_no_input(changed(record, without=("p", "r")))  # which is why both are asked
+
+
+@needs_book
+@pytest.mark.parametrize(
+    ("model", "name", "pitches"),
+    [
+        ("full_six", "fAttasElv1.mat", True), ("full_six", "fAttasElv2.mat", True),
+        ("hfb320", "hfb320_1_10.asc", True), ("full_six", "fAttasAil1.mat", False),
+        ("full_six", "fAttasRud1.mat", False),
+    ],
+)  # fmt: skip
+def test_records_of_the_book_without_their_elevator_are_told_where_it_was_flown(model, name, pitches):
+    """cases.md: elevator 3-2-1-1 of ATTAS and HFB 320; aileron and rudder manoeuvres. As recorded all are sound."""
+    card = read_card(model)
+    record = read_record(BOOK / name, card.channels)
+    dead = changed(record, elevator=np.full(record.n, record["elevator"].mean()))
+    told = [[f.channel for f in frozen(r, card) if f.grave] for r in (record, dead)]
+    assert told == [[], ["elevator"] if pitches else []]
 
 
 RESTS = {  # of a surface that no law moves, rad at time in s

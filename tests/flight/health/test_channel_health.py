@@ -375,6 +375,16 @@ def test_a_channel_of_one_hertz_is_found_under_coarse_rounding_and_no_other(step
     assert interpolated_period(np.round(record[name] / step) * step) == 0.0
 
 
+@pytest.mark.parametrize(("dt", "every"), [(0.2, 2), (0.2, 3), (0.2, 5), (0.1, 5), (0.04, 12), (0.02, 25)])
+@pytest.mark.parametrize("step", [0.0, 0.05, 0.1, 0.15])
+def test_a_channel_between_few_samples_is_found_and_no_other(dt, every, step):
+    """1 to 2.5 Hz in records of 5 to 50 Hz, in steps up to 0.2 deg; the flow angle swings by 3 deg within a second."""
+    record, step = flight(8, dt, 120.0), np.deg2rad(step)
+    slow = np.interp(record.time, record.time[::every], record["alpha"][::every])
+    for x, period in ((slow, every), (record["alpha"], 0.0)):
+        assert interpolated_period(step * np.round(x / step) if step else x) == pytest.approx(period, rel=0.02)
+
+
 @pytest.mark.parametrize("step", [0.0, np.deg2rad(0.05)])
 @pytest.mark.parametrize("run", [slice(0, 700), slice(250, 900), slice(400, 1001)])
 def test_an_input_that_is_frozen_for_most_of_the_record_is_told(step, run):
@@ -388,6 +398,57 @@ def test_an_input_that_is_frozen_for_most_of_the_record_is_told(step, run):
     assert (finding.channel, finding.grave) == ("elevator", True)
     assert finding.begin == pytest.approx(record.time[run.start], abs=0.2)
     assert finding.end == pytest.approx(record.time[run.stop - 1], abs=0.2)
+
+
+SURFACES = {"elevator": 0.02, "stabilizer": 0.015, "aileron": 0.03, "rudder": 0.03}  # rad, standard deviations
+
+
+def moved_by(surfaces, seed, seconds=40.0, dt=0.04):
+    """An aircraft of dimensional derivatives about three axes that its surfaces move as given, (n,) each, rad."""
+    rng, n = np.random.default_rng(seed), round(seconds / dt)
+    de, ds, da, dr = (surfaces[name] for name in SURFACES)
+    x, rows = np.zeros(5), []
+    for k in range(n):
+        rows.append(x + np.array([8e-4, 4e-4, 8e-4, 4e-4, 4e-4]) * rng.standard_normal(5))
+        for _ in range(4):
+            alpha, q, beta, p, r = x
+            pitch = -3.0 * alpha - 1.2 * q - 4.0 * de[k] - 8.0 * ds[k]
+            roll, yaw = -3.0 * beta - 2.0 * p + 0.5 * r - 6.0 * da[k], 2.0 * beta - 0.05 * p - 0.5 * r - 1.5 * dr[k]
+            x = x + 0.25 * dt * np.array([-0.9 * alpha + q, pitch, -0.2 * beta - r, roll, yaw])
+    motion = dict(zip(("alpha", "q", "beta", "p", "r"), np.transpose(rows), strict=True))
+    return FlightRecord.from_arrays("moved", np.arange(n) * dt, {**motion, **surfaces})
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("part", [slice(0, 500), slice(250, 750), slice(500, 1000)])
+def test_a_surface_that_is_frozen_for_half_of_the_record_is_told_and_one_that_rests_is_not(surface, part):
+    """Rounded to 0.05 deg, so that the digits say nothing: the aircraft goes on answering, or it does not."""
+    rng, step = np.random.default_rng(5), np.deg2rad(0.05)
+    flown = {name: size * smooth(rng, 1000, 0.04, 0.6) for name, size in SURFACES.items()}
+    flown = {name: step * np.round(x / step) for name, x in flown.items()}
+    still = put(flown[surface], part, flown[surface][part.start])
+    record = moved_by(flown, 5)
+    assert frozen(record, card()) == []
+    (finding,) = frozen(changed(record, **{surface: still}), card())
+    assert (finding.channel, finding.grave) == (surface, True)
+    assert finding.begin == pytest.approx(record.time[part.start], abs=0.5)  # a rounded value may stay a while
+    assert finding.end == pytest.approx(record.time[part.stop - 1], abs=0.5)
+    assert frozen(moved_by({**flown, surface: still}, 5), card()) == []
+
+
+@pytest.mark.parametrize("name", ["thrust", "flap", "throttle", "stabilizer"])
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
+def test_an_input_that_is_frozen_in_two_parts_of_the_record_is_told_by_its_noise(name, share):
+    """Where it moves it scatters by 20 steps of its last digit; a lever that is set and written without noise rests."""
+    record, rng = flight(4), np.random.default_rng(4)
+    clean = 1.0 + 0.1 * smooth(rng, record.n, 0.04, 4.0)
+    half, step = round(0.5 * share * record.n), 1e-4
+    parts = np.r_[100 : 100 + half, record.n - half : record.n]
+    for noise, told_ in ((2e-3, [name]), (0.0, [])):
+        x = step * np.round((clean + noise * rng.standard_normal(record.n)) / step)
+        assert frozen(changed(record, **{name: x}), card()) == []
+        x[parts[:half]], x[parts[half:]] = x[parts[0]], x[parts[half]]
+        assert [f.channel for f in frozen(changed(record, **{name: x}), card())] == told_
 
 
 @pytest.mark.parametrize("step", [0.0, np.deg2rad(0.02), np.deg2rad(0.1)])

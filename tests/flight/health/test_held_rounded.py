@@ -29,3 +29,14 @@ def test_straight_lines_between_slow_samples_are_found(step):
     x = 0.001857 + np.interp(T, 0.2 * np.arange(101), slow)
     x = step * np.round(x / step) if step else x
     assert interpolated_period(x) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("lag", [3.0, 8.0, 20.0])
+@pytest.mark.parametrize("step", [0.0, 0.02, 0.2])
+def test_answers_to_steps_at_whole_seconds_are_not_interpolated(lag, step):
+    """Of an actuator of first order, samples; they bend at every 25th sample alone, where the pilot moves."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        asked = np.repeat(rng.choice([-1.0, 0.0, 1.0], 60), 25)
+        x = np.convolve(asked, np.exp(-np.arange(200) / lag) / lag)[: len(asked)]
+        assert interpolated_period(step * np.round(x / step) if step else x) == 0.0

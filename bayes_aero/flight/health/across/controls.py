@@ -21,6 +21,8 @@ MOVED = np.deg2rad(0.1)  # rad that a surface must move, standard deviation of i
 SURE = 5.0  # standard errors, of the wrong sign
 RESPONSE = 0.3  # 1/s2 a rad: no surface that flies an aircraft does less
 SLOW = 3.0  # s: trim and speed change more slowly and are taken out
+LIKELY = 3.0  # the same, of a response that is compared with what it would have made
+FREE = 3.0  # independent samples that a fit needs beside one a regressor
 LONGEST_REST = 5.0  # s; pilots hold a surface for 1 to 4 s
 TWICE = 2.0  # times what the fit misses where the surface was recorded
 UNSEEN = np.deg2rad(0.3)  # rad that must have moved, in the mean square
@@ -32,9 +34,10 @@ TURNS = {
 }
 """Surfaces about an axis, the first first."""
 ENGINES = ("thrust", "thrust_left", "thrust_right", "throttle", "n1_left", "n1_right", "flap")
-UNMOVED, LARGE = 0.5, 0.015
+UNMOVED, LARGE = 0.4, 0.015
 """Share of the angular acceleration (standard deviation) that motion does not explain where a surface moved, and its
-least size, rad/s2."""
+least size, rad/s2. Our choice: with the elevator known, recorded and simulated flights of four aircraft leave less than
+0.3 or less than 0.012 rad/s2."""
 OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 """What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
 OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
@@ -90,75 +93,120 @@ def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
     """Whether the aircraft turns in a run of samples as if a surface moved that stands still there.
 
-    The angular acceleration is fitted to the surface and the motion where the surface moves. In the run it must miss
-    what only a deflection of `UNSEEN` makes, more often than where the surface was recorded, in flight that was fitted.
+    The angular acceleration is fitted to the surface, the others about that axis and the motion where the surface
+    moves. In the run it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was
+    recorded, in flight that is less than the fitted range beyond it. A surface about the pitch axis is also told as
+    one without any signal is, in the run alone. An aileron or a rudder is not told where less than about 8 s are left
+    in which it moves: gusts roll and yaw an aircraft, too.
     """
-    control = next((c for c in (ELEVATOR, *LATERAL) if c.surface == name), None)
-    fitted = None if control is None else _fitted(control, record, outside=run)
+    control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
+    if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
+        return False
+    if control is ELEVATOR and (run[1] - run[0]) * record.dt >= 4.0 * SLOW:
+        part = _part(record, run)
+        first = next((n for n in TURNS[ELEVATOR.surface] if part.has(n) and n not in _deflected(part)), None)
+        if name == first and answers_no_input(part):
+            return True
+    fitted = _fitted(control, record, outside=(name, *run))
     if fitted is None:
         return False
-    inside = np.zeros(record.n, bool)
-    inside[run[0] : run[1] + 1] = True
     low, high = np.quantile(fitted.rows[fitted.used], [0.01, 0.99], axis=0)
-    within = np.all((fitted.rows >= low - 0.2 * (high - low)) & (fitted.rows <= high + 0.2 * (high - low)), axis=1)
-    seen = inside & within
-    if seen.sum() * record.dt < LONGEST_REST or not -fitted.response > SURE * fitted.error:
+    seen = np.all((fitted.rows >= 2.0 * low - high) & (fitted.rows <= 2.0 * high - low), axis=1)
+    seen[: run[0]] = seen[run[1] + 1 :] = False
+    if seen.sum() * record.dt < LONGEST_REST or not abs(fitted.response) > LIKELY * fitted.error:
         return False
-    missed, usual = (float(np.sqrt(np.mean(fitted.left[part] ** 2))) for part in (seen, fitted.used))
-    return bool(missed > max(TWICE * usual, UNSEEN * abs(fitted.response)))
+    missed = float(np.sqrt(np.mean(fitted.left[seen] ** 2)))
+    reach = float(np.mean(np.sum(fitted.rows[seen] @ fitted.spread * fitted.rows[seen], axis=1)))
+    return bool(missed > max(TWICE * fitted.usual * np.sqrt(1.0 + reach), UNSEEN * abs(fitted.response)))
 
 
-def answers_no_input(record: FlightRecord, name: str) -> bool:
-    """Whether the aircraft pitches as no motion explains, while its first surface about that axis stands still
-    throughout and others do not move it either. A rudder or an aileron may well be left alone."""
-    surfaces = [n for n in TURNS[ELEVATOR.surface] if record.has(n)]
-    known = name in surfaces[:1] and all(map(record.has, ELEVATOR.beside))
-    if not known or record.n * record.dt < 4.0 * SLOW:
+def answers_no_input(record: FlightRecord) -> bool:
+    """Whether the aircraft pitches as neither motion nor a surface that moves explains. A rudder or an aileron may well
+    be left alone.
+
+    A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch is fitted
+    by itself. Products of p and r turn the nose by inertia.
+    """
+    stretch = round(4.0 * SLOW / record.dt)
+    if not all(map(record.has, ELEVATOR.beside)) or record.n < stretch:
         return False
-    moving = [record[n] for n in (*surfaces, *ENGINES) if record.has(n) and np.ptp(record[n]) > 0.0]
-    inside = slice(round(SMOOTH / record.dt), record.n - round(SMOOTH / record.dt))
-    signals = [_mean(x, SMOOTH / record.dt)[inside] for x in (*(record[n] for n in ELEVATOR.beside), *moving)]
-    turning = np.gradient(signals[ELEVATOR.beside.index(ELEVATOR.rate)], record.dt)
-    rows = np.stack([*signals, np.ones(len(turning)), record.time[inside]], axis=1)
-    left = float(np.std(turning - rows @ np.linalg.lstsq(rows, turning, rcond=None)[0]))
+    engines = (n for n in ENGINES if record.has(n) and not noise_alone(record[n]))
+    moving = [record[n] for n in (*_deflected(record), *engines)]
+    p, r = (record.channels.get(n, np.zeros(record.n)) for n in ("p", "r"))
+    causes = (*(record[n] for n in ELEVATOR.beside), *moving, p * r, p**2 - r**2)
+    rows = np.stack([*(_mean(x, SMOOTH / record.dt) for x in causes), np.ones(record.n), record.time], axis=1)
+    turning = np.gradient(rows[:, ELEVATOR.beside.index(ELEVATOR.rate)], record.dt)
     noise = noise_of(record[ELEVATOR.rate]) / np.sqrt(SMOOTH / record.dt) / SMOOTH
-    return bool(left > max(UNMOVED * float(np.std(turning)), SURE * noise, LARGE))
+    edge = round(SMOOTH / record.dt)
+    for first in range(edge, max(record.n - edge - stretch, edge) + 1, round(SLOW / record.dt)):
+        part = slice(first, min(first + stretch, record.n - edge))
+        left = turning[part] - rows[part] @ np.linalg.lstsq(rows[part], turning[part], rcond=None)[0]
+        if np.std(left) > max(UNMOVED * np.std(turning[part]), SURE * noise, LARGE):
+            return True
+    return False
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Angular acceleration over a surface and the motion: response and standard error, 1/s2 a rad; what is left, and
-    the samples that it was fitted to."""
+    """Angular acceleration over a surface and the motion: regressors, what is left, rad/s2, and the samples that it was
+    fitted to; response to the surface, 1/s2 a rad, what is usually left, and the covariance of the fit over its square.
+    """
 
-    response: float
-    error: float
     rows: np.ndarray
     left: np.ndarray
     used: np.ndarray
+    response: float
+    usual: float
+    spread: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """Standard error of the response."""
+        return self.usual * float(np.sqrt(max(self.spread[0, 0], 0.0)))
 
 
-def _fitted(control: _Control, record: FlightRecord, outside: tuple[int, int] | None = None) -> _Fit | None:
-    """The fit to all samples, or to those outside a run; None where surface or motion are not there."""
-    deflection = _deflection(control.surface, record)
+def _deflected(record: FlightRecord) -> list[str]:
+    """Surfaces that move by enough to turn the aircraft somewhere in the record."""
+    there = [n for names in TURNS.values() for n in names if record.has(n)]
+    size = {n: np.sqrt(_mean(_banded(record[n], record.dt) ** 2, 4.0 * SLOW / record.dt).max()) for n in there}
+    return [n for n in there if size[n] > MOVED]
+
+
+def _part(record: FlightRecord, run: tuple[int, int]) -> FlightRecord:
+    """A run of the record."""
+    part = slice(run[0], run[1] + 1)
+    channels = {name: x[part] for name, x in record.channels.items()}
+    return FlightRecord.from_arrays(record.name, record.time[part], channels)
+
+
+def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, int] | None = None) -> _Fit | None:
+    """The fit to all samples, or to those outside a run in which a surface about the axis stands still, beside the
+    other surfaces; None where surface or motion are not there."""
+    surface = control.surface if outside is None or outside[0] in PAIR else outside[0]
+    deflection = _deflection(surface, record)
     if deflection is None or not all(map(record.has, control.beside)) or record.n * record.dt < 4.0 * SLOW:
         return None
     signals = [_banded(x, record.dt) for x in (deflection, *(record[name] for name in control.beside))]
     if signals[0].std() < MOVED:
         return None
     slope = np.gradient(signals[1 + control.beside.index(control.rate)], record.dt)
-    rows = np.stack([*signals, np.ones(record.n)], axis=1)
     used = np.ones(record.n, bool)
     if outside is not None:
-        edge = round(SLOW / record.dt)  # the mean over these samples mixes both
-        used[max(outside[0] - edge, 0) : outside[1] + edge + 1] = False
+        axes = ("elevator",) if control is ELEVATOR else ("aileron", "rudder")
+        beside = {n for axis in axes for n in TURNS[axis]} - {surface, *(PAIR if surface == "aileron" else ())}
+        signals += [_banded(record[n], record.dt) for n in _deflected(record) if n in beside]
+        edge = round(0.5 * (SLOW + SMOOTH) / record.dt) + 1  # the means over these samples mix both
+        used[max(outside[1] - edge, 0) : outside[2] + edge + 1] = False
+    rows = np.stack([*signals, np.ones(record.n)], axis=1)
     independent = used.sum() * record.dt / (3.0 * SMOOTH) - rows.shape[1]
-    if outside is not None and independent < rows.shape[1]:
+    if outside is not None and independent < FREE:
         return None
     # Samples of smoothed signals repeat each other: one in a smoothing length counts.
     fit, *_ = np.linalg.lstsq(rows[used], slope[used], rcond=None)
     left = slope - rows @ fit
-    spread = np.linalg.pinv(rows[used].T @ rows[used])[0, 0] * used.sum() / max(independent, 1.0)
-    return _Fit(float(fit[0]), float(np.sqrt(np.mean(left[used] ** 2) * spread)), rows, left, used)
+    free = max(independent, 1.0) / (independent + rows.shape[1])
+    spread = np.linalg.pinv(rows[used].T @ rows[used]) * used.sum() / (independent + rows.shape[1])
+    return _Fit(rows, left, used, float(fit[0]), float(np.sqrt(np.mean(left[used] ** 2) / free)), spread)
 
 
 def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.across.controls import answers_no_input, answers_unmoved
+from bayes_aero.flight.health.across.controls import TURNS, answers_no_input, answers_unmoved
 from bayes_aero.flight.health.across.kinematics import RELATIONS, dead_heading, view_of
 from bayes_aero.flight.health.finding import HealthFinding, found, shown, span
 from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, still_runs
@@ -62,7 +62,8 @@ def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
         if not (record.has("altitude") and np.ptp(record["altitude"]) > ALONG):
             return []
     elif name in CONTROLS:
-        if not answers_no_input(record, name):
+        surfaces = [n for n in TURNS["elevator"] if record.has(n)]
+        if name not in surfaces[:1] or not answers_no_input(record):
             return []
     elif name not in ("ax", "az", "q", "theta", "airspeed", "calibrated_airspeed") or record.n * record.dt < 5.0:
         return []
@@ -83,17 +84,24 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
 def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
     """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved.
 
-    A surface may rest, at a stop or where the pilot holds it: equal samples say nothing of a clean or rounded signal.
+    A surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal
+    samples say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there.
     """
-    found = []
-    for run in still_runs(x):
-        outside = np.delete(x, np.s_[run[0] : run[1] + 1])
-        if len(outside) < SHORTEST / record.dt or (run[1] - run[0]) * record.dt < SHORTEST:
-            continue
-        noisy = _scatters(outside) and float(np.mean(np.diff(outside) == 0.0)) < CONTINUOUS
-        if (noisy and _frozen(record, {}, name, x, run) and not _cut_off(x, run)) or answers_unmoved(record, name, run):
-            found.append(run)
-    return found
+    runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
+    moving = np.delete(x, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]).astype(int))
+    share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
+    least = SURE * _longest_by_chance(share, len(x)) if share < CONTINUOUS and _scatters(moving) else np.inf
+    return [
+        run
+        for run in runs
+        if (run[1] - run[0] >= least and not _cut_off(x, run) and _others_move(record, name, run))
+        or answers_unmoved(record, name, run)
+    ]
+
+
+def _longest_by_chance(share: float, n: int) -> float:
+    """Samples of the longest run of equal values among n, of which a share repeats the one before."""
+    return max(float(np.log(n)) / -float(np.log(max(share, 1e-3))), 1.0) if share < 1.0 else np.inf
 
 
 def _scatters(x: np.ndarray) -> bool:
@@ -110,15 +118,14 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
         return False
     equal = np.diff(x) == 0.0
     share = float((equal.sum() - (length - 1)) / max(len(equal) - (length - 1), 1))
-    chance = np.log(len(x)) / -np.log(max(share, 1e-3)) if share < 1.0 else np.inf
-    if length < SURE * max(chance, 1.0):
+    if length < SURE * _longest_by_chance(share, len(x)):
         return False
     moved = _moved(record, view, name, run)
     if moved is not None:
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
     noise = noise_of(np.delete(x, np.s_[first : last + 1]))
     scatters = noise > max(NOISELESS * float(np.ptp(x)), ROUNDING * quantum(x))
-    often = CONTINUOUS if name in MOTION or name in CONTROLS else SELDOM
+    often = CONTINUOUS if name in MOTION else SELDOM
     return share < often and scatters and _others_move(record, name, run)
 
 

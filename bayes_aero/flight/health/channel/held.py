@@ -12,10 +12,12 @@ from bayes_aero.flight.record import FlightRecord
 FEWEST = 20  # changes of a channel that a pattern needs
 ALIKE = 0.9  # share of the changes that follow the pattern
 SLOWEST = 100  # samples between changes at most
-COMBED = 40  # the same of bends, of which the largest fiftieth is clipped
 CORNERS = 10  # between straight lines that a pattern needs
-SPARSE = 6.0  # samples between corners from which their order is no chance of rounding; fewer are found by their class
-ROUGH, ENDS, STRAY = 4, 15, 0.02  # samples of a line, ends of lines that bend, share of bends that are between ends
+CLEAR = 30.0  # steps of rounding of the bends at corners that may lie between samples
+SPARSE = 6.0  # samples between such corners from which their order is no chance
+ENDS, STRAY = 15, 0.02  # lines that do not fit halfway, at least; share of as many that do not fit at the knots
+FOLLOW = 0.15  # share of such lines that are followed by another: the answer to a step now and then has none
+EVEN = 0.42  # steps of rounding: samples miss lines between rounded ends by the root of 5/36 = 0.37 of one
 STRAIGHT = 1e-3  # of the bend at a corner that a straight line may have
 ROUNDED = 2.5  # steps of rounding: second differences of a straight line reach two, as each value is off by a half
 FAST = frozenset(
@@ -71,16 +73,18 @@ def held_period(x: np.ndarray) -> float:
 
 
 def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not."""
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not.
+
+    Corners a whole number of samples apart are found under coarse rounding, others where they are far apart and clear.
+    """
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
-    large, rounding = float(np.sort(bends)[-CORNERS]), ROUNDED * quantum(x)
-    period = 0.0
-    if large > rounding and len(still_runs(x)) <= 0.1 * len(x):  # else it bends by the last digit alone
-        period = _between_corners(bends > max(STRAIGHT * large, rounding)) if large > 2.0 * rounding else 0.0
-        period = period or float(_comb(bends**2))
-    return period or float(_between_knots(x, rounding))
+    period, step = float(_between_knots(x)), quantum(x)
+    large = float(np.sort(bends)[-CORNERS])
+    if not period and large > CLEAR * step and len(still_runs(x)) <= 0.1 * len(x):
+        period = _between_corners(bends > max(STRAIGHT * large, ROUNDED * step))
+    return period
 
 
 def _between_corners(bent: np.ndarray) -> float:
@@ -97,37 +101,32 @@ def _between_corners(bent: np.ndarray) -> float:
     return float(lengths.sum() / order.sum())
 
 
-def _between_knots(x: np.ndarray, rounding: float) -> int:
-    """The largest period of straight lines in (n,) values that are rounded coarsely; zero where there is none.
+def _between_knots(x: np.ndarray) -> int:
+    """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
 
-    Second differences over a quarter of a line reach `rounding` only near its ends. By chance they all fall into that
-    half of the samples once in 2 to the power of `ENDS`.
+    Rounding moves no sample by more than a step from the line between two others. Lines between the knots must miss
+    it by no more, and lines between the samples halfway must miss it by more: by chance all that do are at the latter
+    once in 2 to the power of `ENDS`. A smooth signal is missed from both or from neither. Knots that lie between
+    samples are not looked for: under coarse rounding such a signal is not told.
     """
-    best = 0
-    for period in range(ROUGH, min(SLOWEST, len(x) // FEWEST) + 1):
-        quarter = period // 4
-        bends = np.abs(x[2 * quarter :] - 2.0 * x[quarter:-quarter] + x[: -2 * quarter])
-        lines = len(bends) // period
-        bent = bends[: lines * period].reshape(lines, period) > rounding
-        near = sum(np.roll(bent.sum(axis=0), shift) for shift in range(-quarter, quarter + 1))
-        corner = int(np.argmax(near))
-        away = np.abs((np.arange(period) - corner + period // 2) % period - period // 2) > quarter
-        knots = x[(corner + quarter) % period :: period]
-        if (
-            bent[:, ~away].any(axis=1).sum() >= ENDS
-            and bent[:, away].sum() <= STRAY * bent.sum()
-            and np.mean(np.abs(np.diff(knots)) > rounding) > 0.5
-        ):
+    best, step = 0, quantum(x)
+    for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
+        lag = period // 2
+        bends = (x[2 * lag :] - 2.0 * x[lag:-lag] + x[: -2 * lag]) ** 2
+        corner = int(np.argmax(np.bincount((lag + np.arange(len(bends))) % period, bends, period)))
+        on, off = _off_lines(x, corner, period), _off_lines(x, (corner + lag) % period, period)
+        limit = 1.001 * max(step, STRAIGHT * float(np.sqrt(np.mean(off**2))))
+        stray, ends = np.any(on > limit, axis=1), np.any(off > limit, axis=1)
+        if ends.sum() < ENDS or stray.sum() > STRAY * ends.sum() or ends[1:][ends[:-1]].mean() < FOLLOW:
+            continue
+        if np.sqrt(np.mean(on[~stray] ** 2)) < EVEN * limit:
             best = period
     return best
 
 
-def _comb(energy: np.ndarray) -> int:
-    """The largest period whose one class of samples has nearly all of the bending."""
-    best = 0
-    clipped = np.minimum(energy, np.quantile(energy, 0.98))
-    for period in range(2, min(COMBED, len(energy) // FEWEST) + 1):
-        shares = np.bincount(np.arange(len(energy)) % period, weights=clipped, minlength=period)
-        if shares.max() > 0.97 * shares.sum():
-            best = period
-    return best
+def _off_lines(x: np.ndarray, first: int, period: int) -> np.ndarray:
+    """How far the samples between every `period`-th one are from the line through these, (lines, period - 1)."""
+    lines = (len(x) - 1 - first) // period
+    part, along = x[first : first + lines * period + 1], np.arange(1, period) / period
+    begin, end = part[:-1:period, None], part[period::period, None]
+    return np.abs(part[:-1].reshape(lines, period)[:, 1:] - begin - (end - begin) * along)
