@@ -27,7 +27,7 @@ class DiagnosisSettings:
     # Forward selection.
     false_alarm_rate: float = 0.01  # family-wise, of each selection: a diagnosis holds several selections
     refit_false_alarm_rate: float = 0.02  # of leaders that are fitted first and judged by the block jackknife
-    block_false_alarm_rate: float = 0.05  # of what is in already, or offsets: judged once more, not among all
+    block_false_alarm_rate: float = 0.05  # of flight-path errors among blocks, of a lag, of offsets between manoeuvres
     candidates_tried: int = 8  # leaders considered in one selection
     candidates_refitted: int = 3  # leaders that are fitted and judged by the block jackknife
     least_share: float = 0.04  # of a coefficient's remaining variance: imperfect regressors imitate less

@@ -175,9 +175,12 @@ def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[C
 
 def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
     """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before.
-    The others have the `sizes` beside it."""
-    causes, gone = ([n for n in found.causes if (n in names) is out] for out in (False, True))
-    return replace(found, causes=tuple(causes), minor=(*found.minor, *gone), sizes={**found.sizes, **sizes})
+
+    `sizes` are those of the other causes beside what is unexplained.
+    """
+    causes = tuple(name for name in found.causes if name not in names)
+    minor = (*found.minor, *(name for name in found.causes if name in names))
+    return replace(found, causes=causes, minor=minor, sizes={**found.sizes, **sizes})
 
 
 def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:

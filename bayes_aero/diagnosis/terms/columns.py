@@ -46,7 +46,7 @@ def columns_of(state: SelectionState, coefficient: str, given: Sequence[Term] = 
         return _flown(state, coefficient, given)
     responses = state.responses
     flights, signals = responses.flights, responses.evaluate(state.theta)[1]
-    terms = _known(given, signals) if given else _terms(state, signals, coefficient)
+    terms = _computable(given, signals) if given else _terms(state, signals, coefficient)
     ends = tuple(np.asarray(flights.channels[name]) for name in ("first", "last"))
     raw = [smooth_joined(t.evaluate(signals, flights.aircraft), *ends) for t in terms]
     rows = np.asarray(responses.block(np.stack(raw, axis=1)))
@@ -66,7 +66,7 @@ def _flown(state: SelectionState, coefficient: str, given: Sequence[Term]) -> li
     of = AddedToFilter if isinstance(responses, FilterError) else AddedCoefficients
     added = of(responses, state.theta)  # pyright: ignore[reportArgumentType]
     signals = added.signals()
-    terms = _known(given, signals) if given else _terms(state, signals, coefficient)
+    terms = _computable(given, signals) if given else _terms(state, signals, coefficient)
 
     def made(signals: Signals) -> Float[np.ndarray, "d n"]:
         return np.stack([t.evaluate(signals, responses.flights.aircraft) for t in terms])
@@ -82,8 +82,8 @@ def _flown(state: SelectionState, coefficient: str, given: Sequence[Term]) -> li
     ]
 
 
-def _known(given: Sequence[Term], signals: Signals) -> Sequence[Term]:
-    """Those given of what was flown: a simulation has no channels that its model does not read."""
+def _computable(given: Sequence[Term], signals: Signals) -> Sequence[Term]:
+    """The terms whose channels are there: a simulation has no channel that its model does not read."""
     return [term for term in given if all(channel in signals for channel in term.channels)]
 
 

@@ -76,7 +76,7 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
     state, causes = extension.state, extension.causes
     found, rivals = _sought(state, seed)
     if not found:
-        return FlownForms(instead, ())
+        return FlownForms(instead, described((), instead))
     replaced = superfluous(state, causes, [one.column.component for one in found])
     if replaced:
         bare = taken_out(state, replaced)
@@ -88,7 +88,7 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
         for one, names in zip(found, rivals, strict=True)
     ]
     forms = instead._replace(terms=sized(state, found), replaced=replaced, structures=_structures(state, found))
-    return FlownForms(forms, tuple(unknown))
+    return FlownForms(forms, described(unknown, instead))
 
 
 def _coefficient(column: Column) -> str:

@@ -334,6 +334,15 @@ def test_records_of_the_book_without_their_elevator_are_told_where_it_was_flown(
     assert told == [[], ["elevator"] if pitches else []]
 
 
+@pytest.mark.parametrize("moved", [1, 3])
+@pytest.mark.parametrize("trim", [0.0, 0.02])
+def test_an_elevator_that_moves_in_the_first_samples_alone_follows_nothing(moved, trim):
+    record = flight(0)
+    elevator = np.where(np.arange(record.n) < moved, 0.05, trim)
+    said = channel_health([changed(record, elevator=elevator)], card())
+    assert {f.fault for f in said if f.channel == "elevator"} == {"frozen"}
+
+
 RESTS = {  # of a surface that no law moves, rad at time in s
     "still": lambda t, _: 0.02 + 0.0 * t,
     "drifts": lambda t, _: 0.02 + 1e-4 * t,

@@ -375,8 +375,17 @@ def test_a_channel_of_one_hertz_is_found_under_coarse_rounding_and_no_other(step
     assert interpolated_period(np.round(record[name] / step) * step) == 0.0
 
 
-@pytest.mark.parametrize(("dt", "every"), [(0.2, 2), (0.2, 3), (0.2, 5), (0.1, 5), (0.04, 12), (0.02, 25)])
-@pytest.mark.parametrize("step", [0.0, 0.05, 0.1, 0.15])
+COARSE = pytest.mark.xfail(strict=True, reason="one sample between two misses their line by less than the rounding")
+
+
+@pytest.mark.parametrize(
+    ("dt", "every", "step"),
+    [
+        pytest.param(dt, every, step, marks=COARSE if (every, step) == (2, 0.2) else ())
+        for dt, every in [(0.2, 2), (0.2, 3), (0.2, 5), (0.1, 5), (0.04, 12), (0.02, 25)]
+        for step in (0.0, 0.05, 0.1, 0.15, 0.2)
+    ],
+)
 def test_a_channel_between_few_samples_is_found_and_no_other(dt, every, step):
     """1 to 2.5 Hz in records of 5 to 50 Hz, in steps up to 0.2 deg; the flow angle swings by 3 deg within a second."""
     record, step = flight(8, dt, 120.0), np.deg2rad(step)
@@ -422,7 +431,10 @@ def moved_by(surfaces, seed, seconds=40.0, dt=0.04):
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("part", [slice(0, 500), slice(250, 750), slice(500, 1000)])
 def test_a_surface_that_is_frozen_for_half_of_the_record_is_told_and_one_that_rests_is_not(surface, part):
-    """Rounded to 0.05 deg, so that the digits say nothing: the aircraft goes on answering, or it does not."""
+    """Rounded to 0.05 deg, so that the digits say nothing: the aircraft goes on answering, or it does not.
+
+    Seeds 0 to 7: 1 of 96 is missed (a rudder), and 7 of 96 where surfaces move by two thirds as much.
+    """
     rng, step = np.random.default_rng(5), np.deg2rad(0.05)
     flown = {name: size * smooth(rng, 1000, 0.04, 0.6) for name, size in SURFACES.items()}
     flown = {name: step * np.round(x / step) for name, x in flown.items()}
@@ -444,11 +456,11 @@ def test_an_input_that_is_frozen_in_two_parts_of_the_record_is_told_by_its_noise
     clean = 1.0 + 0.1 * smooth(rng, record.n, 0.04, 4.0)
     half, step = round(0.5 * share * record.n), 1e-4
     parts = np.r_[100 : 100 + half, record.n - half : record.n]
-    for noise, told_ in ((2e-3, [name]), (0.0, [])):
+    for noise, expected in ((2e-3, [name]), (0.0, [])):
         x = step * np.round((clean + noise * rng.standard_normal(record.n)) / step)
         assert frozen(changed(record, **{name: x}), card()) == []
         x[parts[:half]], x[parts[half:]] = x[parts[0]], x[parts[half]]
-        assert [f.channel for f in frozen(changed(record, **{name: x}), card())] == told_
+        assert [f.channel for f in frozen(changed(record, **{name: x}), card())] == expected
 
 
 @pytest.mark.parametrize("step", [0.0, np.deg2rad(0.02), np.deg2rad(0.1)])

@@ -50,6 +50,7 @@ OWN, NOTHING = 0.05, 1e-3
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
 ABOVE = 2.0  # times the noise of the smoothed signals, up to which what is left is noise
 CANCELS = 4.0  # times the motion: outputs that each make more, against each other, are no law
+STILL = 1e-9  # of a surface's range, below which differences are rounding of sums
 PER_COLUMN = 5  # times `SMOOTH` of record that a regressor needs
 
 
@@ -103,7 +104,7 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
     if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
         return False
     if control is ELEVATOR and (run[1] - run[0]) * record.dt >= 4.0 * SLOW:
-        part = _part(record, run)
+        part = record.window(record.time[run[0]], record.time[run[1]])
         first = next((n for n in TURNS[ELEVATOR.surface] if part.has(n) and n not in _deflected(part)), None)
         if name == first and answers_no_input(part):
             return True
@@ -116,8 +117,8 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
     if seen.sum() * record.dt < LONGEST_REST or not abs(fitted.response) > LIKELY * fitted.error:
         return False
     missed = float(np.sqrt(np.mean(fitted.left[seen] ** 2)))
-    reach = float(np.mean(np.sum(fitted.rows[seen] @ fitted.spread * fitted.rows[seen], axis=1)))
-    return bool(missed > max(TWICE * fitted.usual * np.sqrt(1.0 + reach), UNSEEN * abs(fitted.response)))
+    leverage = float(np.mean(np.sum(fitted.rows[seen] @ fitted.spread * fitted.rows[seen], axis=1)))
+    return bool(missed > max(TWICE * fitted.usual * np.sqrt(1.0 + leverage), UNSEEN * abs(fitted.response)))
 
 
 def answers_no_input(record: FlightRecord) -> bool:
@@ -170,13 +171,6 @@ def _deflected(record: FlightRecord) -> list[str]:
     there = [n for names in TURNS.values() for n in names if record.has(n)]
     size = {n: np.sqrt(_mean(_banded(record[n], record.dt) ** 2, 4.0 * SLOW / record.dt).max()) for n in there}
     return [n for n in there if size[n] > MOVED]
-
-
-def _part(record: FlightRecord, run: tuple[int, int]) -> FlightRecord:
-    """A run of the record."""
-    part = slice(run[0], run[1] + 1)
-    channels = {name: x[part] for name, x in record.channels.items()}
-    return FlightRecord.from_arrays(record.name, record.time[part], channels)
 
 
 def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, int] | None = None) -> _Fit | None:
@@ -273,6 +267,8 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], flo
     laws: list[list[tuple[str, np.ndarray]]] = [[*outputs.items()], [*outputs.items(), *sums.items()]]
     if len(outputs) > room:
         return None
+    if np.ptp(_mean(u, SMOOTH / record.dt)[_inside(u, record.dt)]) <= STILL * np.ptp(u):
+        return None  # it moves at an end of the record alone
     in_time, left = _followed(u, np.zeros((0, record.n)), record.dt, SLOW), []
     if in_time.share < NOTHING or in_time.within:
         return None
@@ -302,7 +298,7 @@ def _followed(u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt:
     in time alone."""
     window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
-    inside = slice(round(window), len(u) - round(window))
+    inside = _inside(u, dt)
     slow, target = np.array([_mean(x, window)[inside] for x in columns]), _mean(u, window)[inside]
     slow = np.concatenate([slow.reshape(len(columns), len(target)), [np.linspace(0.0, 1.0, len(target))]])
 
@@ -324,6 +320,12 @@ def _followed(u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt:
     return _Followed(
         made * columns.std(axis=1) / moved, (own / moved) ** 2, bool(own < ABOVE * noise / np.sqrt(window))
     )
+
+
+def _inside(u: np.ndarray, dt: float) -> slice:
+    """Samples whose mean over `SMOOTH` does not reach beyond the ends of the record."""
+    edge = round(SMOOTH / dt)
+    return slice(edge, len(u) - edge)
 
 
 def _late(x: Float[np.ndarray, "k n"], lag: float, dt: float, delay: int) -> Float[np.ndarray, "k2 n2"]:

@@ -104,10 +104,10 @@ def _between_corners(bent: np.ndarray) -> float:
 def _between_knots(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
 
-    Rounding moves no sample by more than a step from the line between two others. Lines between the knots must miss
-    it by no more, and lines between the samples halfway must miss it by more: by chance all that do are at the latter
-    once in 2 to the power of `ENDS`. A smooth signal is missed from both or from neither. Knots that lie between
-    samples are not looked for: under coarse rounding such a signal is not told.
+    Rounding moves no sample by more than a step from the line between two others. So the samples lie within a step of
+    the lines between knots. They lie further from lines between the samples halfway. By chance `ENDS` lines are all of
+    the second kind once in 2 to the power of `ENDS`. A smooth signal departs from both kinds or from neither. Knots
+    between samples are not sought: under coarse rounding such a signal is not found.
     """
     best, step = 0, quantum(x)
     for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
