@@ -344,3 +344,12 @@ def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, de
     for one in found:
         assert one.p_value == pytest.approx(erfc(deviations / np.sqrt(2.0)))
         assert one.offsets == {"two": pytest.approx((deviations * np.sqrt(2.0), np.sqrt(2.0)))}
+
+
+@pytest.mark.parametrize("level", [0.01, 0.05])
+def test_the_threshold_that_figures_show_is_the_level_at_which_causes_are_selected(level):
+    """Of 200 replicates with scores 1 to 200, (1 + k) / 201 is at most 1 % for k of 1: beyond 199. For 5 %: k of 9."""
+    found = part(ScreeningResult, nulls=np.random.default_rng(0).permutation(np.arange(1.0, 201.0)))
+    assert found.threshold(level) == {0.01: 199.0, 0.05: 191.0}[level]
+    assert found.p_value(found.threshold(level) + 0.5) <= level < found.p_value(found.threshold(level) - 0.5)
+    assert np.isnan(part(ScreeningResult, nulls=np.zeros(0)).threshold(level))

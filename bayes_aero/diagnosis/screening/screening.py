@@ -71,6 +71,11 @@ class ScreeningResult:
         """Share of noise-only replicates in which some candidate scores at least as high."""
         return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
 
+    def threshold(self, level: float) -> float:
+        """The score above which the p-value is at most `level`; not a number without replicates, or with too few."""
+        above = int(level * (1 + len(self.nulls)))
+        return float(np.sort(self.nulls)[-above]) if 0 < above <= len(self.nulls) else math.nan
+
     def of(self, effect: str) -> CandidateScore | None:
         """The best standing of one effect."""
         return next((s for s in self.candidate_scores if s.effect == effect), None)

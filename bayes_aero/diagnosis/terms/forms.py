@@ -210,7 +210,8 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
     idle = _idle(replace(best, functions=()), curves)
     rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
     functions = [*best.functions, *(f for f in idle.values() if f not in best.functions)]
-    shares = tuple((f.label, _share(best, f)) for f in functions)
+    least = state.least_share(state.settings.unnamed_share)
+    shares = tuple((f.label, share) for f in functions if (share := _share(best, f)) >= least)
     if best is start:
         return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shares)
     gone = tuple(name for name in causes if name not in best.state.active)

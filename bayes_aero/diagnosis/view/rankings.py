@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from bayes_aero.diagnosis.result import FLIGHT_PATH, Diagnosis
 from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.view.results import RankedCandidate, Ranking
-
-FALSE_ALARMS = 0.05  # share of noise-only replicates whose best score is beyond the threshold
 
 
 def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
@@ -24,10 +20,9 @@ def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:
     for stage, extension in stages(diagnosis):
         if extension.steps:
             screening = extension.steps[0].screening
-            threshold = (
-                float(np.quantile(screening.nulls, 1.0 - FALSE_ALARMS)) if len(screening.nulls) else float("nan")
-            )
-            found.append(Ranking(stage, tuple(_standings(extension, screening)), threshold))
+            level = extension.state.settings.false_alarm_rate
+            standings = tuple(_standings(extension, screening))
+            found.append(Ranking(stage, standings, screening.threshold(level), level))
     return found
 
 

@@ -80,11 +80,12 @@ class RankedCandidate:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds once in twenty."""
+    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds in a share `level`."""
 
     stage: str
     candidate_scores: tuple[RankedCandidate, ...]
     threshold: float
+    level: float
 
     @property
     def leaders(self) -> tuple[RankedCandidate, ...]:

@@ -73,7 +73,7 @@ def measured_simulated(view: View) -> Figure:
 
 @housed
 def ranking(view: View) -> Figure:
-    """Score of every candidate in the first screening of each stage, and the 5 % level of noise alone."""
+    """Score of every candidate in the first screening of each stage, and the level of selection."""
     if not view.rankings:
         raise NotDrawn("no screening was done")
     rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
@@ -94,7 +94,7 @@ def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
         ax.text(s.score + 0.01 * widest, y, f"{s.score:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
     if np.isfinite(one.threshold):
         ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-        label = f"noise alone exceeds\n{one.threshold:.1f} in 5 % of replicates"
+        label = f"noise alone exceeds\n{one.threshold:.1f} in {100.0 * one.level:g} % of replicates"
         ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
     ax.set_yticks(place, [s.effect for s in one.candidate_scores])
     ax.set_ylim(len(scores) - 0.4, -0.6)

@@ -159,7 +159,8 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
             style = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
         ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **style)
     if np.isfinite(ranking.threshold):
-        text = f"pale: score below {ranking.threshold:.1f}, which noise\nalone exceeds in 5 % of replicates"
+        text = f"pale: score below {ranking.threshold:.1f}, which noise\n"
+        text += f"alone exceeds in {100.0 * ranking.level:g} % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
             text += f"\n{left} more with lower scores: see screen.csv"
         ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)

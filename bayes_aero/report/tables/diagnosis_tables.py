@@ -186,8 +186,8 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
     """Every candidate of `rankings`: those of the first screening of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
     rows = [(r, s) for r in rankings for s in r.candidate_scores]
-    limits = [r.threshold for r in rankings[:1] if np.isfinite(r.threshold)]
-    beyond = "".join(f" Noise alone exceeds {x:.1f} once in twenty." for x in limits)
+    limits = [r for r in rankings[:1] if np.isfinite(r.threshold)]
+    beyond = "".join(f" Noise alone exceeds {r.threshold:.1f} in {100.0 * r.level:g} % of replicates." for r in limits)
     column = columns_of([s for _, s in rows])
     return Table(
         [
