@@ -9,6 +9,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import card, changed, flight, smooth
+from stranger import fly as flown
+from stranger import plane
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
@@ -223,6 +225,16 @@ LAWS = {  # gains, true or measured outputs, lag of the actuator, noise of the r
     "integral of theta, an actuator": {"gains": (0.0, 0.5, 0.0, 0.25), "lag": 0.15, "noise": 0.1},
     "a slow actuator": {"lag": 0.3, "noise": 0.1},
     "a slow actuator, noiseless surface": {"lag": 0.3, "measured": False},
+    "integral of theta, which is not recorded": {"gains": (0.4, 0.5, 0.0, 0.25), "without": ("theta",)},
+    "integral of theta, not recorded, an actuator": {
+        "gains": (0.0, 0.5, 0.0, 0.25),
+        "without": ("theta",),
+        "lag": 0.15,
+    },
+    "limits of the deflection": {"gust": 20.0, "limit": np.deg2rad(2.0)},
+    "a limit of the rate": {"gust": 20.0, "rate": np.deg2rad(6.0), "surface": 3e-4},
+    "both limits, an actuator": {"gust": 20.0, "limit": np.deg2rad(2.0), "rate": np.deg2rad(5.0), "lag": 0.1},
+    "a limit of the rate, no theta": {"gust": 20.0, "rate": np.deg2rad(5.0), "without": ("theta",), "measured": False},
 }
 
 
@@ -236,30 +248,32 @@ PILOTS = {
 
 def under_feedback(
     pilot=0.0, flown="doublets", *, gains=GAINS, measured=True, lag=0.0, surface=0.0, step=0.0, dt=0.04, noise=1.0,
-    seconds=40.0, held=None, name="fed",
+    seconds=40.0, held=None, name="fed", gust=1.0, limit=np.inf, rate=np.inf, without=(),
 ):  # fmt: skip
-    """A short period of dimensional derivatives in gusts under feedback and a pilot; `held` replaces the surface."""
+    """A short period of dimensional derivatives in gusts under feedback and a pilot; `held` replaces the surface. What
+    is asked of it is limited to `limit` rad, and its rate to `rate` rad/s."""
     rng, n = np.random.default_rng(3), round(seconds / dt)
     time = np.arange(n) * dt
     command = pilot * PILOTS[flown](time)
-    x, gust, deflection, sums, rows = np.array([0.05, 0.0, 0.0]), 0.0, 0.04, np.zeros(2), []
+    x, wind, deflection, sums, rows = np.array([0.05, 0.0, 0.0]), 0.0, 0.04, np.zeros(2), []
     for k in range(n):
         y = x + noise * np.array([8e-4, 4e-4, 4e-4]) * rng.standard_normal(3)
         seen = y if measured else x
         asked = np.array(gains) @ (*seen[:2], *sums) + command[k]
         sums = sums + dt * seen[[0, 2]]
-        deflection = asked if lag == 0.0 else deflection + (asked - deflection) * (1.0 - np.exp(-dt / lag))
+        change = (np.clip(asked, -limit, limit) - deflection) * (1.0 if lag == 0.0 else 1.0 - np.exp(-dt / lag))
+        deflection += np.clip(change, -rate * dt, rate * dt)
         deflection = deflection if held is None else held[k]
         rows.append((*y, deflection + surface * rng.standard_normal()))
         for _ in range(4):
-            gust += -0.25 * dt * gust + 4e-3 * np.sqrt(0.25 * dt) * rng.standard_normal()
-            alpha, q = x[0] + gust, x[1]
+            wind += -0.25 * dt * wind + 4e-3 * gust * np.sqrt(0.25 * dt) * rng.standard_normal()
+            alpha, q = x[0] + wind, x[1]
             slopes = [-0.9 * alpha + q - 0.1 * deflection, -3.0 * alpha - 1.2 * q - 4.0 * deflection, q]
             x = x + 0.25 * dt * np.array(slopes)
     alpha, q, theta, elevator = np.transpose(rows)
     elevator = step * np.round(elevator / step) if step else elevator
     channels = {"alpha": alpha, "q": q, "theta": theta, "elevator": elevator, "az": -9.8 - 60.0 * alpha}
-    return FlightRecord.from_arrays(name, time, channels)
+    return FlightRecord.from_arrays(name, time, {key: x for key, x in channels.items() if key not in without})
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -267,6 +281,46 @@ def test_a_surface_that_only_follows_the_outputs_is_told(law):
     (finding,) = feedback([under_feedback(**LAWS[law])], read_card("short_period"))
     assert (finding.channel, finding.fault, finding.grave) == ("elevator", "feedback", True)
     assert "follows the recorded" in finding.sentence
+
+
+@pytest.mark.parametrize("pilot", [0.0, 0.3])
+def test_a_wing_leveller_with_an_integral_is_told_from_the_roll_rate_alone(pilot):
+    """Aileron of 0.3 p + 0.4 phi + 0.15 times its integral in gusts; phi is not recorded. The pilot's is in degrees."""
+    rng, dt = np.random.default_rng(5), 0.04
+    time, (p, phi, total, wind), rows = np.arange(1500) * dt, np.zeros(4), []
+    for command in np.deg2rad(pilot) * PILOTS["doublets"](time):
+        aileron = 0.3 * p + 0.4 * phi + 0.15 * total + command
+        rows.append((p + 4e-4 * rng.standard_normal(), aileron + 2e-4 * rng.standard_normal()))
+        wind += -0.5 * dt * wind + 0.3 * np.sqrt(dt) * rng.standard_normal()
+        total, phi, p = total + dt * phi, phi + dt * p, p + dt * (-2.0 * p - 8.0 * aileron + wind)
+    record = FlightRecord.from_arrays(
+        "rolling", time, dict(zip(("p", "aileron_left"), np.transpose(rows), strict=True))
+    )
+    assert [f.channel for f in feedback([record], read_card("lateral"))] == ["aileron_left"] * (pilot == 0.0)
+
+
+@pytest.mark.parametrize("seed", range(30, 34))
+def test_steps_of_a_pilot_in_a_slow_stall_are_no_feedback_between_limits(seed):
+    """Steps of 2 deg at the rate of the actuator, then 20 s of a slow pull in which the elevator only trims."""
+    rng = np.random.default_rng(seed)
+    time, *rows = flown(plane(rng), rng, 0.05, seconds=40.0)
+    channels = dict(
+        zip(("airspeed", "alpha", "theta", "q", "ax", "az", "altitude", "elevator", "thrust"), rows, strict=True)
+    )
+    noise = {"airspeed": 0.1, "alpha": 8e-4, "theta": 4e-4, "q": 4e-4, "elevator": 1e-4}
+    noisy = {k: channels[k] + noise[k] * rng.standard_normal(len(time)) for k in noise}
+    record = FlightRecord.from_arrays("stall", time, channels | noisy)
+    assert feedback([record], read_card("short_period")) == []
+
+
+PILOTS_LIMITS = {"limit": np.deg2rad(2.0), "rate": np.deg2rad(8.0), "gains": np.zeros(4), "without": ("theta",)}
+
+
+@pytest.mark.parametrize("gust", [0.0, 1.0])
+@pytest.mark.parametrize("flown", PILOTS)
+def test_a_pilot_who_reaches_the_limits_of_the_surface_is_no_feedback(flown, gust):
+    record = under_feedback(np.deg2rad(3.0), flown, gust=gust, **PILOTS_LIMITS)
+    assert feedback([record], read_card("short_period")) == []
 
 
 @pytest.mark.parametrize("flown", PILOTS)

@@ -41,17 +41,23 @@ least size, rad/s2. Our choice: with the elevator known, recorded and simulated 
 OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 """What control laws feed back. No accelerations: these are functions of the surface by the aircraft itself."""
 OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
-"""What a law of the elevator and one of aileron or rudder do not integrate."""
+"""What a law of the elevator, and one of ailerons or rudder, do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
 MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
 """s, of an actuator or a filter between outputs and surface."""
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
+AT_LIMITS = 0.1
+"""Share of its fast motion where it may be at a limit that a law with these limits may leave. Our choice: simulated
+laws leave 0.01, a pilot's steps 0.4 at least."""
 ABOVE = 2.0  # times the noise of the smoothed signals, up to which what is left is noise
 CANCELS = 4.0  # times the motion: outputs that each make more, against each other, are no law
 STILL = 1e-9  # of a surface's range, below which differences are rounding of sums
 PER_COLUMN = 5  # times `SMOOTH` of record that a regressor needs
+EDGE, RATE, BETWEEN = 0.05, 0.05, 0.25
+"""Share of the range of a surface next to its extremes where it may be at a limit; s to both sides for its rate; and
+share of its motion that it must make between them."""
 
 
 @dataclass(frozen=True)
@@ -229,12 +235,12 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
         # A record that cannot be judged may hold the pilot's input.
         if not moved or len(moved) < len(flown) or not all(names for _, (names, _) in moved):
             continue
-        for record, (names, share) in moved:
+        for record, (names, left) in moved:
             sentence = (
-                f"{surface} follows the recorded {', '.join(names)}: {share:.1%} of its motion is left, which is "
-                "within noise. The feedback and the aircraft cannot be parted, and no derivative of this axis is "
-                f"usable. Fly an input of the pilot (a doublet, a multisine) to the {surface} beside the feedback, "
-                "join a record that has one, or fix the derivatives on the card that are known"
+                f"{surface} follows the recorded {', '.join(names)}: {left} is left, which is within noise. The "
+                "feedback and the aircraft cannot be parted, and no derivative of this axis is usable. Fly an input of "
+                f"the pilot (a doublet, a multisine) to the {surface} beside the feedback, join a record that has one, "
+                "or fix the derivatives on the card that are known"
             )
             said.append(found(record, surface, "feedback", sentence, at=(0, record.n - 1)))
     return said
@@ -248,64 +254,105 @@ def _surfaces(card: Card) -> list[str]:
     return [control.surface for axis, control in controls if axis in card.axes]
 
 
-def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], float] | None:
-    """The outputs that a surface follows and the share of its motion that is left; no outputs where it has its own.
+def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
+    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own.
 
     Integrals of the outputs are tried where the outputs themselves do not make the motion and the record is long
-    enough. None where the surface drifts or decays at most, or the record is too short to tell.
+    enough; then both between limits of the surface. None where the surface drifts or decays at most, or the record is
+    too short to tell.
     """
-    u, room = _deflection(surface, record), record.n * record.dt / SMOOTH / PER_COLUMN - 2.0
+    u = _deflection(surface, record)
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
     outputs = {n: (record[n] - record[n].mean()) / np.std(record[n]) for n in moved}
     if u is None or not outputs or np.ptp(u) == 0.0 or noise_alone(u):
         return None
     # The integral of a rate is the angle: both of them would be fitted with large weights against each other.
-    unsummed = OTHERS[surface in ("aileron", "rudder")]
+    unsummed = OTHERS[surface not in TURNS[ELEVATOR.surface]]
     summed = {n: x for n, x in outputs.items() if ANGLE_OF.get(n) not in outputs and n not in unsummed}
-    sums = {n: record.dt * np.cumsum(x) for n, x in summed.items()}
-    laws: list[list[tuple[str, np.ndarray]]] = [[*outputs.items()], [*outputs.items(), *sums.items()]]
-    if len(outputs) > room:
-        return None
+    sums = [(n, record.dt * np.cumsum(x)) for n, x in summed.items()]
+    laws = [[*outputs.items()], [*outputs.items(), *sums]]
+    # Of an angle that is not recorded, the integral is the second one of its rate, whose bias makes a parabola.
+    parabola = np.vander(np.linspace(-1.0, 1.0, record.n), 3)
+    twice = [(n, record.dt * np.cumsum(x)) for n, x in sums if ANGLE_OF.get(n) in OUTPUTS]
+    twice = [(n, x - parabola @ np.linalg.lstsq(parabola, x, rcond=None)[0]) for n, x in twice]
+    laws += [[*laws[1], *twice, ("", parabola[:, 0])]] if twice else []
     if np.ptp(_mean(u, SMOOTH / record.dt)[_inside(u, record.dt)]) <= STILL * np.ptp(u):
         return None  # it moves at an end of the record alone
-    in_time, left = _followed(u, np.zeros((0, record.n)), record.dt, SLOW), []
-    if in_time.share < NOTHING or in_time.within:
-        return None
-    for columns in laws:
-        if len(columns) > room:
+    judged = False
+    for limits in (None, _limits(u, record.dt)):
+        free = np.ones(record.n, bool) if limits is None else limits.free
+        room = free.sum() * record.dt / SMOOTH / PER_COLUMN - 2.0
+        if len(outputs) > room or np.std(u[free]) < BETWEEN * np.std(u):
             break
-        law = _followed(u, np.array([x for _, x in columns]), record.dt, MAX_LAG)
-        left.append(law.share)
-        if law.made.max() < CANCELS and (law.share < NOTHING or (law.share < OWN and law.within)):
-            made = zip(columns, law.made, strict=True)
-            return [*dict.fromkeys(n for (n, _), size in made if size > 0.1 * law.made.max())], law.share
-    return [], min(left)
+        in_time = _followed(u, np.zeros((0, record.n)), record.dt, SLOW, limits)
+        if in_time.share < NOTHING or in_time.within:
+            break
+        for columns in laws:
+            if len(columns) > room:
+                break
+            law = _followed(u, np.array([x for _, x in columns]), record.dt, MAX_LAG, limits)
+            judged = True
+            made = [(n, size) for (n, _), size in zip(columns, law.made, strict=True) if n]
+            largest = max(size for _, size in made)
+            follows = law.share < NOTHING or (law.share < OWN and law.within)
+            if follows and law.at_limits < AT_LIMITS and largest < CANCELS:
+                names = dict.fromkeys(n for n, size in made if size > 0.1 * largest)
+                between = "" if limits is None else " between its limits"
+                return [*names], f"{law.share:.1%} of its motion{between}"
+    return ([], "") if judged else None
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Least and largest deflection, rad, largest rate, rad/s, and the samples that are well within them."""
+
+    low: float
+    high: float
+    rate: float
+    free: np.ndarray
+
+
+def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
+    """Limits of a surface, if it has any, are near its extremes: what may be at them is left out."""
+    half = max(1, round(RATE / dt))
+    padded = np.pad(u, half, mode="edge")
+    rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
+    (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
+    edge = EDGE * (high - low)
+    within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
+    return _Limits(float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9)
 
 
 @dataclass(frozen=True)
 class _Followed:
     """A law of a surface: the motion that each regressor makes over the surface's, standard deviations; the share of
-    the surface's motion (a variance) that is left, and whether that is no more than noise."""
+    the surface's motion (a variance) that is left between limits, whether that is no more than noise, and the share
+    of its fast motion at limits that is left when these are put on what the law asks for."""
 
     made: np.ndarray
     share: float
     within: bool
+    at_limits: float
 
 
-def _followed(u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float) -> _Followed:
+def _followed(
+    u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float, limits: _Limits | None
+) -> _Followed:
     """The best law of outputs behind a lag of at most `longest` s and a delay; without outputs, what drifts and decays
-    in time alone."""
+    in time alone. It is fitted to what is free of limits."""
     window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
     inside = _inside(u, dt)
-    slow, target = np.array([_mean(x, window)[inside] for x in columns]), _mean(u, window)[inside]
-    slow = np.concatenate([slow.reshape(len(columns), len(target)), [np.linspace(0.0, 1.0, len(target))]])
+    rows = np.concatenate([columns, [np.linspace(0.0, 1.0, len(u))], np.ones((1, len(u)))])
+    slow, target = np.array([_mean(x, window)[inside] for x in rows]), _mean(u, window)[inside]
+    free = np.ones(len(target), bool) if limits is None else limits.free[inside]
 
     def law(lag: float, delay: int) -> tuple[np.ndarray, np.ndarray]:
-        rows = _late(slow, lag, dt, delay)
-        weights = np.linalg.lstsq(rows @ rows.T, rows @ target[delay:], rcond=None)[0]
-        return weights, target[delay:] - weights @ rows
+        late, own = _late(slow[:, : slow.shape[1] - delay], target[delay:], free[delay:], lag, dt)
+        late, own = late[:, free[delay:]], (target[delay:] - own)[free[delay:]]
+        weights = np.linalg.lstsq(late @ late.T, late @ own, rcond=None)[0]
+        return weights, own - weights @ late
 
     tried = []
     for delay in (round(d / dt) for d in DELAYS):
@@ -316,10 +363,15 @@ def _followed(u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt:
     # A lag takes noise of the outputs out of fast differences, not out of what is left: it is counted before the lag.
     made = np.abs(weights[: len(columns)])
     noise = float(np.hypot(noise_of(u), np.linalg.norm(made * [noise_of(x) for x in columns])))
-    moved, own = float(np.std(target)), float(np.std(left))
-    return _Followed(
-        made * columns.std(axis=1) / moved, (own / moved) ** 2, bool(own < ABOVE * noise / np.sqrt(window))
-    )
+    moved, own = float(np.std(target[free])), float(np.std(left))
+    at_limits = 0.0
+    if limits is not None and not free.all():
+        asked = np.concatenate([np.full(delay, u[0]), (weights @ rows)[: len(u) - delay]])
+        whole = _mean(_limited(asked, u[0], lag, dt, limits), window)[inside]
+        fast = [(x - _mean(x, SLOW / dt))[~free] for x in (target, target - whole)]
+        at_limits = float(np.mean(fast[1] ** 2) / np.mean(fast[0] ** 2))
+    made = made * columns.std(axis=1) / float(np.std(target))
+    return _Followed(made, (own / moved) ** 2, bool(own < ABOVE * noise / np.sqrt(window)), at_limits)
 
 
 def _inside(u: np.ndarray, dt: float) -> slice:
@@ -328,14 +380,27 @@ def _inside(u: np.ndarray, dt: float) -> slice:
     return slice(edge, len(u) - edge)
 
 
-def _late(x: Float[np.ndarray, "k n"], lag: float, dt: float, delay: int) -> Float[np.ndarray, "k2 n2"]:
-    """Signals behind a lag of first order, without the last `delay` samples; then how the lag began, and a constant."""
-    late = x[:, : x.shape[1] - delay]
+def _late(
+    x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
+    """Signals behind a lag of first order that begins anew, from the surface, at each sample that is not free; and
+    what is left there of where it began."""
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
+    held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
-    bands = np.array([np.ones(late.shape[1]), np.full(late.shape[1], -pole)])
-    late = late[:, :1] + solve_banded((1, 0), bands, (1.0 - pole) * (late - late[:, :1]).T).T
-    return np.concatenate([late, [pole ** np.arange(late.shape[1])], np.ones((1, late.shape[1]))])
+    bands = np.array([np.ones(len(u)), np.append(np.where(held[1:], 0.0, -pole), 0.0)])
+    driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
+    *late, own = solve_banded((1, 0), bands, driven.T).T
+    return np.array(late), own
+
+
+def _limited(asked: np.ndarray, u: float, lag: float, dt: float, limits: _Limits) -> np.ndarray:
+    """A surface that starts at `u` and follows what is asked for behind a lag, within limits."""
+    share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, []
+    for goal in asked:
+        u = min(max(u + min(max((goal - u) * share, -step), step), limits.low), limits.high)
+        followed.append(u)
+    return np.array(followed)
 
 
 def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
