@@ -49,7 +49,7 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
         misread, read = refuted(flown, card)
         others = [finding for check in _CHECKS for finding in check(flown, card)]
         found = _once([*misread, *others, *control_responses(read, card)])
-        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind") for f in found):
+        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in found):
             said += on_ground(record, card)
         said += found
     said += [*same_records(records), *different_rates(records), *feedback(records, card)]
@@ -67,7 +67,7 @@ def _once(said: list[HealthFinding]) -> list[HealthFinding]:
     units, first = [f for f in said if f.fault == "unit"], {}
     for finding in units:
         first.setdefault(finding.channel, finding)
-    blamed = {f.channel for f in said if f.fault in ("unit", "airspeed_kind", "density") and f.grave}
+    blamed = {f.channel for f in said if f.fault in ("unit", "airspeed_kind", "density", "factor") and f.grave}
     return [
         f
         for f in said

@@ -159,7 +159,7 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
     for name in SIGNS:
         if name in recorded:
             sign = -declared(card, name).sign
-            yield _scaled((name,), -1.0, "sign", "counts the other way", f"write sign = {sign} at {name} on the card")
+            yield scaled((name,), -1.0, "sign", "counts the other way", f"write sign = {sign} at {name} on the card")
     for group in [(name,) for name in UNITS] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
         if group and set(group) <= recorded:
             yield from _units(group, card, view)
@@ -167,7 +167,8 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
     yield from _kinds(view, recorded)
 
 
-def _scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
+def scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
+    """Channels multiplied by a factor."""
     return Reading(names, fault, looks, mend, lambda view: {name: factor * view[name] for name in names})
 
 
@@ -184,7 +185,7 @@ def _units(group: tuple[str, ...], card: Card, view: View) -> Iterator[Reading]:
         are = "is" if len(group) == 1 else "are"
         looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
         mend = f'set unit = "{unit}" for {"it" if len(group) == 1 else "them"} on the card'
-        yield replace(_scaled(group, factors[0], "unit", looks, mend), factor=factors[0])  # type: ignore[arg-type]
+        yield replace(scaled(group, factors[0], "unit", looks, mend), factor=factors[0])  # type: ignore[arg-type]
 
 
 def _factor(name: str, unit: str, declared_unit: str) -> float | None:

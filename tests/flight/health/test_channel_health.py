@@ -11,7 +11,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 sys.path.insert(0, str(Path(__file__).parent))
-from flights import UNITS, G, card, changed, flight, put, smooth
+from flights import NOISE, UNITS, G, card, changed, flight, put, smooth
 
 from bayes_aero.diagnosis.folds import too_short
 from bayes_aero.diagnosis.settings import DEFAULT
@@ -230,11 +230,46 @@ def test_units_are_named_alone(names, unit, size, seed):
     assert re.findall(r'unit = "([^"]+)"', finding.sentence) == [unit]
 
 
-def test_units_that_agree_alike_are_both_named():
-    """An airspeed in ft/s that is 4.75 % too large is as near to km/h."""
+def test_a_factor_between_two_units_is_neither():
+    """An airspeed in ft/s that is 4.75 % too large is as near to km/h: 3.44 times as large as in m/s."""
     record = flight(0, seconds=30.0)
     (finding,) = refuted(changed(record, airspeed=1.0475 * record["airspeed"] / FOOT), card())[0]
-    assert set(re.findall(r'unit = "([^"]+)"', finding.sentence)) == {"ft/s", "km/h"}
+    assert finding.fault == "factor"
+    assert "airspeed is 3.4" in finding.sentence
+
+
+def gusty(record, size=1.5):
+    """The record in turbulence of `size` m/s that moves the air data alone, in 2 s."""
+    rng = np.random.default_rng(4)
+    u, v, w = (size * smooth(rng, record.n, record.dt, 2.0) for _ in range(3))
+    V = record["airspeed"]
+    return changed(record, airspeed=V + u, alpha=record["alpha"] + w / V, beta=record["beta"] + v / V)
+
+
+@pytest.mark.parametrize(("factor", "gust"), [(1.85, 0.0), (1.944 * 0.95, 0.0), (1.5, 1.0), (0.7, 1.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_factor_of_the_airspeed_is_told_with_its_error_and_no_bias(seed, factor, gust):
+    record = gusty(flight(seed, dt=0.02), gust)
+    said = channel_health([changed(record, airspeed=factor * record["airspeed"])], card())
+    assert [(f.channel, f.fault, f.grave) for f in said] == [("airspeed", "factor", True)]
+    size, error = (float(x) for x in re.search(r"is ([\d.]+) \+- ([\d.]+) times", said[0].sentence).groups())
+    assert abs(size - factor) < 3.0 * error < 0.1
+    assert channel_health([record], card()) == ()
+
+
+def test_a_turn_without_manoeuvres_leaves_bias_and_factor_open():
+    """V r cos(phi) = g sin(phi) of a level turn of 15 deg: k times the airspeed is sin(15 deg) (1/k - 1) g of ay."""
+    n, phi, V = 1501, np.deg2rad(15.0), 80.0
+    rng, turn = np.random.default_rng(7), G / V * np.tan(phi)
+    flown = {"phi": phi, "psi": turn * 0.04 * np.arange(n), "p": 0.0, "r": turn * np.cos(phi), "ay": 0.0, "beta": 0.0}
+    record = flight(0)
+    flown |= {"q": turn * np.sin(phi), "theta": 0.0, "alpha": 0.0, "ax": 0.0, "az": -G / np.cos(phi), "airspeed": V}
+    noisy = {k: x + NOISE[k] * rng.standard_normal(n) for k, x in flown.items()}
+    for wrong in ({"airspeed": 0.4 * noisy["airspeed"]}, {"ay": noisy["ay"] + 1.5 * np.sin(phi) * G}):
+        said = channel_health([changed(record, without=("altitude", "elevator"), **noisy | wrong)], card())
+        (finding,) = [f for f in said if f.channel in ("ay", "airspeed")]
+        assert (finding.fault, finding.channel) == ("mean", "ay")
+        assert "airspeed is 0.4 times" in finding.sentence
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -277,8 +277,9 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str
     twice = [(n, record.dt * np.cumsum(x)) for n, x in sums if ANGLE_OF.get(n) in OUTPUTS]
     twice = [(n, x - parabola @ np.linalg.lstsq(parabola, x, rcond=None)[0]) for n, x in twice]
     laws += [[*laws[1], *twice, ("", parabola[:, 0])]] if twice else []
-    if np.ptp(_mean(u, SMOOTH / record.dt)[_inside(u, record.dt)]) <= STILL * np.ptp(u):
-        return None  # it moves at an end of the record alone
+    within = _mean(u, SMOOTH / record.dt)[_inside(u, record.dt)]
+    if not len(within) or np.ptp(within) <= STILL * np.ptp(u):
+        return None  # too short, or it moves at an end of the record alone
     judged = False
     for limits in (None, _limits(u, record.dt)):
         free = np.ones(record.n, bool) if limits is None else limits.free

@@ -7,13 +7,16 @@ from itertools import product
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.optimize import fminbound
 
 from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.across.explained import OFF
 from bayes_aero.flight.health.across.kinematics import (
     MEANS,
     RELATIONS,
     SCALE,
+    SHORTEST,
     View,
     misfits,
     side_bias,
@@ -32,6 +35,7 @@ from bayes_aero.flight.health.readings import (
     moved,
     orders,
     readings,
+    scaled,
 )
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.tolerances import GRAVITY
@@ -45,6 +49,11 @@ FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from anoth
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
 FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
 TOLD = 0.2  # by which the best must be ahead of the next
+SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})
+"""Relations that ask for a factor of the airspeed."""
+SPEED_ERROR = 0.02  # standard deviation of the scale of an airspeed in the right unit; assumed
+PIECE, FEWEST = 5.0, 4  # s, and number, of the pieces that tell its standard error
+WIDEST, STEP, SURE = 1.6, 0.02, 3.0  # logarithms of its range and of a difference; standard errors that it must be off
 EXPLAINED = 2.0  # times what noise and errors of scale make, up to which a relation holds
 JUMP = 0.5  # rad from one sample to the next that is no turn
 NOUNS = {
@@ -93,12 +102,15 @@ def _chain(
     for _ in range(MOST):
         if not any(value > 1.0 for value in before.values()):
             break
-        tried = [(r, misfits({**view, **r.applied(view)}, recorded)) for r in readings(view, card, recorded)]
+        tried = [(r, _after(view, r, recorded)) for r in readings(view, card, recorded)]
         gains = [
             (gain if gain <= 0.0 or _own_factor(view, recorded, reading, before, after) else 0.0, reading, after)
             for reading, after in tried
             for gain in (_gain(before, after),)
         ]
+        if not any(gain > 0.0 and "airspeed" in reading.channels for gain, reading, _ in gains):
+            other = [(r, _after(view, r, recorded)) for r in _factors(view, recorded)]
+            gains += [(_gain(before, after), reading, after) for reading, after in other]
         gain, best, after = max(gains, key=lambda one: (one[0], -len(one[1].channels)))
         if gain <= 0.0:
             break
@@ -112,6 +124,45 @@ def _chain(
     if all(any(before[name] <= 1.0 for name in mended) for _, mended, _ in said):
         return [(reading, finding) for reading, _, finding in said], before
     return [], before
+
+
+def _after(view: View, reading: Reading, recorded: frozenset[str]) -> dict[str, float]:
+    return misfits({**view, **reading.applied(view)}, recorded)
+
+
+def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
+    """The airspeed with the factor that the record itself asks for; and the altitude, where nothing else tells it."""
+    names = frozenset(misfits(view, recorded, SPEED))
+    own = _speed_factor(view, recorded, names)
+    if own is None or abs(own[0]) < max(OFF, SURE * own[1]):
+        return []
+    found = []
+    for name, k in (("airspeed", own[0]), ("altitude", -own[0]))[: 2 if names == {"altitude"} else 1]:
+        size, error = np.exp(k), np.exp(k) * own[1]
+        looks = f"is {size:.4g} +- {error:.1g} times what the other channels make of it (no unit explains it)"
+        found.append(scaled((name,), 1.0 / size, "factor", looks, f"correct {name} in the file"))
+    return found
+
+
+def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
+    """Logarithm of airspeed over what these relations make of it, and its standard error; None where they are short.
+
+    The error is that of pieces of the record: what one leaves at the best factor is independent of the others.
+    """
+    pieces = np.array_split(np.arange(len(view["time"])), max(FEWEST, round(np.ptp(view["time"]) / PIECE)))
+    if not names or "airspeed" not in recorded or len(pieces[-1]) < SHORTEST:
+        return None
+    parts = [{name: x[piece] for name, x in view.items()} for piece in pieces]
+
+    def left(k: float) -> np.ndarray:
+        read = ({**part, "airspeed": np.exp(-k) * part["airspeed"]} for part in parts)
+        return np.array([sum(min(x, 1e6) ** 2 for x in misfits(v, recorded, names).values()) for v in read])
+
+    k = float(np.asarray(fminbound(lambda k: float(np.sum(left(k))), -WIDEST, WIDEST)).flat[0])
+    below, at, above = left(k - STEP), left(k), left(k + STEP)
+    curve = float(np.sum(above - 2.0 * at + below)) / STEP**2
+    error = np.sqrt(len(parts) / (len(parts) - 1) * np.sum(((above - below) / (2.0 * STEP)) ** 2))
+    return k, float(error) / max(curve, 1e-12)
 
 
 def _whole(
@@ -184,6 +235,9 @@ def _own_factor(
     if reading.factor == 1.0:
         return True
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
+    speed = _speed_factor(view, recorded, names & SPEED) if reading.channels == ("airspeed",) else None
+    if speed is not None:
+        return bool(abs(speed[0] + np.log(reading.factor)) < 2.0 * np.hypot(SPEED_ERROR, speed[1]))
     unit = reading.applied(view)
     beside = ({**view, **{n: np.exp(k) * x for n, x in unit.items()}} for k in BESIDE)
     return bool(abs(BESIDE[np.argmin([_sum_of_logs(misfits(v, recorded, names)) for v in beside])]) < AGREES)
@@ -199,7 +253,7 @@ def _bias(
 ) -> list[HealthFinding]:
     """The mean lateral acceleration that no other reading of a channel explains, unless the card states it.
 
-    Bank and turn, which it rests on, must not be in doubt themselves.
+    It is a bias where no scale of the airspeed makes it, too. Bank and turn, which it rests on, must not be in doubt.
     """
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
         return []
@@ -208,13 +262,37 @@ def _bias(
         return []  # stated there, or no more than errors of scale make in turns
     off = side_bias(view, recorded)
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
+    mean = float(np.mean(view["ay"]))
     sentence = (
         f"ay is off by {off:+.2g} m/s^2 ({off / GRAVITY:+.2g} g) in the mean: bank, turn and airspeed make "
-        f"{float(np.mean(view['ay'])) - off:+.2g} m/s^2, and {float(np.mean(view['ay'])):+.2g} were recorded. It is a "
-        f"bias of the accelerometer, or its tilt of {tilt:.2g} deg about the x axis (or as much bias of the bank "
-        f"angle); take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"
+        f"{mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the accelerometer, or its "
+        f"tilt of {tilt:.2g} deg about the x axis (or as much bias of the bank angle)"
     )
-    return [found(record, "ay", "bias", sentence, at=(0, record.n - 1), grave=Axis.LATERAL in card.axes)]
+    speed = _speed_instead(view, recorded, left)
+    rival = (
+        ""
+        if speed is None
+        else (
+            f"; or airspeed is {speed:.3g} times what bank and turn make of it: this record cannot tell the two apart. "
+            "Compare the airspeed with another source"
+        )
+    )
+    mend = "; take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"
+    grave = Axis.LATERAL in card.axes
+    return [
+        found(record, "ay", "mean" if rival else "bias", sentence + (rival or mend), at=(0, record.n - 1), grave=grave)
+    ]
+
+
+def _speed_instead(view: View, recorded: frozenset[str], left: dict[str, float]) -> float | None:
+    """How many times too large the airspeed is if that makes the mean lateral acceleration; None if that is refuted."""
+    off, doubled = (side_bias({**view, "airspeed": k * view["airspeed"]}, recorded) for k in (1.0, 2.0))
+    turn = doubled - off  # what turns grows with the airspeed, what forces make does not
+    k = turn / (turn - off) if turn != off else 0.0
+    if "airspeed" not in recorded or not np.exp(-WIDEST) < k < np.exp(WIDEST):
+        return None
+    after = misfits({**view, "airspeed": view["airspeed"] / k}, recorded)
+    return None if any(after[n] > max(1.0, WORSE * a) for n, a in left.items()) else float(k)
 
 
 def _calm(name: str, x: np.ndarray) -> np.ndarray:
