@@ -128,7 +128,7 @@ class Effect:
     `candidate` states whether diagnosis may propose it; terms that replace others at one trim are for cards only.
     `disturbance`: the random process that it consists of, for a filter to follow; None for what is no noise.
     `axis`: the only axis on which it acts, where the coefficients that `example` adds to do not say so (see `axes`).
-    `formula`: what `increments` adds, as people write it; where empty, the docstring of `increments`.
+    `formula`: what `increments` adds, as people write it; where not given, the docstring of `increments`.
     """
 
     name: str
@@ -148,6 +148,10 @@ class Effect:
     disturbance: Disturbance | None = None
     axis: Axis | None = None
     formula: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.formula:
+            object.__setattr__(self, "formula", (self.increments.__doc__ or "").strip())
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
