@@ -27,7 +27,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.separation import lagged
 
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"
-THRUSTS = ("thrust", "thrust_left", "thrust_right")  # a record may have the last two
+THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they are recorded
 
 # Rows of a table, packed, for with one argument a line it would be twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
@@ -272,7 +272,10 @@ VERTICAL_WIND = effect(
 # Gusts and buffet: random processes that the filter follows.
 
 
-def gust(name: str, state: str, formula: str, increments: Callable[..., Increments], **others: Any) -> Effect:
+def gust(
+    name: str, state: str, formula: str, increments: Callable[..., Increments], *, example: Example, source: str,
+    axis: Axis | None = None,
+) -> Effect:
     """A gust of first order along one axis; the aircraft flies through air that is frozen. `state`: its speed, m/s."""
     words, length = name.replace("_", " "), f"{name}_length"
     strength = Prior("halfnormal", 0.0, 3.0, "MIL-F-8785C: 1.5 m/s is light, 3 m/s moderate turbulence")
@@ -287,9 +290,9 @@ def gust(name: str, state: str, formula: str, increments: Callable[..., Incremen
             length, "m", f"scale length of the {words}", Prior("lognormal", 300.0, 0.7, scale), (20.0, 1000.0),
             (10.0, 5000.0), neutral=300.0,
         ),
-        channels=("airspeed", state), kind=Kind.ENVIRONMENT, stage=Stage.INFLOW, candidate=False,
+        example=example, source=source, kind=Kind.ENVIRONMENT, stage=Stage.INFLOW, channels=("airspeed", state),
+        candidate=False, axis=axis,
         disturbance=Disturbance(state, "m/s", name, lambda v, s, _: s["airspeed"] / v[length]),
-        **others,
     )
 
 
@@ -319,6 +322,7 @@ LONGITUDINAL_GUST = gust(
     source="MIL-F-8785C: Dryden's longitudinal gust",
 )
 
+# Its rate is V/(length c): eddies pass the aircraft at its airspeed.
 BUFFET = effect(
     "buffet", "Buffet of separated flow shakes the lift.",
     "CL += buffet (1 - X); `buffet` is the fluctuation of the lift coefficient of wholly separated flow.",

@@ -23,6 +23,7 @@ ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last
 
 # Where the flow separates.
 
+# alpha* goes from 10 rad, its neutral value, to 0.5 or 0.1 rad: the sizes are how far.
 FLOW_SEPARATION = effect(
     "flow_separation", "The flow separates from the trailing edge as the angle of attack approaches the break point.",
     "X = (1 - tanh(a1 (incidence - alpha*)))/2.",
