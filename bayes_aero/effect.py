@@ -193,14 +193,6 @@ def sized(effect: Effect, card: Lengths) -> Effect:
     return replace(effect, sizes={n: (times[n] * low, times[n] * high) for n, (low, high) in effect.sizes.items()})
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """A parameter and its sizes: see `parameter`."""
-
-    parameter: Parameter
-    sizes: tuple[float, float]
-
-
 def parameter(
     name: str,
     unit: str,
@@ -217,12 +209,12 @@ def parameter(
     limits: Limits | None = None,
     place: int | None = None,
     knee: float = math.inf,
-) -> ParameterRow:
-    """A parameter of `effect`: see `Parameter` for its fields, and `Effect` for its `sizes`. It starts at neutral
-    unless `start` is given."""
+) -> tuple[Parameter, tuple[float, float]]:
+    """A parameter of `effect`, and its sizes; see `Parameter` for its fields and `Effect` for the sizes. It starts at
+    neutral unless `start` is given."""
     start = neutral if start is None else start
     fields = (name, unit, neutral, start, description, prior, bounds, lengths, role, sign, limits, place, knee)
-    return ParameterRow(Parameter(*fields), sizes)
+    return Parameter(*fields), sizes
 
 
 def effect(
@@ -230,7 +222,7 @@ def effect(
     claim: str,
     formula: str,
     increments: Callable[[Values, Signals, Aircraft, Known], Increments],
-    *parameters: ParameterRow,
+    *parameters: tuple[Parameter, tuple[float, float]],
     example: Example,
     source: str,
     kind: Kind = Kind.AERODYNAMICS,
@@ -247,13 +239,13 @@ def effect(
     Unless `channels` are given, it needs the signals of its example. Parameters of its example that it does not own
     are those that it `uses`.
     """
-    own = {p.parameter.name: p.sizes for p in parameters}
+    own = {p.name: sizes for p, sizes in parameters}
     return Effect(
         name,
         kind,
         stage,
         claim,
-        tuple(p.parameter for p in parameters),
+        tuple(p for p, _ in parameters),
         tuple(n for n in example.signals if n not in MARKS) if channels is None else channels,
         increments,
         example,

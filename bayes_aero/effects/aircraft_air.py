@@ -29,7 +29,7 @@ from bayes_aero.physics.separation import lagged
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"
 THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they are recorded
 
-# Rows of a table, packed, for with one argument a line it would be twice as long:
+# Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
 # fmt: off
 

@@ -23,7 +23,7 @@ def nelson(values: str) -> str:
     return f"jet transports of Nelson 1998, app. B, have some {values}; the width is our choice"
 
 
-# Rows of a table, packed, for with one argument a line it would be twice as long:
+# Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
 # fmt: off
 

@@ -12,7 +12,7 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Length, Limits, Prior, Sign
 from bayes_aero.physics.rates import reduced, speed_ratio
 
-# Rows of a table, packed, for with one argument a line it would be twice as long:
+# Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
 # fmt: off
 

@@ -117,7 +117,7 @@ def delay(
     )
 
 
-# Rows of a table, packed, for with one argument a line it would be twice as long:
+# Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
 # fmt: off
 

@@ -17,7 +17,7 @@ SEPARATED_SHARE = "derivative linear in the separated share 1 - X; our choice of
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
 
 
-# Rows of a table, packed, for with one argument a line it would be twice as long:
+# Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
 # fmt: off
 

@@ -49,15 +49,15 @@ OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
 AT_LIMITS = 0.1
-"""Share of its fast motion where it may be at a limit that a law with these limits may leave. Our choice: simulated
-laws leave 0.01, a pilot's steps 0.4 at least."""
+"""Largest share of the fast motion at limits that a law with these limits may miss. Our choice: simulated laws miss
+0.01, and with a pilot's steps a law misses 0.4 at least."""
 ABOVE = 2.0  # times the noise of the smoothed signals, up to which what is left is noise
 CANCELS = 4.0  # times the motion: outputs that each make more, against each other, are no law
 STILL = 1e-9  # of a surface's range, below which differences are rounding of sums
 PER_COLUMN = 5  # times `SMOOTH` of record that a regressor needs
 EDGE, RATE, BETWEEN = 0.05, 0.05, 0.25
-"""Share of the range of a surface next to its extremes where it may be at a limit; s to both sides for its rate; and
-share of its motion that it must make between them."""
+"""Share of a surface's range, next to its extremes, where it may be at a limit; s to both sides, for its rate; share of
+its motion that it must make between the limits."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
             continue
         for record, (names, left) in moved:
             sentence = (
-                f"{surface} follows the recorded {', '.join(names)}: {left} is left, which is within noise. The "
+                f"{surface} follows the recorded {', '.join(names)}: all but {left}, which is within noise. The "
                 "feedback and the aircraft cannot be parted, and no derivative of this axis is usable. Fly an input of "
                 f"the pilot (a doublet, a multisine) to the {surface} beside the feedback, join a record that has one, "
                 "or fix the derivatives on the card that are known"
@@ -277,14 +277,15 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str
     twice = [(n, record.dt * np.cumsum(x)) for n, x in sums if ANGLE_OF.get(n) in OUTPUTS]
     twice = [(n, x - parabola @ np.linalg.lstsq(parabola, x, rcond=None)[0]) for n, x in twice]
     laws += [[*laws[1], *twice, ("", parabola[:, 0])]] if twice else []
-    within = _mean(u, SMOOTH / record.dt)[_inside(u, record.dt)]
-    if not len(within) or np.ptp(within) <= STILL * np.ptp(u):
+    inside = _inside(u, record.dt)
+    moving = _mean(u, SMOOTH / record.dt)[inside]
+    if not len(moving) or np.ptp(moving) <= STILL * np.ptp(u):
         return None  # too short, or it moves at an end of the record alone
     judged = False
     for limits in (None, _limits(u, record.dt)):
         free = np.ones(record.n, bool) if limits is None else limits.free
         room = free.sum() * record.dt / SMOOTH / PER_COLUMN - 2.0
-        if len(outputs) > room or np.std(u[free]) < BETWEEN * np.std(u):
+        if len(outputs) > room or np.std(moving[free[inside]]) < BETWEEN * np.std(moving):
             break
         in_time = _followed(u, np.zeros((0, record.n)), record.dt, SLOW, limits)
         if in_time.share < NOTHING or in_time.within:
@@ -315,7 +316,7 @@ class _Limits:
 
 
 def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
-    """Limits of a surface, if it has any, are near its extremes: what may be at them is left out."""
+    """The limits that a surface has if its extremes are limits."""
     half = max(1, round(RATE / dt))
     padded = np.pad(u, half, mode="edge")
     rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
@@ -328,8 +329,8 @@ def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
 @dataclass(frozen=True)
 class _Followed:
     """A law of a surface: the motion that each regressor makes over the surface's, standard deviations; the share of
-    the surface's motion (a variance) that is left between limits, whether that is no more than noise, and the share
-    of its fast motion at limits that is left when these are put on what the law asks for."""
+    the surface's motion (a variance) that the law misses between limits, and whether that is no more than noise; the
+    share of the fast motion at limits that the law with these limits misses."""
 
     made: np.ndarray
     share: float
@@ -340,8 +341,8 @@ class _Followed:
 def _followed(
     u: Float[np.ndarray, " n"], columns: Float[np.ndarray, "k n"], dt: float, longest: float, limits: _Limits | None
 ) -> _Followed:
-    """The best law of outputs behind a lag of at most `longest` s and a delay; without outputs, what drifts and decays
-    in time alone. It is fitted to what is free of limits."""
+    """The best law of outputs behind a lag of at most `longest` s and a delay, fitted to the samples within limits;
+    without outputs, what drifts and decays in time alone."""
     window = SMOOTH / dt
     # Noise of a regressor makes its weight too small: the law is fitted to what is smoothed.
     inside = _inside(u, dt)
@@ -384,8 +385,10 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 def _late(
     x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order that begins anew, from the surface, at each sample that is not free; and
-    what is left there of where it began."""
+    """Signals behind a lag of first order, and what the surface's own position adds behind it.
+
+    The lag begins at the surface's position: at the first sample, and after each sample at a limit.
+    """
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
     held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
@@ -396,7 +399,7 @@ def _late(
 
 
 def _limited(asked: np.ndarray, u: float, lag: float, dt: float, limits: _Limits) -> np.ndarray:
-    """A surface that starts at `u` and follows what is asked for behind a lag, within limits."""
+    """The position of a surface that starts at `u` and follows what is asked for behind a lag, within limits."""
     share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, []
     for goal in asked:
         u = min(max(u + min(max((goal - u) * share, -step), step), limits.low), limits.high)

@@ -131,7 +131,7 @@ def _after(view: View, reading: Reading, recorded: frozenset[str]) -> dict[str, 
 
 
 def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
-    """The airspeed with the factor that the record itself asks for; and the altitude, where nothing else tells it."""
+    """The airspeed over the factor that fits best; or the altitude, where the altitude alone contradicts it."""
     names = frozenset(misfits(view, recorded, SPEED))
     own = _speed_factor(view, recorded, names)
     if own is None or abs(own[0]) < max(OFF, SURE * own[1]):
@@ -145,9 +145,10 @@ def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
 
 
 def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
-    """Logarithm of airspeed over what these relations make of it, and its standard error; None where they are short.
+    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error.
 
-    The error is that of pieces of the record: what one leaves at the best factor is independent of the others.
+    The error is that of the scatter between pieces of the record, which are taken as independent. None where the
+    record is too short for them.
     """
     pieces = np.array_split(np.arange(len(view["time"])), max(FEWEST, round(np.ptp(view["time"]) / PIECE)))
     if not names or "airspeed" not in recorded or len(pieces[-1]) < SHORTEST:
@@ -253,7 +254,7 @@ def _bias(
 ) -> list[HealthFinding]:
     """The mean lateral acceleration that no other reading of a channel explains, unless the card states it.
 
-    It is a bias where no scale of the airspeed makes it, too. Bank and turn, which it rests on, must not be in doubt.
+    Bank and turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival.
     """
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
         return []
@@ -285,7 +286,7 @@ def _bias(
 
 
 def _speed_instead(view: View, recorded: frozenset[str], left: dict[str, float]) -> float | None:
-    """How many times too large the airspeed is if that makes the mean lateral acceleration; None if that is refuted."""
+    """The factor of the airspeed that explains the mean lateral acceleration; None if another relation refutes it."""
     off, doubled = (side_bias({**view, "airspeed": k * view["airspeed"]}, recorded) for k in (1.0, 2.0))
     turn = doubled - off  # what turns grows with the airspeed, what forces make does not
     k = turn / (turn - off) if turn != off else 0.0
