@@ -62,6 +62,7 @@ def cases(work: Path) -> Iterator[tuple[str, list[str]]]:
         files = [str(SHARED / "book" / name) for name in names]
         yield f"{card}_fly", ["fly", *files, "--model", card, "--split", "--no-figures"]
     yield "hfb320_diagnose", ["diagnose", str(SHARED / "book" / "hfb320_1_10.asc"), "--model", "hfb320", "--no-figures"]
+    yield "six_axes_diagnose", six_axes(work)
     card = work / "no_accelerometers.toml"
     for number, effect in enumerate(HIDDEN):
         name, model, options = effect.split("=")[0].split(".")[0], "attas", ["--no-figures"]
@@ -79,6 +80,25 @@ def cases(work: Path) -> Iterator[tuple[str, list[str]]]:
             if code:
                 sys.exit(text)
         yield f"hidden_{name}", ["diagnose", *files, "--model", model, *options]
+
+
+def six_axes(work: Path) -> list[str]:
+    """Diagnosis of another simulator's aircraft in six degrees of freedom; its card lacks the roll by the rudder."""
+    import numpy as np
+    import pandas as pd
+
+    sys.path.insert(0, str(HERE.parent / "tests"))
+    from six_axes import LATERAL, LONGITUDINAL, card_text, recorded
+    from stranger_six import Plane, fly
+
+    rng, plane, files = np.random.default_rng(9), Plane(), []
+    for kind in ("elevator", "aileron", "rudder"):
+        files.append(str(work / f"six_{kind}.csv"))
+        pd.DataFrame(recorded(fly(plane, kind, rng, seconds=20.0), rng)).to_csv(files[-1], index=False)
+    card = work / "six.toml"
+    effects = tuple(name for name in (*LONGITUDINAL, *LATERAL) if name != "rudder_roll")
+    card.write_text(card_text(plane, effects), encoding="utf-8")
+    return ["diagnose", *files, "--model", str(card), "--no-figures", "--no-predictors"]
 
 
 def said(arguments: list[str]) -> tuple[int, str]:
