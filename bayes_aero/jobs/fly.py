@@ -39,7 +39,7 @@ from bayes_aero.report.figures.process_noise import drift as drift_figure
 from bayes_aero.report.figures.process_noise import gusts
 from bayes_aero.report.figures.trajectories import fly_figures
 from bayes_aero.report.frequency.figures import FREQUENCY_FIGURES
-from bayes_aero.report.frequency.tables import frequency_sentences, running_table
+from bayes_aero.report.frequency.tables import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
@@ -148,8 +148,8 @@ def fly_records(
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     flown = replace(flown, following=only_following(checks.health))
     if options.frequency is not None:
-        in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
-        flown = replace(flown, frequency=in_band, running=running, frequency_responses=responses)
+        in_band, responses = linear_in_band(flights, dynamics, options.frequency)
+        flown = replace(flown, frequency=in_band, frequency_responses=responses)
         notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
@@ -255,8 +255,6 @@ def _written(
 def _put_numbers(found: Flight, out: Path) -> None:
     """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
     write_csv(parameter_table(found.flown), out / "parameters.csv")
-    if found.flown.running is not None:
-        write_csv(running_table(found.flown.running), out / "running.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
     if found.process_noise is not None and found.process_noise.drift is not None:

@@ -16,7 +16,7 @@ from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
-from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse, RunningEstimates
+from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.scores import OneStep
@@ -158,7 +158,6 @@ class TrajectoryFit:
         noise_growth: noise growth in fully separated flow, by fitted output.
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
-        running: estimates in that band while the record grows.
         frequency_responses: measured and modelled frequency responses there.
         following: surfaces that only follow the outputs, of which and the aircraft the fit is one of many.
     """
@@ -174,7 +173,6 @@ class TrajectoryFit:
     noise_growth: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
-    running: RunningEstimates | None = None
     frequency_responses: tuple[FrequencyResponse, ...] = ()
     following: tuple[str, ...] = ()
 
