@@ -1,4 +1,4 @@
-"""The frequency domain: published recursive results, coverage under drift and colour, agreement with the time domain.
+"""The frequency domain: coverage under drift and colour, agreement with the time domain.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/frequency_domain.py [--flights 200] [--stalls 40] [--aeroid]
 

@@ -12,7 +12,6 @@ from bayes_aero.diagnosis.result import NOT_NOISE
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
@@ -269,7 +268,6 @@ class ProcessNoise:
         gusts: intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
             name of the parameter, with standard errors.
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
-        drift: a further fit in which parameters drift, where it was asked for.
         one_step: whether one-step predictions are calibrated; None where the fit did not converge.
         covariance: of the `estimates`, in their order (k, k).
     """
@@ -283,7 +281,6 @@ class ProcessNoise:
     autocorrelation: Mapping[str, float]
     gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     histories: tuple[GustHistory, ...] = ()
-    drift: Drift | None = None
     one_step: OneStep | None = None
     covariance: Float[np.ndarray, "k k"] | None = None
 
