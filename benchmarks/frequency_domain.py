@@ -2,10 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/frequency_domain.py [--flights 200] [--stalls 40] [--aeroid]
 
-BOOK is the folder with the flight data of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015 (doi
-10.2514/4.102790), and with `references.json`; without it the first table is left out. The second has flights of an
-exact short period with a multisine: white or coloured noise of the outputs, with and without drift of the sensors. The
-third has simulated stalls with coloured disturbances: how far the estimates of both domains are apart.
+The first table has flights of an exact short period with a multisine: white or coloured noise of the outputs, with and without drift of the sensors. The second
+has simulated stalls with coloured disturbances: how far the estimates of both domains are apart.
 """
 
 from __future__ import annotations
