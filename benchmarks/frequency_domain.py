@@ -2,8 +2,9 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/frequency_domain.py [--flights 200] [--stalls 40] [--aeroid]
 
-The first table has flights of an exact short period with a multisine: white or coloured noise of the outputs, with and without drift of the sensors. The second
-has simulated stalls with coloured disturbances: how far the estimates of both domains are apart.
+The first table has flights of an exact short period with a multisine: white or coloured noise of the outputs, with and
+without drift of the sensors. The second has simulated stalls with coloured disturbances: how far the estimates of both
+domains are apart.
 """
 
 from __future__ import annotations
