@@ -105,7 +105,6 @@ class FlyOptions:
     figures: bool = True
     process_noise: bool | None = None
     posterior: bool = False
-    drift: str | Sequence[str] | None = None
     frequency: tuple[float, float] | None = None  # Hz; a band in which a linear card is fitted, too
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
@@ -113,8 +112,6 @@ class FlyOptions:
         """Refuse what cannot be flown."""
         if self.posterior and not self.filtered:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
-        if self.drift is not None and self.process_noise is False:
-            raise InputError("parameters drift in a fit with process noise only; leave out the drift or allow it")
         if self.posterior and not self.priors:
             raise InputError("a posterior needs the priors; ask for one of the two only")
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
@@ -125,14 +122,9 @@ class FlyOptions:
                 raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
 
     @property
-    def drifting(self) -> tuple[str, ...]:
-        """Parameters that are asked to drift."""
-        return tuple(dict.fromkeys(filter(None, _names(self.drift)))) if self.drift is not None else ()
-
-    @property
     def filtered(self) -> bool:
         """Whether process noise is fitted, if the records do not ask for it."""
-        return bool(self.process_noise) or self.drift is not None
+        return bool(self.process_noise)
 
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""

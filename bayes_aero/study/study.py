@@ -39,7 +39,7 @@ OPTIONS: dict[str, dict[str, type]] = {
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "drift": str, "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
+        "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
     },
 }  # fmt: skip
 CHOICES = {
