@@ -22,7 +22,6 @@ from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pooled.next_flight import next_flight_table
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
     causes_table,
@@ -167,15 +166,6 @@ class Diagnosed:
             hold-out gain, probability, and terms that the records do not tell from it.
         """
         return terms_table(self.view.diagnosis).frame()
-
-    def sampled_terms(self) -> pd.DataFrame:
-        """Sampled posterior over sets of terms of each coefficient in which structure is left.
-
-        Returns:
-            A row per set of collinear terms; columns for the inclusion probability of the leading term and of the set,
-            the other terms of the set, whether forward selection has one of them, and the convergence of the chains.
-        """
-        return sampled_table(self.view.diagnosis).frame()
 
     @property
     def _coefficients(self) -> View:

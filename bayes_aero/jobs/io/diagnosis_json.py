@@ -30,10 +30,9 @@ from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.text.diagnosis import sentences
 
-SCHEMA = "bayes_aero/diagnosis/4"
+SCHEMA = "bayes_aero/diagnosis/5"
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
 Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
@@ -83,7 +82,6 @@ def diagnosis_results(
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
         "terms": [term_results(one) for one in d.terms],
-        "sampled_terms": sampled_table(d).records(),
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "absorbed": absorbed_results(d),

@@ -23,7 +23,6 @@ from bayes_aero.report.design.points import points_table
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
@@ -161,7 +160,6 @@ class ResultStore:
             write_csv(causes_table(found), self.path / "causes.csv")
             write_csv(changes_table(found), self.path / "changes.csv")
             write_csv(terms_table(found), self.path / "terms.csv")
-            write_csv(sampled_table(found), self.path / "sampled_terms.csv")
             write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
 
     def _put_histories(self) -> None:

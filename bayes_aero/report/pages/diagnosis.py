@@ -33,7 +33,6 @@ from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
 from bayes_aero.report.pages.stall import stall_table
 from bayes_aero.report.pages.trajectories import trajectories
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, predictor_table, residual_tables
 from bayes_aero.report.text.consistency import open_sentences
@@ -185,10 +184,9 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     blocks += [*bullets(pairs), *separating_blocks(context.separating), *test_point_blocks(context.test_points)]
     if context.consistency is not None:
         blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
-    unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Sampled", "Changed", "The estimate of"))]
+    unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Changed", "The estimate of"))]
     blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
     blocks += [page_table(terms_table(d))] if d.terms else []
-    blocks += [page_table(sampled_table(d))] if any(one.sets for one in d.sampled) else []
     blocks += [page_table(changes_table(d))] if d.changes else []
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
     blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
