@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from bayes_aero.errors import InputError
 
-GONE: tuple[tuple[str, str, str], ...] = ()
+GONE: tuple[tuple[str, str, str], ...] = (
+    (
+        "diagnose",
+        "--predictors/--no-predictors",
+        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
+    ),
+)
 """Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
 
 

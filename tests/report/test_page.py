@@ -253,7 +253,6 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         diagnosed.records,
         provenance(card, diagnosed.records, 0, {}),
         {},
-        {},
         separating,
         points,
         None,

@@ -46,7 +46,6 @@ class ResultStore:
         self.outcome = replace(
             outcome,
             view=replace(outcome.view, trajectories=earlier.trajectories),
-            predictors=earlier.predictors,
             separating=earlier.separating,
             test_points=earlier.test_points,
         )
@@ -57,7 +56,7 @@ class ResultStore:
         self._put_histories()
 
     def has(self, stage: str) -> bool:
-        """Whether `predictors`, `separating`, `test_points` or `trajectories` are there."""
+        """Whether `separating`, `test_points` or `trajectories` are there."""
         of = self.outcome.view if stage == "trajectories" else self.outcome
         return bool(getattr(of, stage))
 
@@ -78,10 +77,6 @@ class ResultStore:
     def holdout(self, view: View) -> None:
         """Keep the scores by manoeuvre of a view of the same diagnosis."""
         self._grow(view={"holdout": view.holdout})
-
-    def predictors(self, found: Mapping[str, Any]) -> None:
-        """Keep a comparison of predictors."""
-        self._grow(predictors=found)
 
     def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
         """Keep the manoeuvres that would separate."""
@@ -128,7 +123,6 @@ class ResultStore:
             self._records,
             self._source,
             drawn,
-            outcome.predictors,
             outcome.separating,
             outcome.test_points,
             outcome.in_band,

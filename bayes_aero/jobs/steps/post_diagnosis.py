@@ -1,9 +1,9 @@
-"""What follows from a diagnosis: the best predictor available, and the flight that would settle what it left open."""
+"""What follows from a diagnosis: the flights that would settle what it left open, and simulated ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,8 @@ import numpy as np
 from bayes_aero.diagnosis.design.next_test_points import TestPoints, next_test_points
 from bayes_aero.diagnosis.design.separating import separating
 from bayes_aero.diagnosis.design.standard import standard
-from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -26,16 +24,6 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import despiked, join
 
 SETS = 2  # ambiguity sets for which the manoeuvres are judged
-
-
-def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = None) -> dict[str, Any]:
-    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
-    state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
-    found = compare_states(state, card.gp_inputs, progress=progress)
-    return {
-        name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
-        for name, row in found.table.items()
-    }
 
 
 def separations(

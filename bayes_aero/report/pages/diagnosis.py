@@ -34,7 +34,7 @@ from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
 from bayes_aero.report.pages.stall import stall_table
 from bayes_aero.report.pages.trajectories import trajectories
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
-from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, predictor_table, residual_tables
+from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, residual_tables
 from bayes_aero.report.text.consistency import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, sentences
 from bayes_aero.report.text.phrases import bracket, several
@@ -107,7 +107,6 @@ def _of_coefficients(view: View, context: PageContext, gallery: Gallery, rest: S
         section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, context)),
         section("stall", "The stall", lambda: _stall(view, gallery)),
         section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
-        section("predictors", "Which predictor to use", lambda: _predictors(context)),
         section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
     )
 
@@ -253,12 +252,6 @@ def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
     return (page_table(moves_table(view)), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
-
-
-def _predictors(context: PageContext) -> tuple[Block, ...]:
-    if not context.predictors:
-        return (Text("Predictors were not compared in this run."),)
-    return (page_table(predictor_table(context.predictors)),)
 
 
 def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:
