@@ -46,7 +46,6 @@ def validated(path) -> dict:
 @pytest.fixture
 def repeated(monkeypatch, diagnosed):
     """The job with the diagnosis already made."""
-    monkeypatch.setattr(follow, "separations", separated)
     monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
     monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
     return diagnosed
@@ -161,12 +160,6 @@ def left(repeated, card, tmp_path, monkeypatch):
     return repeated, tmp_path
 
 
-def separated(*_):
-    deviations = {"sideslip": 1.2, "level": float("nan")}
-    manoeuvres = [{"manoeuvre": name, "standard_errors": x} for name, x in deviations.items()]
-    return [{"effects": ["a", "b"], "status": "settled", "manoeuvres": manoeuvres}]
-
-
 def decided(*_):
     """One test point for one question."""
     point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
@@ -274,19 +267,18 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
     assert not (tmp_path / "error.txt").exists()
 
 
-def test_a_state_that_cannot_be_trimmed_has_no_separating_manoeuvre(diagnosed, monkeypatch):
+def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatch):
     def refused(*_, **__):
         raise InputError("level flight needs no angle of attack in range")
 
-    monkeypatch.setattr(outlook, "standard", refused)
+    monkeypatch.setattr(outlook, "next_test_points", refused)
     found = diagnosed.view.diagnosis
     known = found.aerodynamics.state.full.candidates
     rival = next(e.name for e in known if e.name != found.causes[0].name and e.parameters)
     cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
-    (one,) = outlook.separations(replace(found, causes=(cause,)))
-    assert one["effects"] == sorted([cause.name, rival])
-    assert one["status"] == "level flight needs no angle of attack in range"
-    assert one["manoeuvres"] == []
+    with pytest.raises(InputError, match="level flight needs"):  # which the job notes
+        outlook.proposed_points(replace(found, causes=(cause,)))
+    assert outlook.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):

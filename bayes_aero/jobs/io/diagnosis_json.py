@@ -42,9 +42,9 @@ Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated reco
 class Outcome:
     """A diagnosis with all that is shown of it.
 
-    `named`: each hidden effect is first, named, ambiguous, minor or missed. `separating` are the manoeuvres that would
-    separate rivals, `test_points` those that decide all that is open, `in_band` the sizes of the causes in a band of
-    frequencies, `failures` parts that failed unexpectedly.
+    `named`: each hidden effect is first, named, ambiguous, minor or missed. `test_points` are the manoeuvres that
+    decide all that is open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that
+    failed unexpectedly.
     """
 
     view: DiagnosisView
@@ -54,7 +54,6 @@ class Outcome:
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()
-    separating: Sequence[Mapping[str, Any]] = ()
     test_points: Mapping[str, Any] = field(default_factory=dict)
     in_band: CausesInBand | None = None
 
@@ -93,7 +92,6 @@ def diagnosis_results(
         "residuals": _residuals(view),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
-        "separating": [dict(one) for one in outcome.separating],
         "test_points": dict(outcome.test_points),
         "in_band": None if outcome.in_band is None else asdict(outcome.in_band),
         "health": health_results(outcome.health),

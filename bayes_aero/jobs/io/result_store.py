@@ -46,7 +46,6 @@ class ResultStore:
         self.outcome = replace(
             outcome,
             view=replace(outcome.view, trajectories=earlier.trajectories),
-            separating=earlier.separating,
             test_points=earlier.test_points,
         )
         self.path = path
@@ -56,7 +55,7 @@ class ResultStore:
         self._put_histories()
 
     def has(self, stage: str) -> bool:
-        """Whether `separating`, `test_points` or `trajectories` are there."""
+        """Whether `test_points` or `trajectories` are there."""
         of = self.outcome.view if stage == "trajectories" else self.outcome
         return bool(getattr(of, stage))
 
@@ -77,10 +76,6 @@ class ResultStore:
     def holdout(self, view: View) -> None:
         """Keep the scores by manoeuvre of a view of the same diagnosis."""
         self._grow(view={"holdout": view.holdout})
-
-    def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
-        """Keep the manoeuvres that would separate."""
-        self._grow(separating=found)
 
     def test_points(self, found: Mapping[str, Any]) -> None:
         """Keep the test points that decide what is open."""
@@ -123,7 +118,6 @@ class ResultStore:
             self._records,
             self._source,
             drawn,
-            outcome.separating,
             outcome.test_points,
             outcome.in_band,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),

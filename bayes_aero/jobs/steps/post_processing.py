@@ -1,4 +1,4 @@
-"""What follows a diagnosis while trajectories are flown: separating manoeuvres, test points, stalls, figures."""
+"""What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.flight.envelope import Envelope
 from bayes_aero.jobs.io.result_store import ResultStore
-from bayes_aero.jobs.steps.post_diagnosis import proposed_points, separations
+from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
 
@@ -23,10 +23,7 @@ def follow(
     Returns the figures drawn, by name.
     """
     found = kept.outcome.diagnosis
-    if test_points and not kept.has("separating"):
-        what = "Manoeuvres that would separate rival causes were not designed"
-        kept.attempt(what, lambda: kept.separating(separations(found, envelope, tell)))
-    if test_points and kept.has("separating") and not kept.has("test_points"):
+    if test_points and not kept.has("test_points"):
         what = "Test points that would decide what is open were not chosen"
         kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
     if test_points:

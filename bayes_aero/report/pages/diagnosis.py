@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.design.blocks import in_band_blocks, separating_blocks, test_point_blocks
+from bayes_aero.report.design.blocks import in_band_blocks, test_point_blocks
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
@@ -180,7 +180,7 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *separating_blocks(context.separating), *test_point_blocks(context.test_points)]
+    blocks += [*bullets(pairs), *test_point_blocks(context.test_points)]
     if context.consistency is not None:
         blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
     unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Changed", "The estimate of"))]
