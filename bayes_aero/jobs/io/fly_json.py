@@ -26,7 +26,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/4"
+SCHEMA = "bayes_aero/trajectories/5"
 RESULTS = "trajectories.json"
 
 
@@ -37,7 +37,7 @@ class Flight:
     `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
     input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
     give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`), `motion` modes
-    and objective tests of a fit that converged.
+    of motion of a fit that converged.
     """
 
     flown: TrajectoryFit
