@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from bayes_aero.diagnosis.design.information import noise_of, signals_of
 from bayes_aero.diagnosis.design.next_test_points import NOT_BY_HAND, candidates_of, worth_of
 from bayes_aero.diagnosis.design.standard import of_records, on_record
 
 
-def deviations(state, effects, flights, sizes=None):
+def deviations(state, effects, flights, sizes=MappingProxyType({})):
     """By manoeuvre, and under "records" of the records alone: deviations of each ordered pair of effects."""
     chosen, noise = candidates_of(state, effects), noise_of(state)
     records = of_records(state, chosen, noise)
@@ -20,6 +22,6 @@ def deviations(state, effects, flights, sizes=None):
     return found
 
 
-def weakest(state, effects, flights, sizes=None):
+def weakest(state, effects, flights, sizes=MappingProxyType({})):
     """The same of the closest pair."""
     return {name: min(of.values()) for name, of in deviations(state, effects, flights, sizes).items()}

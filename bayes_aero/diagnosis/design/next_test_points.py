@@ -169,9 +169,9 @@ def _candidate(state: SelectionState, name: str) -> Effect:
     return found
 
 
-def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float] | None) -> dict[str, float]:
+def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, float]:
     """The size of each parameter at which effects are told apart: the least worth modelling, or that in `sizes`."""
-    return {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes or {})
+    return {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes)
 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
