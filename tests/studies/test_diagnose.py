@@ -255,10 +255,7 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
     what = "Test points that would decide what is open were not chosen: ValueError"
     assert told.startswith(f"{what}: no such luck.")
     assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
-    assert (
-        "Test points that would decide what is open were not chosen: ValueError"
-        in (tmp_path / "report.html").read_text()
-    )
+    assert what in (tmp_path / "report.html").read_text()
     assert "no such luck" in (tmp_path / "error.txt").read_text()
     found = run(repeated.records, card, out=tmp_path, figures=False, fly=bad)
     assert found.failures[0].startswith("Trajectories were not simulated: ValueError: no such luck.")
