@@ -260,7 +260,7 @@ def diagnose(
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
-    This does not compare predictors, simulate trajectories or write files; `bayes-aero diagnose` does. The health of
+    This does not choose test points, simulate trajectories or write files; `bayes-aero diagnose` does. The health of
     channels and the agreement of sensors are checked: see `Diagnosed.doubts`.
 
     Args:

@@ -14,6 +14,7 @@ from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.fly import fly
+from bayes_aero.cli.gone_options import refuse_gone
 from bayes_aero.cli.handover.export import export
 from bayes_aero.cli.handover.open import open as open_page
 from bayes_aero.cli.handover.qualify import qualify
@@ -72,6 +73,7 @@ def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
     enable_cache()
     try:
+        refuse_gone(sys.argv[1:])
         app(prog_name=app.info.name)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

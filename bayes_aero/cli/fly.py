@@ -117,7 +117,7 @@ def fly(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.motion.tables import mode_table, test_table
+    from bayes_aero.report.motion.tables import mode_table
     from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
     from bayes_aero.report.tables.fly import beside_table, error_table, parameter_table
 
@@ -133,8 +133,6 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
     console.print(error_table(found.flown).terminal())
     if found.motion is not None and found.motion.modes:
         console.print(mode_table(found.motion).terminal())
-    if found.motion is not None and found.motion.tests:
-        console.print(test_table(found.motion).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

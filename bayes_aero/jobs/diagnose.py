@@ -33,7 +33,7 @@ from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.background import in_background
-from bayes_aero.jobs.steps.post_diagnosis import predictors, simulations
+from bayes_aero.jobs.steps.post_diagnosis import simulations
 from bayes_aero.jobs.steps.post_processing import drawings, follow
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.model import Model
@@ -100,7 +100,7 @@ def diagnose_records(
     settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
     found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
     alone = not found.by_coefficients
-    options = replace(options, predictors=options.predictors and not alone)
+    options = replace(options, test_points=options.test_points and not alone)
     known = None if alone else errors_of_diagnosis(found)
     checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(replace(found, following=only_following(checks.health)))
@@ -108,7 +108,7 @@ def diagnose_records(
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     earlier = unfinished.earlier(
-        card, view.diagnosis.causes, predictors=options.predictors, trajectories=options.trajectories and not alone
+        card, view.diagnosis.causes, test_points=options.test_points, trajectories=options.trajectories and not alone
     )
     kept = ResultStore(outcome, out, card, records, source, earlier)
     for sentence in left_out:
@@ -133,10 +133,9 @@ def _stages(
     diagnosis = kept.outcome.diagnosis
     shown = DIAGNOSIS_FIGURES if options.figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
-    predict = (lambda found, tell: predictors(found, card, tell)) if options.predictors else None
     with (
         blas_threads(0),
-        in_background(partial(follow, kept, predict, early, envelope=card.envelope), progress) as following,
+        in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()

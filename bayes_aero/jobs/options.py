@@ -78,14 +78,15 @@ class IdentifyOptions:
 class DiagnoseOptions:
     """What a diagnosis may be told.
 
-    `max_effects` is the number of effects that each stage may add. `predictors` adds the comparison of predictors and
-    the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones. With `process_noise`
-    the model is compared with innovations, in gusts, instead of coefficients; None: where the records are in gusts.
+    `max_effects` is the number of effects that each stage may add. `test_points` adds the manoeuvres that would decide
+    what is open and the sizes of the causes in a band of frequencies, `trajectories` simulated ones. With
+    `process_noise` the model is compared with innovations, in gusts, instead of coefficients; None: where the records
+    are in gusts.
     """
 
     seed: int = 0
     max_effects: int = 8
-    predictors: bool = True
+    test_points: bool = True
     trajectories: bool = True
     figures: bool = True
     process_noise: bool | None = None

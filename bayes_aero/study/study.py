@@ -34,7 +34,7 @@ OPTIONS: dict[str, dict[str, type]] = {
         "split": bool, "coefficients": str, "frequency": list, "next_flight": bool,
     },
     "diagnose": {
-        "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool,
+        "max_effects": int, "test_points": bool, "trajectories": bool, "figures": bool,
         "process_noise": bool, "resample": float, "split": bool,
     },
     "fly": {

@@ -21,7 +21,7 @@ def told(program, diagnosed, card, monkeypatch):
     monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
     (record,) = diagnosed.records
     write_record(record, Path("a.csv"), [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-predictors")
+    done = program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-test-points")
     assert done.code == 0, done.err
     return json.loads(Path("diagnosis/diagnosis.json").read_text())
 

@@ -36,7 +36,7 @@ class Flight:
     `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
     input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
     give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`), `motion` modes
-    and objective tests of a fit that converged.
+    of motion of a fit that converged.
     """
 
     flown: TrajectoryFit

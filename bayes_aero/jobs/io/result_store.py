@@ -23,7 +23,6 @@ from bayes_aero.report.design.points import points_table
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
@@ -47,8 +46,6 @@ class ResultStore:
         self.outcome = replace(
             outcome,
             view=replace(outcome.view, trajectories=earlier.trajectories),
-            predictors=earlier.predictors,
-            separating=earlier.separating,
             test_points=earlier.test_points,
         )
         self.path = path
@@ -58,7 +55,7 @@ class ResultStore:
         self._put_histories()
 
     def has(self, stage: str) -> bool:
-        """Whether `predictors`, `separating`, `test_points` or `trajectories` are there."""
+        """Whether `test_points` or `trajectories` are there."""
         of = self.outcome.view if stage == "trajectories" else self.outcome
         return bool(getattr(of, stage))
 
@@ -79,14 +76,6 @@ class ResultStore:
     def holdout(self, view: View) -> None:
         """Keep the scores by manoeuvre of a view of the same diagnosis."""
         self._grow(view={"holdout": view.holdout})
-
-    def predictors(self, found: Mapping[str, Any]) -> None:
-        """Keep a comparison of predictors."""
-        self._grow(predictors=found)
-
-    def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
-        """Keep the manoeuvres that would separate."""
-        self._grow(separating=found)
 
     def test_points(self, found: Mapping[str, Any]) -> None:
         """Keep the test points that decide what is open."""
@@ -129,8 +118,6 @@ class ResultStore:
             self._records,
             self._source,
             drawn,
-            outcome.predictors,
-            outcome.separating,
             outcome.test_points,
             outcome.in_band,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
@@ -161,7 +148,6 @@ class ResultStore:
             write_csv(causes_table(found), self.path / "causes.csv")
             write_csv(changes_table(found), self.path / "changes.csv")
             write_csv(terms_table(found), self.path / "terms.csv")
-            write_csv(sampled_table(found), self.path / "sampled_terms.csv")
             write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
 
     def _put_histories(self) -> None:

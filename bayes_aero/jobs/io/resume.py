@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.result import Cause
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.jobs.io.time_histories import HISTORIES, read_histories
-from bayes_aero.jobs.io.trajectories_json import number, trajectories_of
+from bayes_aero.jobs.io.trajectories_json import trajectories_of
 from bayes_aero.jobs.provenance.provenance import write_json
 
 MARK, RESULTS = ".unfinished.json", "diagnosis.json"
@@ -25,13 +25,11 @@ RESTS_ON = "rests_on"
 class Earlier:
     """Stages that are on disk; empty ones are still to be done."""
 
-    predictors: Mapping[str, Any]
-    separating: Sequence[Mapping[str, Any]]
     test_points: Mapping[str, Any]
     trajectories: Trajectories | None
 
 
-NOTHING = Earlier({}, (), {}, None)
+NOTHING = Earlier({}, None)
 
 
 class ResumeStore:
@@ -40,7 +38,7 @@ class ResumeStore:
     def __init__(self, folder: Path | None, digest: str) -> None:
         self.folder, self._digest = folder, digest
 
-    def earlier(self, card: Card, causes: Sequence[Cause], *, predictors: bool, trajectories: bool) -> Earlier:
+    def earlier(self, card: Card, causes: Sequence[Cause], *, test_points: bool, trajectories: bool) -> Earlier:
         """What a run from the very same beginning, that found the same causes, has left: what is wanted and sound."""
         if self.folder is None:
             return NOTHING
@@ -50,16 +48,14 @@ class ResumeStore:
             same = {mark[RESTS_ON], told["provenance"][RESTS_ON]} == {self._digest}
             if not same or found != [(c.stage, c.name, c.confirmed) for c in causes]:
                 return NOTHING
-            scores = {name: _scores(row) for name, row in told["predictors"].items()} if predictors else {}
-            separating = [_judged(one) for one in told["separating"]] if predictors else ()
-            points = dict(told["test_points"]) if predictors else {}
+            points = dict(told["test_points"]) if test_points else {}
             flown = None
             if trajectories and told["trajectories"]:
                 histories = read_histories(self.folder / HISTORIES, self._digest)
                 flown = trajectories_of(told["trajectories"], histories, card)
         except Exception:  # however it is damaged, it is not what was written: all is done again
             return NOTHING
-        return Earlier(scores, separating, points, flown)
+        return Earlier(points, flown)
 
     def begin(self) -> None:
         """From now on what is in the folder is this run's."""
@@ -75,16 +71,3 @@ class ResumeStore:
 def digest(rests_on: Mapping[str, Any]) -> str:
     """SHA-256 of all that the numbers of a run rest on."""
     return hashlib.sha256(json.dumps(rests_on, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _scores(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers that do not exist are null in JSON."""
-    return {
-        c: {key: number(x) for key, x in scores.items()} if isinstance(scores, dict) else scores
-        for c, scores in row.items()
-    }
-
-
-def _judged(one: Mapping[str, Any]) -> dict[str, Any]:
-    manoeuvres = [{**m, "standard_errors": number(m["standard_errors"])} for m in one["manoeuvres"]]
-    return {**one, "manoeuvres": manoeuvres}

@@ -33,7 +33,7 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.motion.tables import mode_table, test_table
+from bayes_aero.report.motion.tables import mode_table
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
 from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
@@ -182,14 +182,8 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
 
 
 def _motion(found: Motion | None) -> tuple[Block, ...]:
-    """Modes and objective tests, where there are any."""
-    if found is None:
-        return ()
-    limits = Fold("Where the tolerances come from", tuple(Text(source) for source in found.sources.values()))
-    return (
-        *((page_table(mode_table(found)),) if found.modes else ()),
-        *((page_table(test_table(found)), limits) if found.tests else ()),
-    )
+    """Modes, where there are any."""
+    return (page_table(mode_table(found)),) if found is not None and found.modes else ()
 
 
 def _gusts(context: FlyContext) -> tuple[Block, ...]:
