@@ -9,14 +9,12 @@ from importlib import resources
 from unittest.mock import patch
 
 import jsonschema
-import numpy as np
 import pandas as pd
 import pytest
 from simulated_halves import halves
 
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
 from bayes_aero.jobs.io import result_store as kept
@@ -146,104 +144,26 @@ def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, 
     assert validated(tmp_path / "diagnosis.json")["predictors"] == scores
 
 
-@pytest.fixture
-def left(repeated, card, tmp_path, monkeypatch):
-    """A folder that a run with predictors and trajectories left when it was interrupted before its page."""
-
-    def interrupted(*_):
+def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeypatch):
+    def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(follow, "separations", separated)
-    with monkeypatch.context() as patch:
-        patch.setattr(kept.ResultStore, "put_page", interrupted)
+    scores = {"extended": {"Cm": 0.5}}
+    with monkeypatch.context() as patched:
+        patched.setattr(kept.ResultStore, "put_page", killed)
         with pytest.raises(KeyboardInterrupt):
-            run(repeated.records, card, out=tmp_path, figures=False, predict=told, fly=halved(repeated))
-    return repeated, tmp_path
-
-
-def separated(*_):
-    deviations = {"sideslip": 1.2, "level": float("nan")}
-    manoeuvres = [{"manoeuvre": name, "standard_errors": x} for name, x in deviations.items()]
-    return [{"effects": ["a", "b"], "status": "settled", "manoeuvres": manoeuvres}]
-
-
-def told(*_):
-    scores = {"r2": 0.5, "rmse": 0.1, "r": float("nan"), "theil": 0.2, "coverage95": 0.9}
-    return {"extended": {"Cm": scores, "CL": None}}
-
-
-def halved(case):
-    return lambda *_: halves(case.records[0])
-
-
-def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory, monkeypatch):
-    def never(*_):
-        raise AssertionError("done again")
-
-    case, out = left
-    whole = tmp_path_factory.mktemp("whole")
-    run(case.records, card, out=whole, figures=False, predict=told, fly=halved(case))
-    monkeypatch.setattr(follow, "separations", never)
-    found = run(case.records, card, out=out, figures=False, predict=never, fly=never)
-    contents = [validated(folder / "diagnosis.json") for folder in (whole, out)]
-    for content in contents:
-        del content["provenance"]
-    assert contents[0] == contents[1]
-    assert contents[0]["trajectories"]["paths"]
-    for path, again in zip(halves(case.records[0]).paths, found.view.trajectories.paths, strict=True):
-        assert np.array_equal(path.time, again.time)
-        for name, x in path.simulated.items():
-            assert np.array_equal(x, again.simulated[name])
-            assert np.array_equal(path.measured[name], again.measured[name])
-    assert (out / "report.html").stat().st_size > 10_000
-    assert found.failures == ()
-    assert not list(out.glob(".*"))
-
-
-@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged", "causes", "folder"])
-def test_nothing_is_taken_up_from_another_run(left, card, change):
-    case, out = left
-    again, options = [], {"seed": 0}
-    records = case.records
-    if change == "finished":
-        (out / ".unfinished.json").unlink()
-    elif change == "seed":
-        options = {"seed": 1}
-    elif change == "settings":
-        options = {"max_effects": 3}
-    elif change == "record":
-        first = records[0]
-        other = {**first.channels, "airspeed": first["airspeed"] + 1e-6}
-        records = [FlightRecord.from_arrays(first.name, first.time, other), *records[1:]]
-    elif change == "damaged":
-        (out / "histories.nc").write_bytes(b"no such luck")
-    elif change == "causes":
-        content = json.loads((out / "diagnosis.json").read_text())
-        content["causes"][0]["name"] = "another"
-        (out / "diagnosis.json").write_text(json.dumps(content))
-    else:  # another run wrote its numbers into the same folder, and was killed too
-        mark = (out / ".unfinished.json").read_text()
-        run(records, card, out=out, seed=1, figures=False, predict=told, fly=halved(case))
-        (out / ".unfinished.json").write_text(mark)
-
-    def flown(*_):
-        again.append("flown")
-        return halves(case.records[0])
-
-    def predicted(*_):
-        again.append("predicted")
-        return told()
-
-    run(records, card, out=out, figures=False, predict=predicted, fly=flown, **options)
-    assert sorted(again) == ["flown", "predicted"]
-
-
-def test_what_is_not_wanted_any_more_is_not_taken_up(left, card):
-    case, out = left
-    run(case.records, card, out=out, figures=False)
-    content = validated(out / "diagnosis.json")
+            run(
+                repeated.records, card, out=tmp_path, figures=False, predict=lambda *_: scores,
+                fly=lambda *_: halves(repeated.records[0]),
+            )  # fmt: skip
+    left = validated(tmp_path / "diagnosis.json")
+    assert left["trajectories"]["paths"]
+    assert left["predictors"] == scores
+    run(repeated.records, card, out=tmp_path, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
     assert content["trajectories"] == {}
     assert content["predictors"] == {}
+    assert (tmp_path / "report.html").stat().st_size > 10_000
 
 
 def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_path):

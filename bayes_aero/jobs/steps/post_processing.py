@@ -28,12 +28,12 @@ def follow(
     Returns the figures drawn, by name.
     """
     found = kept.outcome.diagnosis
-    if predict is not None and not kept.has("predictors"):
+    if predict is not None:
         kept.attempt("Predictors were not compared", lambda: kept.predictors(predict(found, tell)))
-    if predict is not None and not kept.has("separating"):
+    if predict is not None:
         what = "Manoeuvres that would separate rival causes were not designed"
         kept.attempt(what, lambda: kept.separating(separations(found, envelope, tell)))
-    if predict is not None and kept.has("separating") and not kept.has("test_points"):
+    if predict is not None and kept.outcome.separating:
         what = "Test points that would decide what is open were not chosen"
         kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
     if predict is not None:
