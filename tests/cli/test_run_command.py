@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+import bayes_aero
 from bayes_aero.errors import InputError
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.provenance.provenance import write_json
@@ -204,6 +205,7 @@ def test_the_summary_and_the_environment(program, folder):
     import jax
 
     assert f"\njax=={jax.__version__}\n" in requirements
+    assert requirements.splitlines()[-1].startswith(f"# and bayes-aero {bayes_aero.__version__} (source_sha256")
     assert (out / "study.toml").read_text() == STUDY
 
 
