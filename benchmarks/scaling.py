@@ -1,6 +1,6 @@
 """How time and memory grow with the length of a record, with the number of manoeuvres, and with the approximate GP.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page | checkpoint ...]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page ...]
     OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
@@ -153,49 +153,6 @@ def page(n: int) -> dict[str, float]:
     return dict(found.seconds) | sizes
 
 
-def checkpoint(steps: int) -> dict[str, float]:
-    """Share of emcee's time that keeping its chain on disk takes: two demo manoeuvres, AR(1) noise."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.inference.likelihood.mle import fit_mle
-    from bayes_aero.inference.posterior.checkpoint import Checkpoint
-    from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-    from bayes_aero.inference.posterior.laplace import density_start, find_mode
-    from bayes_aero.model.density import Density
-    from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour, Noise
-    from bayes_aero.model.observations import observe
-    from bayes_aero.simulate.demo import demo_records
-
-    spent = [0.0]
-
-    class Watched(Checkpoint):
-        def keep(self, part, before):
-            began = time.process_time()
-            super().keep(part, before)
-            spent[0] += time.process_time() - began
-
-    card = read_card("attas")
-    model = Model.from_card(card)
-    observations = observe(demo_records(), card, model)
-    density = Density.of(observations, model, Noise(Colour.AR1))
-    mode = find_mode(density, density_start(density, fit_mle(model, observations, extra_starts=0)))
-    times: dict[str, float] = {}
-    clock = Clock(times)
-    sample_ensemble(density, mode, length=EnsembleLength(max_steps=100), predictive=False)
-    clock("first")
-    with tempfile.TemporaryDirectory() as folder:
-        sample_ensemble(
-            density,
-            mode,
-            length=EnsembleLength(max_steps=steps),
-            predictive=False,
-            checkpoint=Watched(Path(folder) / "c", {}),
-        )
-        clock("emcee")
-        times["MB"] = sum(p.stat().st_size for p in Path(folder).rglob("*") if p.is_file()) / 1e6
-    return times | {"keeping": spent[0], "share": spent[0] / times["emcee"]}
-
-
 class Clock:
     """Seconds of processor time between calls, of all threads: other work on the machine counts little."""
 
@@ -212,7 +169,6 @@ KINDS = {
     "manoeuvres": (manoeuvres, MANOEUVRES),
     "gp": (gp, GP),
     "page": (page, SAMPLES),
-    "checkpoint": (checkpoint, (1000,)),
 }
 
 

@@ -166,10 +166,9 @@ def kept_stages(out: Path) -> Callable[[], str]:
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
-        chains = " but continues the chain of emcee" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            f"the same command repeats all stages{chains and f',{chains}'}"
+            "the same command repeats all stages"
         )
 
     return told

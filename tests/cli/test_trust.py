@@ -92,7 +92,7 @@ def test_links_in_the_folder_lead_nowhere(program, link):
 
 
 @pytest.mark.usefixtures("trap")
-@pytest.mark.parametrize("link", ["figures", "report.html", "results.json.part", ".chains"])
+@pytest.mark.parametrize("link", ["figures", "report.html", "results.json.part"])
 @pytest.mark.parametrize("command", ["identify", "diagnose"])
 def test_links_in_the_folder_of_a_job_lead_nowhere(program, command, link):
     Path("victim").write_text("untouched")

@@ -6,7 +6,6 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.provenance.provenance import write_json
 
 OWN = "bayes-aero"
@@ -36,12 +34,6 @@ def environment() -> dict[str, Any]:
         "bayes_aero": {"version": bayes_aero.__version__, "source_sha256": _source()},
         "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
     }
-
-
-def rests_on(source: Mapping[str, Any], records: Sequence[FlightRecord]) -> dict[str, Any]:
-    """All that a run's numbers rest on but its settings, from its provenance: what may go on where it stopped."""
-    same = {key: source[key] for key in ("seed", "effect_files")} | {"card": source["card"]["sha256"]}
-    return same | {"records": [(r.name, r.content) for r in records], "environment": environment()}
 
 
 def environment_id() -> str:
