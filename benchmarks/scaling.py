@@ -1,6 +1,6 @@
-"""How time and memory grow with the length of a record, with the number of manoeuvres, and with the approximate GP.
+"""How time and memory grow with the length of a record and with the number of manoeuvres.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page ...]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | page ...]
     OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
@@ -24,7 +24,6 @@ import numpy as np
 
 SAMPLES = (2_000, 20_000, 200_000)
 MANOEUVRES = (5, 50, 500)
-GP = (4_000, 20_000, 100_000)
 STEPS = 20  # of emcee's four ensembles
 
 
@@ -111,36 +110,6 @@ def manoeuvres(count: int) -> dict[str, float]:
     return times
 
 
-def gp(n: int) -> dict[str, float]:
-    """Train and predict 1000 points: exact where it can be had, and approximated."""
-    from bayes_aero.inference.gp import Priors, fit_gp
-    from bayes_aero.inference.gp import fit as fitting
-
-    rng = np.random.default_rng(0)
-    X = rng.normal(size=(n + 1000, 4))
-    truth = np.sin(1.5 * X[:, 0]) + 0.3 * X[:, 1] * X[:, 0] + 0.1 * X[:, 2]
-    y = truth + 0.1 * rng.standard_normal(len(X))
-    times: dict[str, float] = {}
-    clock = Clock(times)
-    limit, fitting.MAX_SAMPLES = fitting.MAX_SAMPLES, 3500
-    fit = fit_gp(X[:n], y[:n], sample=False, approximate=True, priors=Priors.quasi_steady(), progress=lambda _: None)
-    clock("fit")
-    mean = fit.predict(X[n:]).mean
-    clock("predict")
-    told = fit.approximation
-    assert told is not None
-    times |= {"points": told.inducing, "against_exact": told.against_exact[0], "halved": told.halved[0]}
-    times["rmse"] = float(np.sqrt(np.mean((mean - truth[n:]) ** 2)))
-    fitting.MAX_SAMPLES = limit
-    if n <= limit:
-        exact = fit_gp(X[:n], y[:n], sample=False, priors=Priors.quasi_steady(), progress=lambda _: None)
-        clock("exact")
-        parts = exact.predict(X[n:])
-        times["exact_rmse"] = float(np.sqrt(np.mean((parts.mean - truth[n:]) ** 2)))
-        times["off"] = float(np.sqrt(np.mean(((mean - parts.mean) / parts.sd) ** 2)))
-    return times
-
-
 def page(n: int) -> dict[str, float]:
     """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
     from bayes_aero.flight.card.card import read_card
@@ -167,7 +136,6 @@ class Clock:
 KINDS = {
     "samples": (samples, SAMPLES),
     "manoeuvres": (manoeuvres, MANOEUVRES),
-    "gp": (gp, GP),
     "page": (page, SAMPLES),
 }
 
@@ -203,7 +171,7 @@ def draw(rows: Mapping[str, Mapping[int, Mapping[str, float]]], path: Path) -> N
 def main() -> None:
     """Run the rows asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres", "gp"])
+    parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres"])
     parser.add_argument("--one", nargs=2)
     parser.add_argument("--sizes", type=int, nargs="*")
     parser.add_argument("--picture", type=Path, help="draw samples and manoeuvres there")

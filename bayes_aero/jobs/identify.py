@@ -223,7 +223,7 @@ class _Job:
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood."""
         o = self.options
-        training = Training(o.split, o.seed, approximate=o.approximate_gp)
+        training = Training(o.split, o.seed)
         try:
             with self.timed("gp"):
                 report, failed = self.attempt(

@@ -55,7 +55,6 @@ class IdentifyOptions:
     seed: int = 0
     sample: bool = True
     gp: bool = True
-    approximate_gp: bool = False
     next_flight: bool = False
     figures: bool = True
     page: bool = True
