@@ -31,7 +31,7 @@ TRACEBACK = "BAYES_AERO_TRACEBACK"
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or the model "
-    "cannot be simulated (fly), units of a study failed or differ, or its cluster was lost (run), or a part of the "
+    "cannot be simulated (fly), units of a study failed, or its cluster was lost (run), or a part of the "
     "program failed unexpectedly (reported first; the other results are written); "
     f"{BAD_INPUT} bad input, reported in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree "
     f"or a channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"

@@ -77,7 +77,7 @@ def diagnose(
     if write_effect is not None:
         refuse_existing(write_effect)
     console = teller(quiet=json, highlight=True)
-    with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
+    with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, seed)

@@ -28,9 +28,7 @@ from bayes_aero.inference.threads import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.result_store import ResultStore
-from bayes_aero.jobs.io.resume import RESTS_ON, ResumeStore, digest
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.background import in_background
 from bayes_aero.jobs.steps.post_diagnosis import simulations
@@ -84,7 +82,7 @@ def diagnose_records(
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
     alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
-    histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
+    histories.nc, figures and report.html.
 
     A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
     comparison with what was found.
@@ -93,8 +91,6 @@ def diagnose_records(
     if out is not None:
         writable(out)
     source = provenance(card, records, options.seed, _told(options), options)
-    source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
-    unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
     settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
@@ -107,16 +103,10 @@ def diagnose_records(
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
-    earlier = unfinished.earlier(
-        card, view.diagnosis.causes, test_points=options.test_points, trajectories=options.trajectories and not alone
-    )
-    kept = ResultStore(outcome, out, card, records, source, earlier)
+    kept = ResultStore(outcome, out, card, records, source)
     for sentence in left_out:
         kept.note(sentence)
-    unfinished.begin()
     _stages(kept, records, card, options, progress)
-    if not kept.outcome.failures:  # else the same command does again what failed
-        unfinished.end()
     return kept.outcome
 
 
@@ -139,7 +129,7 @@ def _stages(
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()
-        if options.trajectories and not kept.has("trajectories"):
+        if options.trajectories:
             kept.attempt(
                 "Trajectories were not simulated",
                 lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),

@@ -45,8 +45,8 @@ class IdentifyOptions:
     `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
     With `next_flight` the manoeuvres are pooled.
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. With `resume`
-    the chains of an earlier call are continued. `frequency`: a band, Hz, in which the parameters are fitted, too.
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    `frequency`: a band, Hz, in which the parameters are fitted, too.
     """
 
     noise: Colour = DEFAULT_NOISE
@@ -55,10 +55,8 @@ class IdentifyOptions:
     seed: int = 0
     sample: bool = True
     gp: bool = True
-    approximate_gp: bool = False
     next_flight: bool = False
     figures: bool = True
-    resume: bool = True
     page: bool = True
     frequency: tuple[float, float] | None = None
 

@@ -30,7 +30,7 @@ NOISES = ("white", "ar1", "buffet-ar1")
 SPLITS = ("random", "block", "manoeuvre")
 OPTIONS: dict[str, dict[str, type]] = {
     "identify": {
-        "sample": bool, "gp": bool, "approximate_gp": bool, "figures": bool, "page": bool, "resample": float,
+        "sample": bool, "gp": bool, "figures": bool, "page": bool, "resample": float,
         "split": bool, "coefficients": str, "frequency": list, "next_flight": bool,
     },
     "diagnose": {

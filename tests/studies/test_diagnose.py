@@ -9,14 +9,12 @@ from importlib import resources
 from unittest.mock import patch
 
 import jsonschema
-import numpy as np
 import pandas as pd
 import pytest
 from simulated_halves import halves
 
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
 from bayes_aero.jobs.io import result_store as kept
@@ -146,20 +144,6 @@ def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, 
     assert validated(tmp_path / "diagnosis.json")["test_points"] == decided()
 
 
-@pytest.fixture
-def left(repeated, card, tmp_path, monkeypatch):
-    """A folder that a run with test points and trajectories left when it was interrupted before its page."""
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(kept.ResultStore, "put_page", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run(repeated.records, card, out=tmp_path, figures=False, points=decided, fly=halved(repeated))
-    return repeated, tmp_path
-
-
 def decided(*_):
     """One test point for one question."""
     point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
@@ -168,77 +152,25 @@ def decided(*_):
     return {"questions": questions, "points": [point], "refused": {}, "envelope": {}, "stated": []}
 
 
-def halved(case):
-    return lambda *_: halves(case.records[0])
+def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
 
-
-def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory):
-    def never(*_):
-        raise AssertionError("done again")
-
-    case, out = left
-    whole = tmp_path_factory.mktemp("whole")
-    run(case.records, card, out=whole, figures=False, points=decided, fly=halved(case))
-    found = run(case.records, card, out=out, figures=False, points=never, fly=never)
-    contents = [validated(folder / "diagnosis.json") for folder in (whole, out)]
-    for content in contents:
-        del content["provenance"]
-    assert contents[0] == contents[1]
-    assert contents[0]["trajectories"]["paths"]
-    for path, again in zip(halves(case.records[0]).paths, found.view.trajectories.paths, strict=True):
-        assert np.array_equal(path.time, again.time)
-        for name, x in path.simulated.items():
-            assert np.array_equal(x, again.simulated[name])
-            assert np.array_equal(path.measured[name], again.measured[name])
-    assert (out / "report.html").stat().st_size > 10_000
-    assert found.failures == ()
-    assert not list(out.glob(".*"))
-
-
-@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged", "causes", "folder"])
-def test_nothing_is_taken_up_from_another_run(left, card, change):
-    case, out = left
-    again, options = [], {"seed": 0}
-    records = case.records
-    if change == "finished":
-        (out / ".unfinished.json").unlink()
-    elif change == "seed":
-        options = {"seed": 1}
-    elif change == "settings":
-        options = {"max_effects": 3}
-    elif change == "record":
-        first = records[0]
-        other = {**first.channels, "airspeed": first["airspeed"] + 1e-6}
-        records = [FlightRecord.from_arrays(first.name, first.time, other), *records[1:]]
-    elif change == "damaged":
-        (out / "histories.nc").write_bytes(b"no such luck")
-    elif change == "causes":
-        content = json.loads((out / "diagnosis.json").read_text())
-        content["causes"][0]["name"] = "another"
-        (out / "diagnosis.json").write_text(json.dumps(content))
-    else:  # another run wrote its numbers into the same folder, and was killed too
-        mark = (out / ".unfinished.json").read_text()
-        run(records, card, out=out, seed=1, figures=False, points=decided, fly=halved(case))
-        (out / ".unfinished.json").write_text(mark)
-
-    def flown(*_):
-        again.append("flown")
-        return halves(case.records[0])
-
-    def chosen(*_):
-        again.append("chosen")
-        return decided()
-
-    run(records, card, out=out, figures=False, points=chosen, fly=flown, **options)
-    assert sorted(again) == ["chosen", "flown"]
-
-
-def test_what_is_not_wanted_any_more_is_not_taken_up(left, card):
-    case, out = left
-    run(case.records, card, out=out, figures=False)
-    content = validated(out / "diagnosis.json")
+    with monkeypatch.context() as patched:
+        patched.setattr(kept.ResultStore, "put_page", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(
+                repeated.records, card, out=tmp_path, figures=False, points=decided,
+                fly=lambda *_: halves(repeated.records[0]),
+            )  # fmt: skip
+    left = validated(tmp_path / "diagnosis.json")
+    assert left["trajectories"]["paths"]
+    assert left["test_points"] == decided()
+    run(repeated.records, card, out=tmp_path, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
     assert content["trajectories"] == {}
     assert content["test_points"] == {}
+    assert (tmp_path / "report.html").stat().st_size > 10_000
 
 
 def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_path):

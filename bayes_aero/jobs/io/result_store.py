@@ -16,7 +16,6 @@ from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
-from bayes_aero.jobs.io.resume import NOTHING, RESTS_ON, RESULTS, Earlier
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.design.points import points_table
@@ -29,10 +28,7 @@ from bayes_aero.report.text.diagnosis import revealed
 
 
 class ResultStore:
-    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one.
-
-    What an interrupted run had found (`earlier`) is there from the beginning.
-    """
+    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
 
     def __init__(
         self,
@@ -41,23 +37,12 @@ class ResultStore:
         card: Card,
         records: Sequence[FlightRecord],
         source: Mapping[str, Any],
-        earlier: Earlier = NOTHING,
     ) -> None:
-        self.outcome = replace(
-            outcome,
-            view=replace(outcome.view, trajectories=earlier.trajectories),
-            test_points=earlier.test_points,
-        )
-        self.path = path
+        self.outcome, self.path = outcome, path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
         self._put_tables()
         self._write()
         self._put_histories()
-
-    def has(self, stage: str) -> bool:
-        """Whether `test_points` or `trajectories` are there."""
-        of = self.outcome.view if stage == "trajectories" else self.outcome
-        return bool(getattr(of, stage))
 
     def trajectories(self, found: Trajectories) -> None:
         """Keep simulated trajectories."""
@@ -158,7 +143,6 @@ class ResultStore:
         failed = put_histories(
             lambda: {**(diagnosed(view) if isinstance(view, View) else {}), **flights(flown)},
             self.path,
-            self._source.get(RESTS_ON, ""),
         )
         self.fail(failed)
 
@@ -166,4 +150,4 @@ class ResultStore:
         if self.path is None:
             return
         content = diagnosis_results(self.outcome, self._card, self._records, self._source)
-        write_json(content, self.path / RESULTS)
+        write_json(content, self.path / "diagnosis.json")

@@ -23,10 +23,9 @@ def follow(
     Returns the figures drawn, by name.
     """
     found = kept.outcome.diagnosis
-    if test_points and not kept.has("test_points"):
+    if test_points:
         what = "Test points that would decide what is open were not chosen"
         kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
-    if test_points:
         kept.attempt("Causes were not fitted in a band of frequencies", lambda: kept.in_band(causes_in_band(found)))
     if kept.path is None:
         return {}
