@@ -6,6 +6,7 @@ any list of effects can live in one compiled function with the absent ones held 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
@@ -17,11 +18,14 @@ from jaxtyping import Float
 from bayes_aero.arrays import Array
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
-from bayes_aero.parameter import Lengths, Parameter, Role
+from bayes_aero.parameter import Length, Lengths, Limits, Parameter, Prior, Role, Sign
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
 Values = Mapping[str, Any]
 """Parameter values by name."""
+
+Signals = Mapping[str, Any]
+"""Channels of the record and what is computed from them, by name."""
 
 Known = Mapping[str, Any]
 """What the earlier stages have built: `incidence`, `X`, `CL_attached`, `CL`, `CD`, `Cm`, `CY`, `Cl`, `Cn`.
@@ -75,6 +79,9 @@ NEUTRAL_FLOW = {"X": 1.0, "CL_attached": 0.0} | dict.fromkeys((*WINGS, *NAMES, *
 _BESIDE = {Axis.LONGITUDINAL: ("CL_attached",), Axis.LATERAL: WINGS}
 _OF_AXIS = {axis: {*names, *_BESIDE[axis]} for axis, names in COEFFICIENTS.items()}
 
+MARKS = ("dt", "start", "elapsed", "first", "last", "mach_follows")
+"""Signals of a CHANNEL or LAG effect that every record has: see `Stage`."""
+
 
 @dataclass(frozen=True)
 class Example:
@@ -121,6 +128,7 @@ class Effect:
     `candidate` states whether diagnosis may propose it; terms that replace others at one trim are for cards only.
     `disturbance`: the random process that it consists of, for a filter to follow; None for what is no noise.
     `axis`: the only axis on which it acts, where the coefficients that `example` adds to do not say so (see `axes`).
+    `formula`: what `increments` adds, as people write it; where not given, the docstring of `increments`.
     """
 
     name: str
@@ -139,6 +147,11 @@ class Effect:
     candidate: bool = True
     disturbance: Disturbance | None = None
     axis: Axis | None = None
+    formula: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.formula:
+            object.__setattr__(self, "formula", (self.increments.__doc__ or "").strip())
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
@@ -178,3 +191,79 @@ def sized(effect: Effect, card: Lengths) -> Effect:
     if all(x == 1.0 for x in times.values()):
         return effect
     return replace(effect, sizes={n: (times[n] * low, times[n] * high) for n, (low, high) in effect.sizes.items()})
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """A parameter and its sizes: see `parameter`."""
+
+    parameter: Parameter
+    sizes: tuple[float, float]
+
+
+def parameter(
+    name: str,
+    unit: str,
+    description: str,
+    prior: Prior,
+    sizes: tuple[float, float],
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    *,
+    neutral: float = 0.0,
+    start: float | None = None,
+    lengths: tuple[Length, ...] = (),
+    role: Role | None = None,
+    sign: Sign | None = None,
+    limits: Limits | None = None,
+    place: int | None = None,
+    knee: float = math.inf,
+) -> ParameterRow:
+    """A parameter of `effect`: see `Parameter` for its fields, and `Effect` for its `sizes`. It starts at neutral
+    unless `start` is given."""
+    start = neutral if start is None else start
+    fields = (name, unit, neutral, start, description, prior, bounds, lengths, role, sign, limits, place, knee)
+    return ParameterRow(Parameter(*fields), sizes)
+
+
+def effect(
+    name: str,
+    claim: str,
+    formula: str,
+    increments: Callable[[Values, Signals, Aircraft, Known], Increments],
+    *parameters: ParameterRow,
+    example: Example,
+    source: str,
+    kind: Kind = Kind.AERODYNAMICS,
+    stage: Stage = Stage.ATTACHED,
+    channels: tuple[str, ...] | None = None,
+    scan: Mapping[str, tuple[float, ...]] | None = None,
+    together: bool = False,
+    candidate: bool = True,
+    disturbance: Disturbance | None = None,
+    axis: Axis | None = None,
+) -> Effect:
+    """An effect as one entry of a table; see `Effect` for the fields.
+
+    Unless `channels` are given, it needs the signals of its example. Parameters of its example that it does not own
+    are those that it `uses`.
+    """
+    own = {p.parameter.name: p.sizes for p in parameters}
+    return Effect(
+        name,
+        kind,
+        stage,
+        claim,
+        tuple(p.parameter for p in parameters),
+        tuple(n for n in example.signals if n not in MARKS) if channels is None else channels,
+        increments,
+        example,
+        source,
+        uses=tuple(n for n in example.parameters if n not in own),
+        sizes=own,
+        scan={} if scan is None else scan,
+        together=together,
+        candidate=candidate,
+        disturbance=disturbance,
+        axis=axis,
+        formula=formula,
+    )

@@ -54,7 +54,7 @@ def effects() -> str:
     said = [f"{len(order)} effects.\n", _table(("effect", "kind", "claim", "parameters"), rows)]
     for e in order:
         said.append(f"\n### `{e.name}` {{ #{e.name} }}\n\n{e.claim}\n")
-        said.append(f"`{_plain(e.increments.__doc__)}`\n")
+        said.append(f"`{_plain(e.formula)}`\n")
         if e.parameters:
             head = ("parameter", "unit", "what it is", "absent at", "start", "bounds", "prior", "worth modelling from")
             said.append(_table(head, [_parameter(e, p) for p in e.parameters]))

@@ -128,6 +128,7 @@ def test_worked_example_comes_out(effect):
 def test_it_says_what_it_is_and_where_it_comes_from(effect):
     assert isinstance(effect.kind, Kind)
     assert effect.claim.endswith(".")
+    assert effect.formula.endswith(".")
     assert effect.source
     for p in effect.parameters:
         assert p.unit

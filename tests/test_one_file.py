@@ -1,4 +1,4 @@
-"""An effect, a reader, a residual model and a figure are added by one file each: no list elsewhere names them."""
+"""An effect is added by one entry, a reader, a residual model and a figure by one file each: no list names them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.forward_selection import forward_selection
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.observations import observe
@@ -26,11 +27,11 @@ from bayes_aero.residuals.base import Blockwise, ResidualModel
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.injection import hidden_flights
 
-EFFECT = '''
+ENTRY = '''
 """Drag of the elevator, squared."""
-from bayes_aero.effects.drag.elevator_drag import EFFECT as ELEVATOR_DRAG
+from bayes_aero.effects.lift_drag import ELEVATOR_DRAG
 from dataclasses import replace
-EFFECT = replace(ELEVATOR_DRAG, name="elevator_drag_again")
+ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
 READER = '''
 """Two columns of numbers in octal."""
@@ -59,11 +60,17 @@ def beside(package: ModuleType, name: str, text: str, folder, monkeypatch) -> No
     monkeypatch.delitem(import_module("sys").modules, f"{package.__name__}.{name}", raising=False)
 
 
-def test_an_effect_is_one_file(tmp_path, monkeypatch):
-    beside(effects, "elevator_drag_again", EFFECT, tmp_path, monkeypatch)
+def test_an_effect_is_one_entry(tmp_path, monkeypatch):
+    beside(effects, "more_drag", ENTRY, tmp_path, monkeypatch)
     found = effects._discover()
     assert found.keys() - CATALOGUE.keys() == {"elevator_drag_again"}
     assert list(found) == sorted(found)
+
+
+def test_two_effects_of_one_name_are_refused(tmp_path, monkeypatch):
+    beside(effects, "drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"), tmp_path, monkeypatch)
+    with pytest.raises(InputError, match="second effect elevator_drag"):
+        effects._discover()
 
 
 def test_a_reader_is_one_file(tmp_path, monkeypatch):

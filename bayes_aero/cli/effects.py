@@ -17,9 +17,10 @@ SCHEMA = "bayes_aero/effects/1"
 
 
 def _names(incomplete: str) -> list[str]:
-    """Names for shell completion, from the files, so that the numerical libraries stay unloaded."""
-    folder = Path(__file__).resolve().parents[1] / "effects"
-    return sorted(p.stem for p in folder.rglob("*.py") if not p.stem.startswith("_") and p.stem.startswith(incomplete))
+    """Names for shell completion, loaded only where a name is completed."""
+    from bayes_aero.effects import CATALOGUE
+
+    return [name for name in CATALOGUE if name.startswith(incomplete)]
 
 
 def effects(

@@ -1,4 +1,7 @@
-"""The catalogue of effects: every module below this package defines one as `EFFECT`; none is listed by hand.
+"""The catalogue of effects: every `Effect` at the top level of a module of this package; none is listed elsewhere.
+
+`lift_drag`, `moment`, `lateral` and `separation` are the aerodynamics, `sensors` the errors of the record,
+`aircraft_air` those of masses, thrust and air. An effect is one entry (see `effect` in `bayes_aero.effect`).
 
 The `sizes` are engineering judgement for a transport of some 20 t at 60 to 100 m/s, never tuned to a result. The least
 departure worth modelling changes CL by about 0.01, CD by 0.001 or Cm by 0.002 over the usual swing of its signal in a
@@ -16,13 +19,10 @@ from bayes_aero.errors import InputError
 
 def _discover() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
-    for module in pkgutil.walk_packages(__path__, f"{__name__}."):
-        if module.ispkg:
-            continue
-        effect, name = importlib.import_module(module.name).EFFECT, module.name.rpartition(".")[2]
-        if effect.name != name:
-            raise InputError(f"the effect in {name}.py calls itself {effect.name}; the two must agree")
-        found[name] = effect
+    for module in pkgutil.iter_modules(__path__, f"{__name__}."):
+        for value in vars(importlib.import_module(module.name)).values():
+            if isinstance(value, Effect) and found.setdefault(value.name, value) is not value:
+                raise InputError(f"{module.name} has a second effect {value.name}; give it another name")
     return dict(sorted(found.items()))
 
 

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.effect import MARKS
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model import pytrees as pytrees
-from bayes_aero.model.joined_records import MARKS, Joined, joined
+from bayes_aero.model.joined_records import Joined, joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.spikes import without_spikes
 from bayes_aero.physics.coefficients import REQUIRED, unsmoothed_joined

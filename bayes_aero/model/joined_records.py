@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from bayes_aero.effect import MARKS
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
@@ -111,7 +112,6 @@ def named_apart(records: Sequence[FlightRecord]) -> list[str]:
     return names
 
 
-MARKS = ("dt", "start", "elapsed", "first", "last", "mach_follows")
 MACH_VARIES, MACH_OFF = 0.005, 0.02  # of airspeed over Mach number: slow to fast flight; from the speed of sound
 
 

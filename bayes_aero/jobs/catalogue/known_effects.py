@@ -39,7 +39,7 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "kind": effect.kind.value,
         "stage": effect.stage.name.lower(),
         "claim": effect.claim,
-        "formula": (effect.increments.__doc__ or "").strip(),
+        "formula": effect.formula,
         "parameters": [_parameter(p, effect) for p in effect.parameters],
         "needs": list(effect.channels),
         "rests_on": list(effect.uses),

@@ -1,1 +1,0 @@
-"""Mass, inertia, centre of gravity."""

@@ -1,1 +1,0 @@
-"""Effects of lateral motion on the longitudinal coefficients."""

@@ -1,1 +1,0 @@
-"""Flow separation and what depends on it."""

@@ -1,1 +1,0 @@
-"""Effects on the side force."""

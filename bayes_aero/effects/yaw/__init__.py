@@ -1,1 +1,0 @@
-"""Effects on the yawing moment."""
