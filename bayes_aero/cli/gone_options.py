@@ -12,6 +12,13 @@ GONE: tuple[tuple[str, str, str], ...] = (
         "--predictors/--no-predictors",
         "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
     ),
+    ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
+    (
+        "identify",
+        "--approximate-gp",
+        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
+    ),
+    ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
 )
 """Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
 
