@@ -31,7 +31,7 @@ picture: $(STAMP)  ## the README's picture
 	mkdir -p picture
 	$(BIN)/bayes-aero simulate --effect thrust_moment=0.8 --noise buffet --seed 3 --force --out picture/stall_1.csv
 	$(BIN)/bayes-aero simulate --effect thrust_moment=0.8 --noise buffet --seed 4 --force --out picture/stall_2.csv
-	$(BIN)/bayes-aero diagnose picture/stall_1.csv picture/stall_2.csv --no-trajectories --no-predictors --out picture
+	$(BIN)/bayes-aero diagnose picture/stall_1.csv picture/stall_2.csv --no-trajectories --no-test-points --out picture
 	cp picture/figures/found.png notebooks/found.png
 
 check: $(STAMP)  ## lint, types, layers

@@ -214,7 +214,7 @@ def next_flight(fit: Fit, *, seed: int = 0) -> Fit:
     return Fit(replace(fit.run, next_flight=pooled_manoeuvres(fit.run, without_spikes, seed=seed)))
 
 
-def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approximate: bool = False, seed: int = 0) -> Fit:
+def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, seed: int = 0) -> Fit:
     """Train Gaussian processes of CL, CD and Cm on the card's `[gp] inputs` and score them on hold-out data.
 
     Three splits are computed: `random` samples, 4 s blocks (`block`), a whole manoeuvre (`manoeuvre`; two records or
@@ -224,15 +224,13 @@ def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approxima
         fit: of `fit`.
         split: the split whose first fold figures show.
         sample: whether hyperparameters are also sampled on that fold; elsewhere they are at their mode.
-        approximate: allow more samples than the exact process accepts (8000); the status of each coefficient reports
-            the difference from the exact process.
         seed: of the splits and the sampler.
 
     Returns:
         The same fit with the Gaussian processes added.
 
     Raises:
-        InputError: there is no such split.
+        InputError: there is no such split, or there are more samples than an exact process accepts (8000).
     """
     if split not in get_args(SplitKind):
         raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
@@ -242,7 +240,7 @@ def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, approxima
         run.observations,
         run.mle,
         run.card.gp_inputs,
-        Training(split, seed, sample, approximate),
+        Training(split, seed, sample),
     )
     return Fit(replace(run, gp=report))
 
@@ -260,7 +258,7 @@ def diagnose(
 ) -> Diagnosed:
     """Find the effects that a model lacks.
 
-    This does not compare predictors, simulate trajectories or write files; `bayes-aero diagnose` does. The health of
+    This does not choose test points, simulate trajectories or write files; `bayes-aero diagnose` does. The health of
     channels and the agreement of sensors are checked: see `Diagnosed.doubts`.
 
     Args:

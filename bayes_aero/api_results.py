@@ -18,11 +18,9 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.jobs.steps.post_diagnosis import predictors
 from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pooled.next_flight import next_flight_table
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
     causes_table,
@@ -168,15 +166,6 @@ class Diagnosed:
         """
         return terms_table(self.view.diagnosis).frame()
 
-    def sampled_terms(self) -> pd.DataFrame:
-        """Sampled posterior over sets of terms of each coefficient in which structure is left.
-
-        Returns:
-            A row per set of collinear terms; columns for the inclusion probability of the leading term and of the set,
-            the other terms of the set, whether forward selection has one of them, and the convergence of the chains.
-        """
-        return sampled_table(self.view.diagnosis).frame()
-
     @property
     def _coefficients(self) -> View:
         if not isinstance(self.view, View):
@@ -190,19 +179,6 @@ class Diagnosed:
             A row per model, data (`fitted` or `hold_out`), manoeuvre and coefficient.
         """
         return scores_frame(holdout_scores(self._coefficients))
-
-    def predictors(self) -> pd.DataFrame:
-        """Hold-out scores of predictors; takes half a minute.
-
-        Inputs of the Gaussian processes are the card's `[gp] inputs`.
-
-        Returns:
-            A row per predictor and coefficient. Predictors: the card's model, a Gaussian process, the extended model,
-            the extended model with a Gaussian process of its residuals.
-        """
-        table = predictors(self._coefficients.diagnosis, self.card)
-        rows = {(p, c): scores or {} for p, row in table.items() for c, scores in row.items()}
-        return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["predictor", "coefficient"])
 
     def screen(self) -> pd.DataFrame:
         """Every candidate of the catalogue.

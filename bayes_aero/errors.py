@@ -55,7 +55,7 @@ def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bo
     """The sentence on a part of a job that failed unexpectedly, all else of the job being valid.
 
     Args:
-        what: the part, and that it is not there ("The predictors were not compared").
+        what: the part, and that it is not there ("Trajectories were not simulated").
         reason: what was raised.
         folder: of the results; where in the program it happened is added to its error.txt.
         own: whether effects of the user's own may be what failed.

@@ -39,7 +39,7 @@ HIDDEN = (
     "pitch_attitude_bias=0.8 deg",
 )  # fmt: skip
 WITHOUT_ACCELEROMETERS = {1, 6, 15, 18}  # these flights are diagnosed by trajectories
-IN_FULL = {0, 3}  # with predictors and trajectories
+IN_FULL = {0, 3}  # with test points and trajectories
 ACCELEROMETERS = re.compile(r"^(ax|ay|az) = .*\n", re.MULTILINE)
 
 
@@ -67,7 +67,7 @@ def cases(work: Path) -> Iterator[tuple[str, list[str]]]:
     for number, effect in enumerate(HIDDEN):
         name, model, options = effect.split("=")[0].split(".")[0], "attas", ["--no-figures"]
         if number not in IN_FULL:
-            options += ["--no-predictors", "--no-trajectories"]
+            options += ["--no-test-points", "--no-trajectories"]
         if number in WITHOUT_ACCELEROMETERS:
             from bayes_aero.flight.card.card import shipped_cards
 

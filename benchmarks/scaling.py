@@ -1,6 +1,6 @@
-"""How time and memory grow with the length of a record, with the number of manoeuvres, and with the approximate GP.
+"""How time and memory grow with the length of a record and with the number of manoeuvres.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | gp | page | checkpoint ...]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | page ...]
     OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
@@ -24,7 +24,6 @@ import numpy as np
 
 SAMPLES = (2_000, 20_000, 200_000)
 MANOEUVRES = (5, 50, 500)
-GP = (4_000, 20_000, 100_000)
 STEPS = 20  # of emcee's four ensembles
 
 
@@ -111,36 +110,6 @@ def manoeuvres(count: int) -> dict[str, float]:
     return times
 
 
-def gp(n: int) -> dict[str, float]:
-    """Train and predict 1000 points: exact where it can be had, and approximated."""
-    from bayes_aero.inference.gp import Priors, fit_gp
-    from bayes_aero.inference.gp import fit as fitting
-
-    rng = np.random.default_rng(0)
-    X = rng.normal(size=(n + 1000, 4))
-    truth = np.sin(1.5 * X[:, 0]) + 0.3 * X[:, 1] * X[:, 0] + 0.1 * X[:, 2]
-    y = truth + 0.1 * rng.standard_normal(len(X))
-    times: dict[str, float] = {}
-    clock = Clock(times)
-    limit, fitting.MAX_SAMPLES = fitting.MAX_SAMPLES, 3500
-    fit = fit_gp(X[:n], y[:n], sample=False, approximate=True, priors=Priors.quasi_steady(), progress=lambda _: None)
-    clock("fit")
-    mean = fit.predict(X[n:]).mean
-    clock("predict")
-    told = fit.approximation
-    assert told is not None
-    times |= {"points": told.inducing, "against_exact": told.against_exact[0], "halved": told.halved[0]}
-    times["rmse"] = float(np.sqrt(np.mean((mean - truth[n:]) ** 2)))
-    fitting.MAX_SAMPLES = limit
-    if n <= limit:
-        exact = fit_gp(X[:n], y[:n], sample=False, priors=Priors.quasi_steady(), progress=lambda _: None)
-        clock("exact")
-        parts = exact.predict(X[n:])
-        times["exact_rmse"] = float(np.sqrt(np.mean((parts.mean - truth[n:]) ** 2)))
-        times["off"] = float(np.sqrt(np.mean(((mean - parts.mean) / parts.sd) ** 2)))
-    return times
-
-
 def page(n: int) -> dict[str, float]:
     """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
     from bayes_aero.flight.card.card import read_card
@@ -151,49 +120,6 @@ def page(n: int) -> dict[str, float]:
         found = identify([long_record(n)], read_card("attas"), IdentifyOptions(gp=False), out=Path(folder))
         sizes = {f"{p.name} MB": p.stat().st_size / 1e6 for p in Path(folder).iterdir() if p.is_file()}
     return dict(found.seconds) | sizes
-
-
-def checkpoint(steps: int) -> dict[str, float]:
-    """Share of emcee's time that keeping its chain on disk takes: two demo manoeuvres, AR(1) noise."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.inference.likelihood.mle import fit_mle
-    from bayes_aero.inference.posterior.checkpoint import Checkpoint
-    from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-    from bayes_aero.inference.posterior.laplace import density_start, find_mode
-    from bayes_aero.model.density import Density
-    from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour, Noise
-    from bayes_aero.model.observations import observe
-    from bayes_aero.simulate.demo import demo_records
-
-    spent = [0.0]
-
-    class Watched(Checkpoint):
-        def keep(self, part, before):
-            began = time.process_time()
-            super().keep(part, before)
-            spent[0] += time.process_time() - began
-
-    card = read_card("attas")
-    model = Model.from_card(card)
-    observations = observe(demo_records(), card, model)
-    density = Density.of(observations, model, Noise(Colour.AR1))
-    mode = find_mode(density, density_start(density, fit_mle(model, observations, extra_starts=0)))
-    times: dict[str, float] = {}
-    clock = Clock(times)
-    sample_ensemble(density, mode, length=EnsembleLength(max_steps=100), predictive=False)
-    clock("first")
-    with tempfile.TemporaryDirectory() as folder:
-        sample_ensemble(
-            density,
-            mode,
-            length=EnsembleLength(max_steps=steps),
-            predictive=False,
-            checkpoint=Watched(Path(folder) / "c", {}),
-        )
-        clock("emcee")
-        times["MB"] = sum(p.stat().st_size for p in Path(folder).rglob("*") if p.is_file()) / 1e6
-    return times | {"keeping": spent[0], "share": spent[0] / times["emcee"]}
 
 
 class Clock:
@@ -210,9 +136,7 @@ class Clock:
 KINDS = {
     "samples": (samples, SAMPLES),
     "manoeuvres": (manoeuvres, MANOEUVRES),
-    "gp": (gp, GP),
     "page": (page, SAMPLES),
-    "checkpoint": (checkpoint, (1000,)),
 }
 
 
@@ -247,7 +171,7 @@ def draw(rows: Mapping[str, Mapping[int, Mapping[str, float]]], path: Path) -> N
 def main() -> None:
     """Run the rows asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres", "gp"])
+    parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres"])
     parser.add_argument("--one", nargs=2)
     parser.add_argument("--sizes", type=int, nargs="*")
     parser.add_argument("--picture", type=Path, help="draw samples and manoeuvres there")

@@ -6,8 +6,7 @@
 Flights of `unlisted_terms.py` with a product hidden, and as many with nothing hidden. After the selection from the
 catalogue every program gets the same residual of the same coefficient and the same library, the free parameters of the
 model projected out of both, and the same two folds: one manoeuvre predicts the other. The peers choose their penalty,
-threshold or number of terms by the mean square error of the folds. The sampled sets of terms of this program are told
-the coefficient, too: those of a probability of one half, each by its leading term. One line of OUT/race.jsonl each.
+threshold or number of terms by the mean square error of the folds. One line of OUT/race.jsonl each.
 """
 
 from __future__ import annotations
@@ -30,9 +29,6 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.diagnosis.structure.unexplained import taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
-from bayes_aero.diagnosis.terms.forms import Structure
-from bayes_aero.diagnosis.terms.result import LIKELY
-from bayes_aero.diagnosis.terms.sampled import sampled_terms
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.simulate.injection import Beyond, hidden_records
 
@@ -97,7 +93,6 @@ def frols(X, y, folds: Folds) -> list[int]:
     return chosen_by_folds((1, 2, 3, 4), fitted, X, y, folds)
 
 
-SAMPLED = "this program, sampled sets"
 PEERS: dict[str, Peer] = {"lasso": lasso, "STLSQ": stlsq, "FROLS": frols}
 
 
@@ -132,11 +127,6 @@ def case(seed: int, silent: bool) -> dict:
     columns = columns_of(state, coefficient)
     X, y, folds = problem(state, columns)
     chosen, seconds = {"this program": [names[0] for names in told]}, {}
-    began = time.perf_counter()
-    beside = tuple(c.component for c in columns if c.term.name in {t.term.name for t in own})
-    sampled = sampled_terms(Structure(state, coefficient, beside, ()), own, seed=seed)
-    chosen[SAMPLED] = [s.terms[0][0].name for s in sampled.sets if s.probability >= LIKELY]
-    seconds[SAMPLED] = time.perf_counter() - began
     for peer, choose in PEERS.items():
         began = time.perf_counter()
         with warnings.catch_warnings():
@@ -154,7 +144,7 @@ def report(rows: list[dict]) -> None:
     some, silent = [r for r in rows if r["hidden"]], [r for r in rows if not r["hidden"]]
     print("| program | hidden term first | among those chosen | terms chosen, median | nothing hidden: terms chosen |")
     print("|---|---|---|---|---|")
-    for name in ("this program", SAMPLED, *PEERS):
+    for name in ("this program", *PEERS):
         first = sum(r["chosen"][name][:1] == [r["hidden"]] for r in some)
         among = sum(r["hidden"] in r["chosen"][name] for r in some)
         count = np.median([len(r["chosen"][name]) for r in some])

@@ -37,7 +37,6 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
 from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.diagnosis.terms.columns import columns_of
-from bayes_aero.diagnosis.terms.result import LIKELY, SampledTerms
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -171,34 +170,8 @@ def row(
         "causes": [c.name for c in found.causes],
         "unexplained": [[u.coefficient, u.channel, u.share, u.p_value, list(u.rivals)] for u in found.unknown],
         "terms": [[t.coefficient, t.term.name, *t.size, [o.name for o, _ in t.others]] for t in found.terms],
-        "sampled": [sampled_row(one) for one in found.sampled],
         "seconds": time.perf_counter() - began,
     }
-
-
-def sampled_row(one: SampledTerms) -> dict[str, Any]:
-    """The sampled sets of terms of a coefficient: probability of each set, and names of its terms."""
-    return {
-        "coefficient": one.coefficient,
-        "sets": [[s.probability, s.terms[0][1], *(t.name for t, _ in s.terms)] for s in one.sets],
-        "found": {name: list(both) for name, both in one.found.items()},
-        "agrees": one.agrees,
-        "reliable": one.reliable,
-        "rhat": one.rhat,
-        "ess": one.ess,
-    }
-
-
-def is_sampled(row: dict[str, Any], *, exactly: bool) -> bool:
-    """Whether the hidden form leads a set of a probability of at least one half, or (unless `exactly`) is in one."""
-    coefficient, name = row["hidden"]
-    for one in (s for s in row["sampled"] if s["coefficient"] == coefficient):
-        for probability, _, first, *others in one["sets"]:
-            names = [first] if exactly else [first, *others]
-            same = any(n.startswith(name) if name in ("max", "exp") else n == name for n in names)
-            if probability >= LIKELY and same:
-                return True
-    return False
 
 
 def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float]) -> float | None:
@@ -245,8 +218,6 @@ def report(rows: list[dict[str, Any]]) -> None:
     for kind, own in kinds.items():
         exact, among = (sum(is_found(r, exactly=e) for r in own) for e in (True, False))
         print(f"{kind}: exact form {exact} of {len(own)}, in the set {among}")
-        exact, among = (sum(is_sampled(r, exactly=e) for r in own) for e in (True, False))
-        print(f"    sampled: exact form {exact}, in a set of probability one half {among}")
     sized = [(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]]
     inside = sum(abs(mean - true) < 1.96 * sd for mean, sd, true in sized)
     print(f"the 95 % interval of an exact form holds the size {inside} of {len(sized)}")
@@ -254,9 +225,6 @@ def report(rows: list[dict[str, Any]]) -> None:
         if not is_found(r, exactly=False):
             told = "none" if r["score"] is None else f"{r['score']:.1f}"
             print(f"  seed {r['seed']}: {' '.join(r['hidden'])} ({told}): {r['verdict']} {r['causes']} {r['terms']}")
-    sampled = [one for r in rows for one in r["sampled"]]
-    agree, reliable = sum(s["agrees"] and s["reliable"] for s in sampled), sum(s["reliable"] for s in sampled)
-    print(f"sampled coefficients: {len(sampled)}, converged {reliable}, of which {agree} agree with forward selection")
     print("verdicts:", dict(Counter(r["verdict"] for r in some)))
 
 

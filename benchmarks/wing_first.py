@@ -33,7 +33,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.steps.post_diagnosis import separations
+from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 
 FLOWN = {"elevator": 120.0, "aileron": 120.0, "rudder": 120.0, "stall": 95.0, "stall_in_bank": 95.0, "again": 97.0}
 WINGS = ("roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "wing_drag_difference")
@@ -106,7 +106,7 @@ def told(found: Diagnosis) -> dict:
         "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
         "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
         "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
-        "manoeuvres": [s["status"] for s in separations(found)],
+        "manoeuvres": [p["manoeuvre"] for p in proposed_points(found).get("points", ())],
     }
 
 

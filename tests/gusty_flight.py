@@ -1,4 +1,4 @@
-"""An HFB 320 in pitch, in gusts of first order, of which any derivative may change: a simulator that shares no code."""
+"""An HFB 320 in pitch, in gusts of first order: a simulator that shares no code."""
 
 from __future__ import annotations
 
@@ -55,13 +55,12 @@ def gusty_flight(
     gust: Mapping[str, float] = GUST,
     seconds: float = SECONDS,
     truth: Mapping[str, float] | None = None,
-    change: Mapping[str, Callable[[float], float]] | None = None,
     beyond: Beyond = nothing,
 ) -> FlightRecord:
     """Elevator steps and a slow sweep of alpha from trimmed level flight; Heun's method.
 
     `gust`: standard deviations of the vertical (w) and longitudinal (u) gust, m/s. `truth` replaces derivatives,
-    `change` adds to them at a time in s, `beyond` to the coefficients.
+    `beyond` adds to the coefficients.
     """
     rng, h, known = np.random.default_rng(seed), DT / FINER, TRUTH | dict(truth or {})
     trim = lambda y: _rates(known, [104.0, y[0], y[0], 0.0], (0.0, 0.0), y[1], 1e3 * y[2], beyond)[[0, 1, 3]]
@@ -73,17 +72,16 @@ def gusty_flight(
     command -= np.deg2rad(1.5) * np.sin(2.0 * np.pi * t / 40.0)
     for k in range(n):
         V, angle, theta, q = x
-        now = known | {name: known[name] + more(t[k]) for name, more in (change or {}).items()}
         flow = (V + met[1], angle + met[0] / V)
-        ax, az, _ = _body(now, *flow, q, command[k], 1e3 * thrust, beyond)
+        ax, az, _ = _body(known, *flow, q, command[k], 1e3 * thrust, beyond)
         rows.append([*flow, theta, q, ax, az])
         ahead = command[min(k + 1, n - 1)]
         for j in range(FINER):
             elevator = command[k] + (ahead - command[k]) * np.array([j, j + 1]) / FINER
             kept = np.exp(-V / LENGTH * h)
             new = kept * met + np.sqrt(1.0 - kept**2) * rng.normal(size=2) * intensity
-            first = _rates(now, x, met, elevator[0], 1e3 * thrust, beyond)
-            second = _rates(now, x + h * first, new, elevator[1], 1e3 * thrust, beyond)
+            first = _rates(known, x, met, elevator[0], 1e3 * thrust, beyond)
+            second = _rates(known, x + h * first, new, elevator[1], 1e3 * thrust, beyond)
             x, met = x + 0.5 * h * (first + second), new
     clean = np.array(rows)
     channels = {name: clean[:, i] + rng.normal(0.0, sd, n) for i, (name, sd) in enumerate(NOISE.items())}

@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 66171,
-    "bayes_aero: files": 558,
-    "bayes_aero: private helpers used once": 939,
-    "bayes_aero: class names with several meanings": 38,
-    "tests: lines": 33833,
-    "tests: files": 273,
-    "benchmarks: lines": 8913,
-    "benchmarks: files": 75,
-    "benchmarks/README.md: lines": 1134,
-    "CHANGELOG.md: lines": 658,
-    "docs: words": 34054,
+    "bayes_aero: lines": 61899,
+    "bayes_aero: files": 538,
+    "bayes_aero: private helpers used once": 875,
+    "bayes_aero: class names with several meanings": 34,
+    "tests: lines": 32134,
+    "tests: files": 263,
+    "benchmarks: lines": 8678,
+    "benchmarks: files": 74,
+    "benchmarks/README.md: lines": 290,
+    "CHANGELOG.md: lines": 158,
+    "docs: words": 32519,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

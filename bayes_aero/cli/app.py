@@ -14,6 +14,7 @@ from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
 from bayes_aero.cli.fly import fly
+from bayes_aero.cli.gone_options import refuse_gone
 from bayes_aero.cli.handover.export import export
 from bayes_aero.cli.handover.open import open as open_page
 from bayes_aero.cli.handover.qualify import qualify
@@ -30,7 +31,7 @@ TRACEBACK = "BAYES_AERO_TRACEBACK"
 
 EPILOG = (
     f"Exit codes: 0 done; {FAILED} a record is not usable (check), a fit did not converge or the model "
-    "cannot be simulated (fly), units of a study failed or differ, or its cluster was lost (run), or a part of the "
+    "cannot be simulated (fly), units of a study failed, or its cluster was lost (run), or a part of the "
     "program failed unexpectedly (reported first; the other results are written); "
     f"{BAD_INPUT} bad input, reported in one sentence; {DOUBT} done, but the records are in doubt: sensors disagree "
     f"or a channel is faulty, reported first; {INTERRUPTED} interrupted, finished stages are kept.\n\n"
@@ -72,6 +73,7 @@ def main() -> None:
     """Entry point: bad input is one sentence and exit status 2, Ctrl-C is 130."""
     enable_cache()
     try:
+        refuse_gone(sys.argv[1:])
         app(prog_name=app.info.name)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -74,4 +74,3 @@ class ExportForm(StrEnum):
     JSBSIM = "jsbsim"
     FMU = "fmu"
     TABLES = "tables"
-    PYTHON = "python"

@@ -45,8 +45,8 @@ def diagnose(
     max_effects: Annotated[int, typer.Option(min=1, help="Effects that each stage may add to the model.")] = 8,
     resample: ResampleOption = None,
     split: SplitOption = False,
-    predictors: Annotated[
-        bool, typer.Option(help="Compare predictors on hold-out data; simulate manoeuvres that would separate rivals.")
+    test_points: Annotated[
+        bool, typer.Option(help="Propose manoeuvres that decide what is open; fit causes in a band of frequencies.")
     ] = True,
     trajectories: Annotated[
         bool, typer.Option(help="Simulate the card's and the extended model with the recorded inputs.")
@@ -77,11 +77,11 @@ def diagnose(
     if write_effect is not None:
         refuse_existing(write_effect)
     console = teller(quiet=json, highlight=True)
-    with interruptible(kept_stages(out, taken_up=True)), bar("reading" if records else "simulating") as tell:
+    with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, seed)
-        options = DiagnoseOptions(seed, max_effects, predictors, trajectories, figures, process_noise)
+        options = DiagnoseOptions(seed, max_effects, test_points, trajectories, figures, process_noise)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
     told = None
     if write_effect is not None:

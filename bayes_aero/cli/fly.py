@@ -78,13 +78,6 @@ def fly(
         bool,
         typer.Option("--posterior", help="With --process-noise: sample the posterior, too (NUTS and emcee)."),
     ] = False,
-    drift: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,NAME",
-            help="Parameters that drift in a further fit with process noise, e.g. Cm0,CLa: did they change, and when?",
-        ),
-    ] = None,
     frequency: FrequencyOption = None,
     seed: SeedOption = 0,
     resample: ResampleOption = None,
@@ -109,7 +102,7 @@ def fly(
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
         chosen = (windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior)
-        options = FlyOptions(*chosen, drift=drift, frequency=frequency)
+        options = FlyOptions(*chosen, frequency=frequency)
         found = fly_records(flights, card, options, out=out, progress=tell)
     if json:
         typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
@@ -124,8 +117,8 @@ def fly(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.motion.tables import mode_table, test_table
-    from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
+    from bayes_aero.report.motion.tables import mode_table
+    from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
     from bayes_aero.report.tables.fly import beside_table, error_table, parameter_table
 
     console.print(parameter_table(found.flown).terminal())
@@ -135,15 +128,11 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
         console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
         if found.process_noise.one_step is not None:
             console.print(one_step_table(found.process_noise.one_step, found.flown.units).terminal())
-        if found.process_noise.drift is not None:
-            console.print(drift_table(found.process_noise.drift).terminal())
     if found.posteriors:
         console.print(posterior_table(found.posteriors).terminal())
     console.print(error_table(found.flown).terminal())
     if found.motion is not None and found.motion.modes:
         console.print(mode_table(found.motion).terminal())
-    if found.motion is not None and found.motion.tests:
-        console.print(test_table(found.motion).terminal())
     for sentence in found.sentences:
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

@@ -52,12 +52,6 @@ def identify(
         bool, typer.Option(help="Sample the posterior; otherwise maximum likelihood with its bounds only.")
     ] = True,
     gp: Annotated[bool, typer.Option(help="Train the Gaussian processes.")] = True,
-    approximate_gp: Annotated[
-        bool,
-        typer.Option(
-            "--approximate-gp", help="Approximate a Gaussian process of more samples than the exact one accepts."
-        ),
-    ] = False,
     next_flight: Annotated[
         bool,
         typer.Option(
@@ -97,7 +91,6 @@ def identify(
             seed=seed,
             sample=sample,
             gp=gp,
-            approximate_gp=approximate_gp,
             next_flight=next_flight,
             figures=figures,
             frequency=frequency,

@@ -33,15 +33,12 @@ if TYPE_CHECKING:
 
 SILENCE = 15.0  # seconds without workers after which that is told also where there is no terminal
 SCHEMA = "bayes_aero/study/1"
-MARKS = {"same": "✓", "differs": "✗", "incomparable": "–"}
-"""Of a unit that was verified."""
 
 
 def run(
     study: Annotated[Path, typer.Argument(help="A study (.toml).")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
-    verify: Annotated[bool, typer.Option("--verify", help="Repeat finished units and compare every number.")] = False,
     trust_effects: Annotated[
         bool,
         typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first."),
@@ -69,7 +66,7 @@ def run(
 
     Example: bayes-aero run study.toml --out results --workers 4
     """
-    _check(dry_run, verify, workers, memory, scheduler)
+    _check(dry_run, workers, memory, scheduler)
     from bayes_aero.study.study import read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
@@ -85,9 +82,7 @@ def run(
     rest = leftovers(asked, folder)
     if rest:
         console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
-    if verify:
-        _verify(console, asked, planned, folder, json)
-    elif dry_run:
+    if dry_run:
         _listed(console, planned)
         if json:
             print_json(_content(asked, folder, [_row(p) for p in planned]))
@@ -159,16 +154,14 @@ def _tell(
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
 
 
-def _check(dry_run: bool, verify: bool, workers: int | None, memory: str | None, scheduler: str | None) -> None:
+def _check(dry_run: bool, workers: int | None, memory: str | None, scheduler: str | None) -> None:
     """Options that go together."""
-    if dry_run and verify:
-        raise InputError("--dry-run and --verify exclude each other; give one of them")
     if workers and scheduler:
         raise InputError("--workers and --scheduler exclude each other; give one of them")
     if memory and not workers:
         raise InputError("--memory is for the processes of --workers; give how many")
-    if (dry_run or verify) and (workers or scheduler):
-        raise InputError("--dry-run and --verify are done in this process; leave --workers and --scheduler out")
+    if dry_run and (workers or scheduler):
+        raise InputError("--dry-run is done in this process; leave --workers and --scheduler out")
 
 
 @contextmanager
@@ -225,26 +218,3 @@ def _listed(console: Console, planned: list[Planned]) -> None:
     console.print(Table([unit, state, of(lambda p: p.state.why, terminal="why", words=True)]).terminal())
     counts = Counter(p.state.word for p in planned)
     console.print(f"{len(planned)} units: {', '.join(f'{n} {word}' for word, n in counts.items())}")
-
-
-def _verify(console: Console, study: Study, planned: list[Planned], out: Path, json: bool) -> None:
-    from bayes_aero.study.verify import EMPTY_STATES, verify_unit
-
-    rows = []
-    with interruptible(lambda: "verification writes nothing; give the same command again"), bar("verifying") as show:
-        for number, p in enumerate(planned):
-            show(f"{number + 1}/{len(planned)} {p.unit.name}", number / len(planned))
-            differences = verify_unit(p.unit, p.folder)
-            state = "incomparable" if p.state.word in EMPTY_STATES else "differs" if differences else "same"
-            rows.append({"name": p.unit.name, "state": state, "differences": differences})
-            console.print(f"{MARKS[state]} {p.unit.name}", soft_wrap=True)
-            for sentence in differences:
-                console.print(f"    {sentence}", soft_wrap=True)
-    counts = Counter(row["state"] for row in rows)
-    same, differ, without = (counts[state] for state in MARKS)
-    rest = f", {without} without results to compare" if without else ""
-    console.print(f"{len(rows)} units: {same} the same, {differ} differ{rest}.")
-    if json:
-        print_json(_content(study, out, rows))
-    if same < len(rows):
-        raise typer.Exit(FAILED)

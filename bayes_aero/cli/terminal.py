@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from bayes_aero.cli.durations import Durations, TimeLeft
 from bayes_aero.progress import Progress
-from bayes_aero.study.jit_cache import cache_folder
 
 if TYPE_CHECKING:  # the real imports wait until a command needs them
     from bayes_aero.flight.agreement import Consistency
@@ -59,26 +57,21 @@ def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
 def bar(first: str, over: float = 30.0) -> Iterator[Progress]:
     """A bar with the time left on the terminal, silence elsewhere; tell it a stage and the share of it that is done.
 
-    Both times are the stage's; what is left is estimated from the last `over` seconds, and before it moves from how
-    long it took in an earlier run.
+    Both times are the stage's; what is left is estimated from the last `over` seconds.
     """
     console = Console(stderr=True)
-    durations = Durations(cache_folder())
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeLeft(durations))
-    hidden = not console.is_terminal
-    with ProgressBar(*columns, console=console, transient=True, disable=hidden, speed_estimate_period=over) as shown:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with ProgressBar(
+        *columns, console=console, transient=True, disable=not console.is_terminal, speed_estimate_period=over
+    ) as shown:
         task = shown.add_task(first, total=1.0)
-        durations.stage(first)
 
         def tell(text: str, share: float) -> None:
-            durations.stage(text)
             if share < shown.tasks[0].completed:  # the next stage; a finished task's clock would stand still for good
                 shown.reset(task)
             shown.update(task, description=text, completed=share)
 
         yield tell
-    if not hidden:
-        durations.keep()
 
 
 @contextmanager
@@ -161,8 +154,8 @@ def interruptible(resume: Callable[[], str]) -> Iterator[None]:
         raise InterruptionError(resume()) from None
 
 
-def kept_stages(out: Path, *, taken_up: bool = False) -> Callable[[], str]:
-    """What a command that writes stage by stage has left in `out` since this call; `taken_up`: it can go on with it."""
+def kept_stages(out: Path) -> Callable[[], str]:
+    """What a command that writes stage by stage has left in `out` since this call."""
     began = time.time() - 1.0  # file systems round times
 
     def told() -> str:
@@ -173,15 +166,9 @@ def kept_stages(out: Path, *, taken_up: bool = False) -> Callable[[], str]:
         ]
         if not written:
             return f"no stage had finished, so {out} holds nothing new; give the same command to start again"
-        if taken_up and (out / ".unfinished.json").is_file():  # of a diagnosis; its module is heavy to import
-            return (
-                f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-                "the same command repeats the selection, with the same result, and continues with the rest"
-            )
-        chains = " but continues the chain of emcee" if (out / ".chains").is_dir() else ""
         return (
             f"the stages that had finished are in {out} ({', '.join(written)}) and can be used as they are; "
-            f"the same command repeats all stages{chains and f',{chains}'}"
+            "the same command repeats all stages"
         )
 
     return told

@@ -38,8 +38,6 @@ from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, riv
 from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins, without_hold
 from bayes_aero.diagnosis.selection.undecided_errors import open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.terms.result import SampledTerms
-from bayes_aero.diagnosis.terms.sampled import sampled_terms
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
@@ -87,7 +85,6 @@ def diagnose(
     causes, beyond = without_conditional(causes, beyond)
     unknown = (*found.unknown, *structure_of(found, (*unnamed, *absurd)))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
-    sampled, unsampled = _sampled(found, seed, progress) if ask else ((), ())
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
     verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
@@ -104,7 +101,7 @@ def diagnose(
         split=split_name(state),
         base_moves=moves_of(found.model),
         kept=kept,
-        failures=(*found.failures, *failed, *unsampled),
+        failures=(*found.failures, *failed),
         notes=(*left_out, *found.notes),
         together=together_of(found.stages, causes),
         beyond=beyond,
@@ -114,7 +111,6 @@ def diagnose(
         changes=found.changes,
         terms=found.terms,
         absorbed=taken_up,
-        sampled=sampled,
     )
 
 
@@ -163,19 +159,6 @@ def without_conditional(
 def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
     """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
     return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
-
-
-def _sampled(
-    found: SearchResult, seed: int, progress: Progress | None
-) -> tuple[tuple[SampledTerms, ...], tuple[str, ...]]:
-    """Sampled sets of terms, which name nothing, and failures."""
-    if progress and found.structures:
-        progress("sampling terms", 0.0)
-    return attempted(
-        "Sets of terms were not sampled",
-        lambda: tuple(sampled_terms(one, found.terms, seed=seed + 4000) for one in found.structures),
-        (),
-    )
 
 
 def causes_of(

@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.selection.absorbed import Absorbed
 from bayes_aero.diagnosis.selection.collinear import CancellingPair
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.noise import NoiseReport
-from bayes_aero.diagnosis.terms.result import FoundTerm, SampledTerms
+from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 
@@ -220,7 +220,6 @@ class Diagnosis:
     changes: tuple[ParameterChange, ...] = ()  # parameters that take another value during the records
     terms: tuple[FoundTerm, ...] = ()  # forms of the structure that no effect of the catalogue explains
     absorbed: tuple[Absorbed, ...] = ()  # parameters of controls at rest, and effects that they may have taken up
-    sampled: tuple[SampledTerms, ...] = ()  # posteriors over sets of terms, beside the forward selection of `terms`
 
     @property
     def by_coefficients(self) -> bool:

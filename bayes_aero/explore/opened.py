@@ -72,9 +72,8 @@ class Opened:
         """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
         said = [*self.doubts, *([LIMITS] if self.linear else [])]
         if self.command == "fly" and with_process_noise(self.told):
-            drifts = ", drifts of parameters" if self.told["process_noise"].get("drift") else ""
             said.append(
-                f"The values are those of the fit with process noise. Its gusts{drifts} and the noise of its states "
+                "The values are those of the fit with process noise. Its gusts and the noise of its states "
                 "are not flown here, as the result has no history of that noise: errors are those in still air."
             )
         return tuple(said)

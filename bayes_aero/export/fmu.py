@@ -111,7 +111,7 @@ def write_fmu(found: Identified, folder: Path) -> Path:
         made = Path(there) / f"{name}.fmu"
         if done.returncode or not made.is_file():
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise DefectError(f"pythonfmu did not build the FMU ({last})", "export --to python")
+            raise DefectError(f"pythonfmu did not build the FMU ({last})", "export --to jsbsim")
         return write_whole(made.read_bytes(), folder / made.name)
 
 

@@ -1,16 +1,15 @@
-"""The model as one Python function that needs nothing but `math`."""
+"""The model as one Python function that needs nothing but `math`: what an FMU evaluates."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from keyword import iskeyword
 
-from bayes_aero.errors import InputError, plain_line
+from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
-from bayes_aero.export.program import Operand, Program, Step
-from bayes_aero.export.text import about, meaning, unit, version, wrapped
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS
+from bayes_aero.export.program import Operand, Program
 
 WIDTH = 110
 TAKEN = r"P|A|t\d+|math|parameters"
@@ -31,101 +30,29 @@ WORDS = {"min": "min({}, {})", "max": "max({}, {})", "abs": "abs({})", "and": "(
 
 
 def python_source(found: Identified) -> str:
-    """The text of a Python file: parameters, constants, draws and the function `aerodynamics`."""
-    program = with_rates(found)
+    """The text of a Python file: parameters, constants and the function `aerodynamics`."""
+    program = found.program
     used = {step.operation for step in program.steps}
-    signals, points = program.inputs_of("signal"), program.inputs_of("state")
-    for name in (*signals, *points):
+    names = (*program.inputs_of("signal"), *program.inputs_of("state"))
+    for name in names:
         if not name.isidentifier() or iskeyword(name) or re.fullmatch(TAKEN, name):
             raise InputError(f"channel {name} cannot be an argument in Python; give it another name on the card")
-    names = (*signals, *points)
-    head = f"def aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):"
+    read = program.inputs_of("parameter")
+    values = {p.name: found.values[p.name] for p in found.exported.parameters if p.name in read}
     parts = [
-        f'"""{_quoted(wrapped(about(found), WIDTH))}\n"""\n\nimport math\n',
-        _table(
-            "PARAMETERS",
-            [
-                (p.name, found.values[p.name], f"{p.unit}: {p.description}".removeprefix("1: "))
-                for p in _parameters(found)
-            ],
-        ),
-        _table("AIRCRAFT", [(n, found.inputs[f"aircraft.{n}"], _unit_of(n)) for n in program.inputs_of("aircraft")]),
-        *([] if found.draws is None else [_draws(found)]),
+        "import math\n",
+        _table("PARAMETERS", values),
+        _table("AIRCRAFT", {n: found.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")}),
         *(f"\n{OWN[name]}" for name in OWN if name in used),
-        f"\n{head}\n{_docstring(found, signals, points, program)}    P, A = parameters, AIRCRAFT\n{_body(program)}",
+        f"\ndef aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):",
+        f"    P, A = parameters, AIRCRAFT\n{_body(program)}",
     ]
     return "\n".join(parts)
 
 
-def with_rates(found: Identified) -> Program:
-    """The program with the rate of each lagged separation point, too."""
-    program = found.program
-    if not found.lagged:
-        return program
-    outputs, steps = dict(program.outputs), list(program.steps)
-    lag = outputs["lag"]
-    for name in found.points:
-        steps.append(Step(f"excess.{name}", "sub", (outputs[f"{name}_static"], f"state.{name}")))
-        steps.append(Step(f"rate.{name}", "div", (f"excess.{name}", lag)))
-        outputs[f"{name}_dot"] = f"rate.{name}"
-    return Program(tuple(steps), outputs)
-
-
-def _parameters(found: Identified) -> list:
-    used = found.program.inputs_of("parameter")
-    return [p for p in found.exported.parameters if p.name in used]
-
-
-def _unit_of(constant: str) -> str:
-    return AIRCRAFT_UNITS[constant.split(".")[0]]
-
-
-def _quoted(text: str) -> str:
-    """Words of a card or a record, which end no docstring."""
-    return text.replace("\\", "/").replace('"', "'")
-
-
-def _table(name: str, rows: list[tuple[str, float, str]]) -> str:
-    lines = [f"    {json.dumps(key)}: {float(value)!r},  # {plain_line(remark)}" for key, value, remark in rows]
+def _table(name: str, rows: Mapping[str, float]) -> str:
+    lines = [f"    {json.dumps(key)}: {float(value)!r}," for key, value in rows.items()]
     return "\n".join([f"{name} = {{", *lines, "}"])
-
-
-def _draws(found: Identified) -> str:
-    drawn = found.draws
-    assert drawn is not None
-    rows = "\n".join(f"    ({', '.join(repr(float(x)) for x in row)},)," for row in drawn.values)
-    return (
-        f"DRAWN = {drawn.names!r}\n"
-        f"# {drawn.origin}; parameters=PARAMETERS | dict(zip(DRAWN, DRAWS[k])) takes one of them\n"
-        f"DRAWS = (\n{rows}\n)"
-    )
-
-
-def _docstring(found: Identified, signals: tuple[str, ...], points: tuple[str, ...], program: Program) -> str:
-    lines = [f"{name}: {meaning(name)}{_behind(name)}." for name in signals]
-    lines += [f"{name}: separation point, 1 attached, 0 separated; a state." for name in points]
-    lines += ["parameters: PARAMETERS, or other values of the same names."]
-    given = [f"{name}" for name in program.outputs]
-    told = [f"coefficients {', '.join(n for n in given if n in found.exported.coefficients)}"]
-    told += [f"{n}: {_said(n)}" for n in given if n not in found.exported.coefficients]
-    body = "\n".join(f"        {line}" for line in lines)
-    returned = wrapped([f"A dict: {'; '.join(told)}."], WIDTH, "        ")
-    return (
-        f'    """Aerodynamic coefficients of {_quoted(found.title)}, by {version()}.\n\n    Args:\n{body}\n\n'
-        f'    Returns:\n{returned}\n    """\n'
-    )
-
-
-def _behind(channel: str) -> str:
-    return "" if unit(channel) in ("", "1") else f", {unit(channel)}"
-
-
-def _said(output: str) -> str:
-    if output.endswith("_dot"):
-        return "rate of the state, 1/s"
-    if output == "lag":
-        return "time constant of the state, s"
-    return "its static value" if output.endswith("_static") else "separation point"
 
 
 def _body(program: Program) -> str:

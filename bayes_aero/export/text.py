@@ -115,8 +115,8 @@ def meaning(channel: str) -> str:
     return STANDARD_CHANNELS[channel].description if channel in STANDARD_CHANNELS else "input of an effect"
 
 
-def wrapped(sentences: Sequence[str], width: int, indent: str = "") -> str:
+def wrapped(sentences: Sequence[str], width: int) -> str:
     """Paragraphs of lines that are no longer than `width`."""
     import textwrap
 
-    return "\n".join(textwrap.fill(s, width, initial_indent=indent, subsequent_indent=indent) for s in sentences)
+    return "\n".join(textwrap.fill(s, width) for s in sentences)

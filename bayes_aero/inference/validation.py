@@ -46,13 +46,11 @@ class Training(NamedTuple):
     """How Gaussian processes are trained.
 
     Hyperparameters are sampled, if `sample`, for the first fold of the split `chosen`; for the others, at their mode.
-    `approximate`: see `fit_gp`.
     """
 
     chosen: SplitKind
     seed: int = 0
     sample: bool = True
-    approximate: bool = False
 
 
 def validate(
@@ -73,9 +71,8 @@ def validate(
         kind: make_splits(kind, observations.manoeuvre, observations.dt, training.seed) for kind in kinds
     }
     largest = max(len(f.train_idx) for folds in splits.values() for f in folds)
-    if largest > MAX_SAMPLES and not training.approximate:
+    if largest > MAX_SAMPLES:
         raise InputError(too_many(largest))
-    largest = min(largest, MAX_SAMPLES)
     tasks = [
         _Task(kind, number, i, observations.coefficients[i], training.sample and kind == chosen and number == 0)
         for kind, folds in splits.items()
@@ -193,7 +190,6 @@ def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
         priors=Priors.quasi_steady(),
         sample=sampled,
         seed=work.training.seed,
-        approximate=work.training.approximate,
         progress=lambda _: None,
     )
     if work.tidy:
@@ -208,12 +204,6 @@ def _trained(work: _Work) -> tuple[GPFit | None, dict[str, Any]]:
         "gp_scores": score(measured, prediction.mean),
         "coverage": prediction.coverage(measured),
         "k_hat": float(fit.k_hat) if np.isfinite(fit.k_hat) else None,
-        "status": _status(fit, sampled),
+        "status": fit.status.value if sampled else fit.map_status.value,
     }
     return fit if sampled else None, part
-
-
-def _status(fit: GPFit, sampled: bool) -> str:
-    """How the fit ended and, where the process is approximated, the error of the approximation."""
-    ended = fit.status.value if sampled else fit.map_status.value
-    return ended if fit.approximation is None else f"{ended} Approximated: {fit.approximation.sentence}."

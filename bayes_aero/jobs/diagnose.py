@@ -28,12 +28,10 @@ from bayes_aero.inference.threads import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.result_store import ResultStore
-from bayes_aero.jobs.io.resume import RESTS_ON, ResumeStore, digest
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.background import in_background
-from bayes_aero.jobs.steps.post_diagnosis import predictors, simulations
+from bayes_aero.jobs.steps.post_diagnosis import simulations
 from bayes_aero.jobs.steps.post_processing import drawings, follow
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.model import Model
@@ -84,7 +82,7 @@ def diagnose_records(
 ) -> Outcome:
     """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
     alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
-    histories.nc, figures and report.html. The same call after an interruption takes up the stages that are there.
+    histories.nc, figures and report.html.
 
     A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
     comparison with what was found.
@@ -93,30 +91,22 @@ def diagnose_records(
     if out is not None:
         writable(out)
     source = provenance(card, records, options.seed, _told(options), options)
-    source[RESTS_ON] = digest(rests_on(source, records) | {"settings": source["settings"]})
-    unfinished = ResumeStore(out, source[RESTS_ON])
     if progress:
         progress("do the sensors agree?", 0.0)
     settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
     found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
     alone = not found.by_coefficients
-    options = replace(options, predictors=options.predictors and not alone)
+    options = replace(options, test_points=options.test_points and not alone)
     known = None if alone else errors_of_diagnosis(found)
     checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(replace(found, following=only_following(checks.health)))
     named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
-    earlier = unfinished.earlier(
-        card, view.diagnosis.causes, predictors=options.predictors, trajectories=options.trajectories and not alone
-    )
-    kept = ResultStore(outcome, out, card, records, source, earlier)
+    kept = ResultStore(outcome, out, card, records, source)
     for sentence in left_out:
         kept.note(sentence)
-    unfinished.begin()
     _stages(kept, records, card, options, progress)
-    if not kept.outcome.failures:  # else the same command does again what failed
-        unfinished.end()
     return kept.outcome
 
 
@@ -133,14 +123,13 @@ def _stages(
     diagnosis = kept.outcome.diagnosis
     shown = DIAGNOSIS_FIGURES if options.figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
-    predict = (lambda found, tell: predictors(found, card, tell)) if options.predictors else None
     with (
         blas_threads(0),
-        in_background(partial(follow, kept, predict, early, envelope=card.envelope), progress) as following,
+        in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
     ):  # one limit: of two, the first to end would lift both
         if cores() == 1:
             following.result()
-        if options.trajectories and not kept.has("trajectories"):
+        if options.trajectories:
             kept.attempt(
                 "Trajectories were not simulated",
                 lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),

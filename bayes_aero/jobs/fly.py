@@ -12,7 +12,6 @@ from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, s
 from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
-from bayes_aero.dynamics.filtering.drifting import refuse
 from bayes_aero.dynamics.flight import DERIVED
 from bayes_aero.dynamics.output_channels import OF_AXIS
 from bayes_aero.errors import attempted
@@ -35,23 +34,21 @@ from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.pit import one_step_quantiles
 from bayes_aero.report.figures.posterior import pair_of
-from bayes_aero.report.figures.process_noise import drift as drift_figure
 from bayes_aero.report.figures.process_noise import gusts
 from bayes_aero.report.figures.trajectories import fly_figures
 from bayes_aero.report.frequency.figures import FREQUENCY_FIGURES
-from bayes_aero.report.frequency.tables import frequency_sentences, running_table
+from bayes_aero.report.frequency.tables import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.filtered import drift_history_table, gust_table, posterior_table
+from bayes_aero.report.tables.filtered import gust_table, posterior_table
 from bayes_aero.report.tables.fly import parameter_table
 from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.drift import drift_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
 from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
 
-DISTURBED = {"drift": drift_figure, "gusts": gusts, "one_step": one_step_quantiles}
+DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
 
 
 def fly(
@@ -68,7 +65,6 @@ def fly(
     figures: bool = True,
     process_noise: bool | None = None,
     posterior: bool = False,
-    drift: str | Sequence[str] | None = None,
     frequency: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Flight:
@@ -92,8 +88,6 @@ def fly(
         process_noise: True fits the same model with process noise, too, by an extended Kalman filter; None: if the
             flight path of a record shows gusts, or if output error and the coefficients disagree.
         posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
-        drift: names of parameters that drift in a further fit with process noise, a list or separated by commas; it
-            says whether they changed, when, and by how much.
         frequency: lowest and highest frequency, Hz, of a band in which a linear card is fitted, too, by equation error
             and output error.
         progress: called with a stage and the share of it that is done.
@@ -108,7 +102,7 @@ def fly(
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
     chosen = (windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
-    options = FlyOptions(*chosen, drift=drift, frequency=frequency)
+    options = FlyOptions(*chosen, frequency=frequency)
     return fly_records(records, card, options, out=out, progress=progress)
 
 
@@ -126,8 +120,6 @@ def fly_records(
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     notes = [*left_out, *notes]
-    if options.drift is not None:
-        refuse(dynamics, options.drifting, {*card.fixed, *(dict(card.linear.fixed) if card.linear else ())})
     if out is not None:
         writable(out)
     if progress:
@@ -148,8 +140,8 @@ def fly_records(
     flown = output_error_fit(flights, dynamics, card, starts, options, progress)
     flown = replace(flown, following=only_following(checks.health))
     if options.frequency is not None:
-        in_band, running, responses = linear_in_band(flights, dynamics, options.frequency)
-        flown = replace(flown, frequency=in_band, running=running, frequency_responses=responses)
+        in_band, responses = linear_in_band(flights, dynamics, options.frequency)
+        flown = replace(flown, frequency=in_band, frequency_responses=responses)
         notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
@@ -180,17 +172,13 @@ def fly_records(
 
 
 def _filtered(beside: ProcessNoise | None, flown: TrajectoryFit) -> tuple[str, ...]:
-    """What the fit with process noise says, drift first; nothing without one."""
-    if beside is None:
-        return ()
-    drifted = drift_sentences(beside.drift) if beside.drift is not None else ()
-    return (*drifted, *process_noise_sentences(beside, flown))
+    """What the fit with process noise says; nothing without one."""
+    return () if beside is None else tuple(process_noise_sentences(beside, flown))
 
 
 def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
     """The settings by the names of the options; `outputs` only where they were chosen."""
     chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    chosen |= {"drift": list(options.drifting)} if options.drift is not None else {}
     chosen |= {"frequency": list(options.frequency)} if options.frequency is not None else {}
     names = ("windows", "initial_state", "priors", "inputs", "posterior")
     return {name: getattr(options, name) for name in names} | {"process_noise": options.filtered} | chosen
@@ -255,12 +243,8 @@ def _written(
 def _put_numbers(found: Flight, out: Path) -> None:
     """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
     write_csv(parameter_table(found.flown), out / "parameters.csv")
-    if found.flown.running is not None:
-        write_csv(running_table(found.flown.running), out / "running.csv")
     if found.process_noise is not None and found.process_noise.histories:
         write_csv(gust_table(found.process_noise), out / "gusts.csv")
-    if found.process_noise is not None and found.process_noise.drift is not None:
-        write_csv(drift_history_table(found.process_noise.drift), out / "drift.csv")
     for engine in ("nuts", "emcee"):
         (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
     (out / "posterior.csv").unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,7 +19,6 @@ from bayes_aero.inference.frequency.bands import coefficients_in_band
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.posterior.checkpoint import Checkpoint
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
@@ -33,7 +31,6 @@ from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.io.identification_files import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions, check_band
-from bayes_aero.jobs.provenance.environment import rests_on
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.jobs.steps.identified_flight import fly_identified
 from bayes_aero.jobs.steps.pooled_manoeuvres import left_out_of_many, pooled_manoeuvres
@@ -52,8 +49,6 @@ from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.text.restraints import leaning_sentences
 from bayes_aero.residuals.frequency_error import Band
 
-CHAINS = ".chains"
-
 
 def identify(
     records: Sequence[FlightRecord],
@@ -66,9 +61,7 @@ def identify(
 ) -> Identification:
     """Fit, sample and compare, as `bayes-aero identify` does; with `out` every stage is written as it ends.
 
-    With `out` and `options.resume` emcee's chains are on disk as they grow, in `out`/.chains until the run is complete:
-    the same call after a kill goes on with them, if records, card, settings and versions are the same. `truth` has the
-    parameters that simulated records were flown with: they are shown beside the estimates.
+    `truth` has the parameters that simulated records were flown with: they are shown beside the estimates.
     """
     job = _Job(records, card, options, out, progress)
     job.fit(truth)
@@ -110,7 +103,6 @@ class _Job:
         self.observations = observe(self.repaired, card, self.model, options.forming)
         self.seconds: dict[str, float] = {}
         self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told, options))
-        self.chains = None if out is None else out / CHAINS
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any) -> tuple[Any, tuple[str, ...]]:
         """What `do` returns or, if it fails unexpectedly, `otherwise` and the reason."""
@@ -220,27 +212,18 @@ class _Job:
     def _sampled(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
         """A posterior, with what is said of its other modes and of the priors that it leans on."""
         run, seed = self.run, self.options.seed
-        kept: dict[str, Any] = {}
-        if engine is sample_ensemble and self.chains is not None and self.options.resume:
-            kept["checkpoint"] = Checkpoint(self.chains / f"{key}_{colour.value}", self._rests_on(key, colour))
         density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
         mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-        posterior = engine(density, mode, seed=seed, progress=self.progress, **kept)
+        posterior = engine(density, mode, seed=seed, progress=self.progress)
         told = other_modes(mode, f"{key}, {colour.value} noise")
         if run.mle.conflicts and key == "emcee":
             told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
         return posterior, told
 
-    def _rests_on(self, key: str, colour: Colour) -> dict[str, Any]:
-        """All that the numbers of a chain rest on."""
-        source = provenance(self.card, self.records, self.options.seed, {})
-        more = {"coefficients": self.options.forming.value, "posterior": f"{key}_{colour.value}"}
-        return rests_on(source, self.records) | more
-
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood."""
         o = self.options
-        training = Training(o.split, o.seed, approximate=o.approximate_gp)
+        training = Training(o.split, o.seed)
         try:
             with self.timed("gp"):
                 report, failed = self.attempt(
@@ -262,7 +245,7 @@ class _Job:
         self.add((), failed, stall=stall)
 
     def show(self) -> None:
-        """Figures and the page; then nothing is left of the chains and of earlier runs."""
+        """Figures and the page; then nothing is left of earlier runs."""
         options, out, drawn = self.options, self.out, []
         if options.figures and out is not None:
             with self.timed("figures"):
@@ -281,8 +264,6 @@ class _Job:
             if failed:
                 self.add((), failed)
                 self.files.stage(self.run)
-        if self.chains is not None and not self.run.failures:
-            shutil.rmtree(self.chains, ignore_errors=True)
         self.files.remove_older(self.run, page=options.page, figures=options.figures)
 
 

@@ -45,8 +45,8 @@ class IdentifyOptions:
     `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
     With `next_flight` the manoeuvres are pooled.
     Without `sample` maximum likelihood alone stands for the parameters; without `page` no report.html is made. `split`
-    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits. With `resume`
-    the chains of an earlier call are continued. `frequency`: a band, Hz, in which the parameters are fitted, too.
+    chooses the split whose Gaussian-process hyperparameters are sampled; scores are given for all splits.
+    `frequency`: a band, Hz, in which the parameters are fitted, too.
     """
 
     noise: Colour = DEFAULT_NOISE
@@ -55,10 +55,8 @@ class IdentifyOptions:
     seed: int = 0
     sample: bool = True
     gp: bool = True
-    approximate_gp: bool = False
     next_flight: bool = False
     figures: bool = True
-    resume: bool = True
     page: bool = True
     frequency: tuple[float, float] | None = None
 
@@ -78,14 +76,15 @@ class IdentifyOptions:
 class DiagnoseOptions:
     """What a diagnosis may be told.
 
-    `max_effects` is the number of effects that each stage may add. `predictors` adds the comparison of predictors and
-    the manoeuvres that would separate ambiguity sets, `trajectories` simulated ones. With `process_noise`
-    the model is compared with innovations, in gusts, instead of coefficients; None: where the records are in gusts.
+    `max_effects` is the number of effects that each stage may add. `test_points` adds the manoeuvres that would decide
+    what is open and the sizes of the causes in a band of frequencies, `trajectories` simulated ones. With
+    `process_noise` the model is compared with innovations, in gusts, instead of coefficients; None: where the records
+    are in gusts.
     """
 
     seed: int = 0
     max_effects: int = 8
-    predictors: bool = True
+    test_points: bool = True
     trajectories: bool = True
     figures: bool = True
     process_noise: bool | None = None
@@ -105,7 +104,6 @@ class FlyOptions:
     figures: bool = True
     process_noise: bool | None = None
     posterior: bool = False
-    drift: str | Sequence[str] | None = None
     frequency: tuple[float, float] | None = None  # Hz; a band in which a linear card is fitted, too
     flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
 
@@ -113,8 +111,6 @@ class FlyOptions:
         """Refuse what cannot be flown."""
         if self.posterior and not self.filtered:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
-        if self.drift is not None and self.process_noise is False:
-            raise InputError("parameters drift in a fit with process noise only; leave out the drift or allow it")
         if self.posterior and not self.priors:
             raise InputError("a posterior needs the priors; ask for one of the two only")
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
@@ -125,14 +121,9 @@ class FlyOptions:
                 raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
 
     @property
-    def drifting(self) -> tuple[str, ...]:
-        """Parameters that are asked to drift."""
-        return tuple(dict.fromkeys(filter(None, _names(self.drift)))) if self.drift is not None else ()
-
-    @property
     def filtered(self) -> bool:
         """Whether process noise is fitted, if the records do not ask for it."""
-        return bool(self.process_noise) or self.drift is not None
+        return bool(self.process_noise)
 
     def setting(self, card: Card) -> Setting:
         """How trajectories are fitted; what is not given is the card's."""

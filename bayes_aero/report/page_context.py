@@ -22,8 +22,6 @@ class PageContext:
     records: Sequence[FlightRecord]
     source: Mapping[str, Any]
     figures: Mapping[str, Path] = field(default_factory=dict)
-    predictors: Mapping[str, Any] = field(default_factory=dict)
-    separating: Sequence[Mapping[str, Any]] = ()
     test_points: Mapping[str, Any] = field(default_factory=dict)
     in_band: CausesInBand | None = None
     revealed: Sequence[str] = ()

@@ -171,8 +171,7 @@ def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     job: Any
     if unit.task == "identify":
         noise: Any = {"noise": Colour(unit.noise or DEFAULT), "split": unit.split or "random"}
-        # A unit runs again in a new folder, in which there is no chain to continue.
-        job, asked = identify, IdentifyOptions(seed=unit.seed, resume=False, **noise, **options)
+        job, asked = identify, IdentifyOptions(seed=unit.seed, **noise, **options)
     elif unit.task == "diagnose":
         job, asked = diagnose_records, DiagnoseOptions(seed=unit.seed, **options)
     else:

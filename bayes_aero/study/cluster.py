@@ -33,9 +33,6 @@ Report = Callable[[int, int, str], None]
 MIN_MEMORY = 10**9  # bytes of a worker that has compiled one model
 POLL_SECONDS = 0.02  # between checks of the running units
 COUNT_SECONDS = 1.0  # between counts of the workers
-RECONNECT_SECONDS = 0.5  # between checks of a lost connection
-WORKER_TIMEOUT = 120.0  # s, for the restart of a worker of this machine that died
-MAX_RECONNECTS = 5  # lost connections in a row after which the study stops
 LOGGERS = ("distributed", "tornado", "asyncio")
 OWN_CLUSTER = {
     # Units have no data to move to disk or to other workers: a paused worker would never resume.
@@ -73,9 +70,7 @@ def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[Un
             raise InputError(
                 f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
             ) from None
-        yield _runner(
-            client, units, report, f"give each worker more than --memory {format_bytes(memory)}", WORKER_TIMEOUT
-        )
+        yield _runner(client, units, report, f"give each worker more than --memory {format_bytes(memory)}")
 
 
 def _start_cluster(stack: ExitStack, workers: int, memory: int) -> Client:
@@ -115,11 +110,11 @@ def remote(address: str, units: Path, report: Report) -> Iterator[UnitRunner]:
             _close(client)
 
 
-def _runner(client: Client, units: Path, report: Report, remedy: str, timeout: float = float("inf")) -> UnitRunner:
+def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRunner:
     def run_units(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         driver = Driver.of(units)
         try:
-            yield from _Study(client, driver, report, remedy, timeout).outcomes(list(given))
+            yield from _outcomes(client, driver, given, report, remedy)
         finally:
             Path(driver.token).unlink(missing_ok=True)
             sweep(units)
@@ -127,85 +122,55 @@ def _runner(client: Client, units: Path, report: Report, remedy: str, timeout: f
     return run_units
 
 
-class _Study:
-    """Submission of units to free workers: one unit for each, so that the death of a worker affects no other unit."""
+def _outcomes(
+    client: Client, driver: Driver, given: Iterable[tuple[Mapping[str, Any], str]], report: Report, remedy: str
+) -> Iterator[Mapping[str, Any]]:
+    """Results of `run_unit` in the order in which the units end."""
+    address = str(client.scheduler.addr) if client.scheduler else "the scheduler"
+    waiting = deque(given)
+    running: dict[Future, tuple[Mapping[str, Any], str]] = {}
+    total, finished, workers, counted = len(waiting), 0, 0, -COUNT_SECONDS
+    while waiting or running:
+        try:
+            if time.monotonic() - counted > COUNT_SECONDS:
+                workers, counted = len(cast("dict[str, int]", client.nthreads())), time.monotonic()
+            # One unit for each worker: a unit that waited at a worker that dies would count as a cause of its death.
+            while waiting and len(running) < workers:
+                running[_submit(client, driver, *waiting[0])] = waiting[0]
+                waiting.popleft()
+        except Exception as reason:  # whatever a client without its scheduler raises
+            raise StoppedError(f"the scheduler at {address} is lost") from reason
+        ended = [future for future in running if future.done()]
+        for future in ended:
+            unit = running.pop(future)
+            finished += 1
+            yield _outcome(future, unit, address, remedy)
+        what = f"{len(running)} in work on {workers} workers"
+        report(finished, total, what if workers else f"waiting for workers at {address}")
+        if not ended:
+            time.sleep(POLL_SECONDS)
 
-    def __init__(self, client: Client, driver: Driver, report: Report, remedy: str, timeout: float) -> None:
-        self.client, self.driver, self.report, self.remedy = client, driver, report, remedy
-        self.address = client.scheduler.addr if client.scheduler else "the scheduler"
-        self.running: dict[Future, tuple[Mapping[str, Any], str]] = {}
-        self.workers, self.counted, self.reconnects = 0, -COUNT_SECONDS, 0
-        self.timeout, self.seen = timeout, time.monotonic()
 
-    def outcomes(self, given: list[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
-        """Results of `run_unit` in the order in which the units end."""
-        waiting, finished = deque(given), 0
-        while waiting or self.running:
-            try:
-                self._count()
-                while waiting and len(self.running) < self.workers:
-                    self.running[self._submit(*waiting[0])] = waiting[0]
-                    waiting.popleft()
-                ended = {future: self._outcome(future, *unit) for future, unit in self.running.items() if future.done()}
-                self.reconnects = 0
-            except (InputError, StoppedError):
-                raise
-            except Exception as reason:  # whatever a client without its scheduler raises
-                self._reconnect(reason, finished, len(given))
-                waiting.extendleft(reversed(self.running.values()))
-                self.running.clear()
-                continue
-            for future, outcome in ended.items():
-                del self.running[future]
-                finished += 1
-                yield outcome
-            what = f"{len(self.running)} in work on {self.workers} workers"
-            self.report(finished, len(given), what if self.workers else f"waiting for workers at {self.address}")
-            if not ended:
-                time.sleep(POLL_SECONDS)
+def _submit(client: Client, driver: Driver, given: Mapping[str, Any], folder: str) -> Future:
+    text, place = json.dumps(given), str(Path(folder).resolve())
+    return client.submit(_work, text, place, driver, key=f"{given['name']}-{uuid.uuid4().hex}", pure=False)
 
-    def _count(self) -> None:
-        """Update the number of workers every `COUNT_SECONDS`."""
-        if time.monotonic() - self.counted > COUNT_SECONDS:
-            self.workers, self.counted = len(cast("dict[str, int]", self.client.nthreads())), time.monotonic()
-            if self.workers:
-                self.seen = self.counted
-            elif self.counted - self.seen > self.timeout:
-                raise StoppedError(f"all workers have ended, and none could be started again in {self.timeout:.0f} s")
 
-    def _submit(self, given: Mapping[str, Any], folder: str) -> Future:
-        text, place = json.dumps(given), str(Path(folder).resolve())
-        return self.client.submit(
-            _work, text, place, self.driver, key=f"{given['name']}-{uuid.uuid4().hex}", pure=False
-        )
-
-    def _outcome(self, future: Future, given: Mapping[str, Any], folder: str) -> Mapping[str, Any]:
-        if future.status != "error":
-            return cast("dict[str, Any]", future.result())
-        reason = cast(BaseException, future.exception())
-        if isinstance(reason, InputError):
-            raise reason
-        if isinstance(reason, KilledWorker):
-            deaths = reason.allowed_failures + 1
-            return fail_unit(
-                given, folder, f"its process died {deaths} times, most likely for lack of memory; {self.remedy}"
-            )
-        raise StoppedError(
-            f"the cluster at {self.address} cannot do units ({_short(reason)}); see that its scheduler and its "
-            "workers run this version of bayes-aero with its extra `cluster`"
-        )
-
-    def _reconnect(self, reason: Exception, finished: int, total: int) -> None:
-        """Wait while the client tries to reconnect; stop the study when it gives up."""
-        self.counted, self.reconnects = -COUNT_SECONDS, self.reconnects + 1
-        time.sleep(RECONNECT_SECONDS)  # the client may not have noticed yet
-        while self.client.status == "connecting":
-            self.report(finished, total, f"the connection to {self.address} is lost, reconnecting")
-            time.sleep(RECONNECT_SECONDS)
-        if self.client.status != "running":
-            raise StoppedError(f"the scheduler at {self.address} is lost")
-        if self.reconnects > MAX_RECONNECTS:
-            raise StoppedError(f"the scheduler at {self.address} does not respond correctly ({_short(reason)})")
+def _outcome(future: Future, unit: tuple[Mapping[str, Any], str], address: str, remedy: str) -> Mapping[str, Any]:
+    if future.status == "finished":
+        return cast("dict[str, Any]", future.result())
+    if future.cancelled():  # Dask does so with all that runs when the connection is lost
+        raise StoppedError(f"the scheduler at {address} is lost")
+    reason = cast(BaseException, future.exception())
+    if isinstance(reason, InputError):
+        raise reason
+    if isinstance(reason, KilledWorker):
+        deaths = reason.allowed_failures + 1
+        return fail_unit(*unit, f"its process died {deaths} times, most likely for lack of memory; {remedy}")
+    raise StoppedError(
+        f"the cluster at {address} cannot do units ({_short(reason)}); see that its scheduler and its "
+        "workers run this version of bayes-aero with its extra `cluster`"
+    )
 
 
 def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:

@@ -30,16 +30,16 @@ NOISES = ("white", "ar1", "buffet-ar1")
 SPLITS = ("random", "block", "manoeuvre")
 OPTIONS: dict[str, dict[str, type]] = {
     "identify": {
-        "sample": bool, "gp": bool, "approximate_gp": bool, "figures": bool, "page": bool, "resample": float,
+        "sample": bool, "gp": bool, "figures": bool, "page": bool, "resample": float,
         "split": bool, "coefficients": str, "frequency": list, "next_flight": bool,
     },
     "diagnose": {
-        "max_effects": int, "predictors": bool, "trajectories": bool, "figures": bool,
+        "max_effects": int, "test_points": bool, "trajectories": bool, "figures": bool,
         "process_noise": bool, "resample": float, "split": bool,
     },
     "fly": {
         "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "drift": str, "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
+        "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
     },
 }  # fmt: skip
 CHOICES = {

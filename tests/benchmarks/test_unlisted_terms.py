@@ -42,11 +42,6 @@ def test_a_hidden_term_is_found_written_and_then_named_as_a_cause(tmp_path):
     mean, sd = term.size
     assert abs(mean - true) < 1.96 * sd
     assert sd < 0.1 * abs(true)
-    (sampled,) = found.sampled
-    assert sampled.reliable
-    assert sampled.agrees
-    assert sampled.sets[0].terms[0][0].name == name
-    assert sampled.found[name][0] > 0.5
 
     path = tmp_path / "found.py"
     write_effects(found.terms, [r.name for r in records], path)
@@ -62,7 +57,6 @@ def test_the_same_flights_without_it_get_no_term():
     found = diagnose(flown({}), read_card("attas"), seed=SEED)
     assert found.verdict is Verdict.NO_EFFECT
     assert found.terms == ()
-    assert found.sampled == ()
 
 
 @pytest.mark.verify
@@ -104,9 +98,6 @@ def test_in_gusts_a_product_is_found_and_weighed(tmp_path, monkeypatch):
     (term,) = told.terms
     assert (term.coefficient, term.term.name) == (coefficient, name)
     assert abs(term.size[0] - values["unlisted_product"]) < 1.96 * term.size[1]
-    (sampled,) = told.sampled
-    assert sampled.reliable
-    assert sampled.found[name][0] > 0.5
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     schema = resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json")
     jsonschema.validate(content, json.loads(schema.read_text()))

@@ -7,7 +7,7 @@ import wing_first
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
-from bayes_aero.jobs.steps.post_diagnosis import separations
+from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 
 RECORDS = ("rudder", "stall_in_bank")
 
@@ -30,7 +30,7 @@ def test_a_wing_that_stalls_first_is_found_alone_and_sized():
 
 
 @pytest.mark.verify
-def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvre_that_is_proposed():
+def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvres_that_are_proposed():
     """The rudder that holds them is at rest while ailerons move: its derivative, free on the card, takes them up."""
     plane, records, size = wing_first.flown(3)
     first, then = ([r for r in records if r.name in names] for names in (("aileron",), ("aileron", "stall_in_bank")))
@@ -41,9 +41,10 @@ def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvre_that_is_prop
     assert taken_up.parameter == "Cndr"
     absorbed = taken_up.sizes["thrust_asymmetry"]
     assert abs(absorbed.mean - size) < absorbed.sd
-    (separation,) = separations(found)
-    assert {"rudder_yaw", "thrust_asymmetry", "yaw_offset"} <= set(separation["effects"])
-    assert separation["status"].startswith("stall with bank would separate")
+    proposed = proposed_points(found)
+    (question,) = proposed["questions"]
+    assert {"rudder_yaw", "thrust_asymmetry", "yaw_offset"} <= set(question["effects"])
+    assert proposed["points"][-1]["standard_errors"][0] >= question["enough"]
     found = diagnose(then, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
     assert found.verdict is Verdict.EXPLAINED
     assert found.absorbed == ()

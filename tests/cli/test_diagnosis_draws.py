@@ -21,7 +21,7 @@ def told(program, diagnosed, card, monkeypatch):
     monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
     (record,) = diagnosed.records
     write_record(record, Path("a.csv"), [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-predictors")
+    done = program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-test-points")
     assert done.code == 0, done.err
     return json.loads(Path("diagnosis/diagnosis.json").read_text())
 
@@ -47,7 +47,7 @@ def test_the_covariance_is_as_wide_as_the_reported_errors(told):
 
 def test_draws_have_this_covariance_and_the_page_its_fan(told, program):
     """1000 normal draws: standard deviations within 10 % (four of their errors), correlations within 0.15."""
-    done = program("export", "diagnosis", "--to", "python", "--draws", 1000, "--seed", 4, "--out", "one", "--json")
+    done = program("export", "diagnosis", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "one", "--json")
     assert done.code == 0, done.err
     assert "covariance corrected for coloured residuals" in json.loads(done.out)["draws"]["origin"]
     names = Path("one/draws.csv").read_text().splitlines()[0].split(",")
@@ -68,7 +68,7 @@ def test_draws_have_this_covariance_and_the_page_its_fan(told, program):
 def test_an_older_diagnosis_says_how_to_get_draws(told, program):
     del told["covariance"]
     Path("diagnosis/diagnosis.json").write_text(json.dumps(told))
-    done = program("export", "diagnosis", "--to", "python", "--draws", 10, "--out", "no")
+    done = program("export", "diagnosis", "--to", "jsbsim", "--draws", 10, "--out", "no")
     assert done.code == 2
     assert done.err.count("\n") == 1
     assert "run the command of the result again with this version" in done.err

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import subprocess
-import sys
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import xarray as xr
 from calling import called
 
 from bayes_aero.cli.choices import ExportForm
-from bayes_aero.export.python_source import python_source
+from bayes_aero.export.jsbsim_aircraft import jsbsim_files
 from bayes_aero.flight.card.card import shipped_cards
 from bayes_aero.flight.reading.read_record import write_record
 from bayes_aero.jobs.handover.export import FORMS
@@ -72,12 +70,12 @@ def refused(done, words, *gone):
 
 
 def test_the_choices_are_the_forms():
-    assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables", "python"]
+    assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables"]
 
 
 def test_help_names_forms_and_draws(program):
     text = program("export", "--help").out
-    for word in ("jsbsim", "fmu", "tables", "python", "--draws", "--seed", "--out", "--model", "--json", "MODEL"):
+    for word in ("jsbsim", "fmu", "tables", "--draws", "--seed", "--out", "--model", "--json", "MODEL"):
         assert word in text
 
 
@@ -103,7 +101,7 @@ def test_a_result_becomes_files_that_say_where_they_come_from(here, form, tmp_pa
 
 def test_draws_of_the_estimates_have_their_covariance(here):
     """1000 normal draws: standard deviations within 10 % (four of their errors), correlations within 0.15."""
-    assert here("export", "results", "--to", "python", "--draws", 1000, "--seed", 4, "--out", "one").code == 0
+    assert here("export", "results", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "one").code == 0
     names = (Path("one") / "draws.csv").read_text().splitlines()[0].split(",")
     draws = np.loadtxt("one/draws.csv", delimiter=",", skiprows=1)
     mle = told(Path("results/results.json"))["mle"]
@@ -113,7 +111,7 @@ def test_draws_of_the_estimates_have_their_covariance(here):
     np.testing.assert_allclose(sd, [mle["parameters"][n]["crb_corrected"] for n in names], rtol=1e-9)
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.1)
     np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.15)
-    assert here("export", "results", "--to", "python", "--draws", 1000, "--seed", 4, "--out", "two").code == 0
+    assert here("export", "results", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "two").code == 0
     assert Path("one/draws.csv").read_text() == Path("two/draws.csv").read_text()
 
 
@@ -123,18 +121,18 @@ def test_a_posterior_that_converged_comes_first(here):
     xr.DataTree.from_dict({"posterior": xr.Dataset(values)}).to_netcdf("results/posterior_nuts.nc", engine="h5netcdf")
     status = {"nuts": {"noise": "ar1", "status": "converged", "advice": "converged"}}
     change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
-    done = here("export", "results", "--to", "python", "--draws", 20, "--json")
+    done = here("export", "results", "--to", "jsbsim", "--draws", 20, "--json")
     facts = json.loads(done.out)
     assert facts["draws"] == {"count": 20, "origin": "posterior by nuts under ar1 noise"}
-    draws = np.loadtxt("attas_python/draws.csv", delimiter=",", skiprows=1)
+    draws = np.loadtxt("attas_jsbsim/draws.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(np.sort(draws[:, 1]) - 1.0, np.arange(20.0))
     assert set(draws[:, 1] - draws[:, 0]) == {1.0}  # a row is one draw of all
     refused(
-        here("export", "results", "--to", "python", "--draws", 21, "--out", "more"), "give --draws 20 or less", "more"
+        here("export", "results", "--to", "jsbsim", "--draws", 21, "--out", "more"), "give --draws 20 or less", "more"
     )
     status["nuts"]["status"] = "not_converged"
     change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
-    done = here("export", "results", "--to", "python", "--draws", 20, "--json", "--out", "again")
+    done = here("export", "results", "--to", "jsbsim", "--draws", 20, "--json", "--out", "again")
     assert json.loads(done.out)["draws"]["origin"].startswith("normal distribution")
 
 
@@ -152,13 +150,13 @@ def test_a_diagnosis_gives_the_extended_model(here):
     ]
     Path("diagnosis").mkdir()
     Path("diagnosis/diagnosis.json").write_text(json.dumps(content | {"base_parameters": moves, "causes": causes}))
-    done = here("export", "diagnosis", "--to", "python", "--json")
+    done = here("export", "diagnosis", "--to", "jsbsim", "--json")
     facts = json.loads(done.out)
     assert {"CDb2", "tau1"} <= set(facts["parameters"])
     assert "CDde" not in facts["parameters"]
     assert facts["states"] == ["X"]
     assert [sentence.split(" ")[0] for sentence in facts["left_out"]] == ["pitch_rate_bias"]
-    refused(here("export", "diagnosis", "--to", "python", "--draws", 3, "--out", "no"), "covariance to draw from", "no")
+    refused(here("export", "diagnosis", "--to", "jsbsim", "--draws", 3, "--out", "no"), "covariance to draw from", "no")
 
 
 VALUES = "\n[parameters.%s]\nstart = %r\n"
@@ -176,22 +174,16 @@ def test_a_card_that_states_all_values_is_a_model(program):
     refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", "t")
 
 
-MODULES = {"math": "math_model", "numpy": "numpy_model", "class": "class_model", "Json": "Json_model",
-           "my aircraft 2": "my_aircraft_2", "737": "_737"}  # fmt: skip
-
-
-@pytest.mark.parametrize(("card", "module"), MODULES.items())
-def test_the_python_module_is_no_word_and_no_module_of_python(program, card, module):
-    """It is imported from its own folder, as its README says."""
+@pytest.mark.parametrize(("card", "name"), [("my aircraft 2", "my_aircraft_2"), ("737", "_737")])
+def test_the_aircraft_is_named_as_xml_and_every_system_allow(program, card, name):
     text = shipped_cards()["attas"].read_text()
     names = [p.name for p in _parameters("attas")]
     Path(f"{card}.toml").write_text(text.split("[parameters")[0] + "".join(VALUES % (n, 1.0) for n in names))
-    done = program("export", f"{card}.toml", "--to", "python", "--out", "out")
+    done = program("export", f"{card}.toml", "--to", "jsbsim", "--out", "out", "--json")
     assert done.code == 0, done.err
-    assert (f"It is called {module}" in done.out.replace("\n", " ")) == module.endswith("_model")
-    code = f"import {module}, json; print(json.dumps({module}.PARAMETERS))"
-    ran = subprocess.run([sys.executable, "-c", code], cwd="out", capture_output=True, text=True, check=True)
-    assert json.loads(ran.stdout)["CLa"] == 1.0
+    facts = json.loads(done.out)
+    assert facts["name"] == name
+    assert facts["parameters"]["CLa"]["value"] == 1.0
 
 
 def _parameters(name):
@@ -206,26 +198,26 @@ def test_a_result_of_another_card_is_refused(here):
     path = Path("results/results.json")
     source = shipped_cards()["attas"].read_text()
     Path("mine.toml").write_text(source + "# mine\n")
-    refused(here("export", "results", "--to", "python", "--model", "mine.toml"), "its content differs", "attas_python")
+    refused(here("export", "results", "--to", "jsbsim", "--model", "mine.toml"), "its content differs", "attas_jsbsim")
     change(path, provenance__card__name="mine")
     Path("results/mine.toml").write_text(source)
-    assert here("export", "results", "--to", "python").code == 0
+    assert here("export", "results", "--to", "jsbsim").code == 0
     Path("results/mine.toml").unlink()
     refused(here("export", "results", "--to", "fmu"), "not found here unchanged; give it with --model", "mine_fmu")
-    assert here("export", "results", "--to", "python", "--model", "attas", "--out", "given").code == 0
+    assert here("export", "results", "--to", "jsbsim", "--model", "attas", "--out", "given").code == 0
 
 
 BAD = {
-    "there is no result 'nothing'": (("nothing", "--to", "python"), {}),
-    "states no value of CLa": (("attas", "--to", "python"), {}),
-    "states a linear system": (("short_period", "--to", "python"), {}),
+    "there is no result 'nothing'": (("nothing", "--to", "jsbsim"), {}),
+    "states no value of CLa": (("attas", "--to", "jsbsim"), {}),
+    "states a linear system": (("short_period", "--to", "jsbsim"), {}),
     "has not converged": (("results", "--to", "jsbsim"), {"mle__status": "not_converged"}),
     "no result of identify, fly or diagnose": (("results", "--to", "fmu"), {"schema": "other/1"}),
-    "has no value of CL0": (("results", "--to", "python"), {"mle__parameters__CL0__estimate": None}),
-    "is not as bayes-aero wrote it": (("results", "--to", "python"), {"provenance": {}}),
-    "no posterior": (("results", "--to", "python", "--draws", "2"), {"mle__covariance": None}),
+    "has no value of CL0": (("results", "--to", "jsbsim"), {"mle__parameters__CL0__estimate": None}),
+    "is not as bayes-aero wrote it": (("results", "--to", "jsbsim"), {"provenance": {}}),
+    "no posterior": (("results", "--to", "jsbsim", "--draws", "2"), {"mle__covariance": None}),
     "flown range of": (("results", "--to", "tables"), {"records": []}),
-    "give a number from 1 to": (("results", "--to", "python", "--draws", "100000"), {}),
+    "give a number from 1 to": (("results", "--to", "jsbsim", "--draws", "100000"), {}),
 }
 
 
@@ -240,17 +232,18 @@ def test_bad_input_is_one_sentence(here, words):
 
 def test_what_is_no_result_or_in_the_way_is_refused(here, monkeypatch):
     Path("there").mkdir()
-    refused(here("export", "results", "--to", "python", "--out", "there"), "there exists; give another folder")
-    refused(here("export", "there", "--to", "python"), "it has none of results.json")
+    refused(here("export", "results", "--to", "jsbsim", "--out", "there"), "there exists; give another folder")
+    refused(here("export", "there", "--to", "jsbsim"), "it has none of results.json")
     shutil.copy("results/results.json", "results/trajectories.json")
-    refused(here("export", "results", "--to", "python"), "it has results.json and trajectories.json: name one of them")
+    refused(here("export", "results", "--to", "jsbsim"), "it has results.json and trajectories.json: name one of them")
     Path("results/results.json").write_text("{")
-    refused(here("export", "results/results.json", "--to", "python"), "cannot be read")
+    refused(here("export", "results/results.json", "--to", "jsbsim"), "cannot be read")
     monkeypatch.setattr("bayes_aero.export.fmu.find_spec", lambda _: None)
     Path("results/trajectories.json").rename("results/results.json")
     refused(here("export", "results", "--to", "fmu"), 'pip install "bayes-aero[export]"', "attas_fmu")
-    done = here("export", "results", "--to", "pdf")
-    assert (done.code, "is not one of" in done.err) == (2, True)
+    for form in ("pdf", "python"):
+        done = here("export", "results", "--to", form)
+        assert (done.code, "is not one of" in done.err) == (2, True)
 
 
 @pytest.mark.usefixtures("here")
@@ -262,4 +255,4 @@ def test_axes_that_were_not_recorded_are_not_exported():
     shutil.copy(six, "results/six.toml")
     found, _, _ = read_identified("results")
     assert found.model.coefficients == ("CL", "CD", "Cm")
-    assert "Clbe" not in python_source(found)
+    assert all("Clbe" not in text for text in jsbsim_files(found).values())

@@ -163,7 +163,7 @@ def test_a_model_of_effects_flies_a_stall(program, tmp_path):
     assert set(found["parameters"]) - told_of <= {"tau2"}  # alpha hardly falls while the flow is separated
     for name in told_of:
         assert found["parameters"][name]["estimate"] == pytest.approx(truth[name], rel=0.002), name
-    exported = json.loads(program("export", "trajectories", "--to", "python", "--draws", "2", "--json").out)
+    exported = json.loads(program("export", "trajectories", "--to", "jsbsim", "--draws", "2", "--json").out)
     assert exported["parameters"]["Cma"]["value"] == found["parameters"]["Cma"]["estimate"]
     assert "trajectories (fly)" in exported["sources"][0]
     assert exported["draws"]["origin"].startswith("normal distribution of the estimates, covariance corrected")

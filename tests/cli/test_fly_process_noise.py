@@ -1,4 +1,4 @@
-"""Process noise, its posterior and parameters that drift, from the command line."""
+"""Process noise and its posterior, from the command line."""
 
 from __future__ import annotations
 
@@ -103,56 +103,11 @@ def test_a_posterior_that_cannot_be_is_refused(program, tmp_path, options):
     assert not (tmp_path / "trajectories").exists()
 
 
-def test_a_drift_without_process_noise_is_refused(program, tmp_path):
-    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=100))
-    done = program("fly", record, "--model", card, "--drift", "Mq", "--no-process-noise")
-    assert done.code == 2
-    assert "process noise only" in done.err
-
-
-def test_a_parameter_that_drifts_is_written_drawn_and_told(program, tmp_path):
-    """In two flights of which nothing changes: no claim, and every file is there."""
+def test_one_step_predictions_of_two_flights_are_drawn(program, tmp_path):
     card, first = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), "one", 1)
     other = short_period_flight(SHORT_PERIOD_TRUTH, x0=(0.04, -0.02))
     _, second = written(tmp_path, SHORT_PERIOD, other, "two", 2)
-    done = program("fly", first, second, "--model", card, "--drift", "Malpha", "--out", "out", "--json")
+    done = program("fly", first, second, "--model", card, "--process-noise", "--out", "out")
     assert done.code == 0, done.err
-    found = told(done)
-    drift = found["process_noise"]["drift"]
-    assert drift["usable"]
-    assert drift["changed"] == drift["coloured"] == []
-    assert set(drift["parameters"]) == {"Malpha"}
-    assert set(drift["parameters"]["Malpha"]["changes"]) == {"one", "two"}
-    assert drift["parameters"]["Malpha"]["p"] > 0.1
-    assert found["sentences"][0].startswith("No change of Malpha during the record is distinguishable from noise")
-    assert found["provenance"]["settings"]["drift"] == ["Malpha"]
-    table = pd.read_csv(tmp_path / "out" / "drift.csv")
-    assert list(table) == ["manoeuvre", "time", "Malpha", "Malpha_sd", "Malpha_change_sd"]
-    assert len(table) == 2 * 500
-    begin = table[table["time"] == 0.0]
-    assert begin["Malpha"].to_numpy() == pytest.approx(drift["estimates"]["Malpha"][0])
-    assert begin["Malpha_sd"].to_numpy() == pytest.approx(drift["estimates"]["Malpha"][1], rel=1e-6)
-    assert (tmp_path / "out" / "figures" / "drift.png").exists()
     assert (tmp_path / "out" / "figures" / "one_step.png").exists()
-    page = page_of(tmp_path / "out")
-    assert "Did a parameter change?" in page
-    assert "Parameters that drift" in page
-    assert "Quantile plots of innovations by output: " in page
-
-
-@pytest.mark.parametrize(
-    ("named", "said"),
-    [
-        ("Malhpa", "the parameter Malhpa cannot drift: the card's model has no such parameter; did you mean Malpha?"),
-        ("Zq", "the parameter Zq cannot drift: the card fixes it"),
-        (",", "0 parameters are named to drift; name one to 4"),
-        ("Z0,Zalpha,Zde,M0,Malpha", "5 parameters are named to drift; name one to 4"),
-    ],
-)
-def test_what_cannot_drift_is_told_before_anything_is_fitted(program, tmp_path, named, said):
-    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
-    done = program("fly", record, "--model", card, "--drift", named, "--out", "out")
-    assert done.code == 2
-    assert said in " ".join(done.err.split())
-    assert "Traceback" not in done.err
-    assert not list((tmp_path / "out").glob("*"))
+    assert "Quantile plots of innovations by output: " in page_of(tmp_path / "out")

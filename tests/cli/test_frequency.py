@@ -47,9 +47,7 @@ def test_fly_shows_both_fits_in_a_band_beside_the_time_domain(program, folder, t
     table = pd.read_csv(tmp_path / "out" / "parameters.csv", index_col=0)
     told = found["frequency"][1]["parameters"]["Mq"]["estimate"]
     assert table.loc["Mq", "frequency_output_error"] == pytest.approx(told)
-    running = pd.read_csv(tmp_path / "out" / "running.csv")
-    assert abs(running["Mq"].iloc[-1] - SHORT_PERIOD_TRUTH["Mq"]) < 4.0 * running["Mq_sd"].iloc[-1]
-    assert all((tmp_path / "out" / "figures" / f"{stem}.png").is_file() for stem in ("bode", "running"))
+    assert (tmp_path / "out" / "figures" / "bode.png").is_file()
     assert "In the frequency domain" in (tmp_path / "out" / "report.html").read_text()
 
 

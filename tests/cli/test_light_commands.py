@@ -73,7 +73,7 @@ def files(tmp_path_factory):
         (2, ["diagnose", "nosuch.csv"]),
         (2, ["fly", "climb.csv", "--model", "attas"]),
         (2, ["run", "study.toml"]),
-        (2, ["export", "nosuch", "--to", "python"]),
+        (2, ["export", "nosuch", "--to", "jsbsim"]),
         (2, ["open", "nosuch"]),
     ],
 )

@@ -67,11 +67,11 @@ def refused(done, *words):
 
 def test_what_a_linear_system_lacks_is_one_sentence(here, folder):
     refused(here("qualify", "flown", "--gusts", 1, "--out", "no"), "moving air", "leave --gusts out")
-    refused(here("export", "flown", "--to", "python", "--out", "no"), "states a linear system", "[model]")
+    refused(here("export", "flown", "--to", "jsbsim", "--out", "no"), "states a linear system", "[model]")
     assert not (folder / "no").exists()
     opened = open_result(str(folder / "flown"))
     with pytest.raises(InputError, match="no form in another simulator"):
-        export_chosen(opened, Choice(), opened.identified.values, "python")
+        export_chosen(opened, Choice(), opened.identified.values, "jsbsim")
 
 
 def test_parts_of_a_divided_file_are_found_again(here, folder):

@@ -13,14 +13,13 @@ from typing import get_args
 import pytest
 
 from bayes_aero.cli import app, choices, main
-from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, kept_stages
+from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading import read_record as reading
 from bayes_aero.inference.splits import SplitKind
 from bayes_aero.jobs import identify as job
-from bayes_aero.jobs.io.resume import ResumeStore
 from bayes_aero.jobs.options import INITIAL_STATES, INPUTS
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
@@ -139,18 +138,6 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch):
     assert done.code == INTERRUPTED
     assert "parameters.csv" in done.err
     assert "same command" in done.err
-
-
-def test_an_interrupted_diagnosis_is_said_to_be_taken_up(tmp_path):
-    told = kept_stages(tmp_path, taken_up=True)
-    assert "nothing new" in told()
-    ResumeStore(tmp_path, "").begin()
-    (tmp_path / "diagnosis.json").write_text("{}")
-    assert "(diagnosis.json)" in told()
-    assert "continues with the rest" in told()
-    assert "repeats all stages" in kept_stages(tmp_path)()  # another command in the same folder
-    ResumeStore(tmp_path, "").end()
-    assert "repeats all stages" in told()
 
 
 def test_an_interruption_while_reading_is_told_too(program, monkeypatch, flights):

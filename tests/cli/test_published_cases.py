@@ -138,6 +138,20 @@ def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(pub
     )
 
 
+def test_process_noise_finds_the_truth_of_a_simulated_flight_in_turbulence(program, published):
+    """DHC-2, without noise of the sensors: the truth, from which the published filter error is up to 0.9 errors off."""
+    how = (*FIXED, "--no-priors", "--process-noise", "--no-figures", "--json", "--out", "out")
+    done = program("fly", BOOK / "y13aus_da1.asc", "--model", "dhc2", *how)
+    assert done.code in (0, 3), done.err
+    found = json.loads(done.out)["process_noise"]
+    assert found["converged"]
+    filtered = published["TC02"]["methods"]["filter_error_nonlinear"]["parameters"]
+    truth = {name: p["estimate"] - p["error_vs_true"] for name, p in filtered.items() if "error_vs_true" in p}
+    assert len(truth) >= 10
+    for name, true in truth.items():
+        assert found["estimates"][name][0] == pytest.approx(true, rel=1e-3), name
+
+
 def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_noise(program, published, monkeypatch):  # noqa: ARG001
     """HFB-320, as if its air showed no gusts: CLa 3.4 by output error, 4.3 by the filter and by equation error. That is
     2.5 standard errors of output error (0.38, calibrated for what disturbs the flight); a disagreement is three.

@@ -113,7 +113,7 @@ def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, c
     monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
     (record,) = diagnosed.records
     write_record(record, tmp_path / "a.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    left_out = ("--no-figures", "--no-trajectories", "--no-predictors")
+    left_out = ("--no-figures", "--no-trajectories", "--no-test-points")
     done = program("diagnose", "a.csv", "--max-effects", "2", *left_out)
     assert done.code == 0, done.err
     found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())

@@ -1,4 +1,4 @@
-"""Studies: units are made once, resumed, redone where inputs changed, verified, and never anywhere else."""
+"""Studies: units are made once, resumed, redone where inputs changed, and never anywhere else."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import hashlib
 import json
 import re
 import shutil
-import time
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 
+import bayes_aero
 from bayes_aero.errors import InputError
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.provenance.provenance import write_json
@@ -147,10 +145,6 @@ def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatc
     told = {p.name.split("-")[0]: [f.name for f in p.iterdir()] for p in root.iterdir()}
     assert "error.txt" in told["biased"]
     assert "results.json" in told["sound"]
-    verified = program("run", "study.toml", "--verify", "--json")
-    assert verified.code == 1
-    assert json.loads(verified.out)["counts"] == {"same": 1, "incomparable": 1}
-    assert "1 the same, 0 differ, 1 without results to compare." in program("run", "study.toml", "--verify").out
     monkeypatch.setattr(units, "run_task", quick)
     assert program("run", "study.toml").code == 0  # tried again
     assert states(program, "--dry-run")["biased"]["state"] == "done"
@@ -159,35 +153,13 @@ def test_a_unit_that_fails_says_why_and_stops_nobody(program, folder, monkeypatc
 @pytest.mark.usefixtures("calls")
 def test_a_doctored_number_is_found(program, folder):
     program("run", "study.toml")
-    assert program("run", "study.toml", "--verify").code == 0
     results = next((folder / "study_results" / "units").glob("sound-*")) / "results.json"
     content = json.loads(results.read_text())
     content["mle"]["parameters"]["CLa"]["estimate"] += 1e-9
     write_json(content, results)
     assert states(program, "--dry-run")["sound"]["state"] == "damaged"
-    done = program("run", "study.toml", "--verify")
-    assert done.code == 1
-    assert "mle.parameters.CLa.estimate" in done.out
-    assert "1 the same, 1 differ" in done.out
-    assert json.loads(results.read_text()) == content  # verification changes nothing
-
-
-@pytest.mark.usefixtures("folder")
-def test_a_draw_that_comes_out_otherwise_is_found(program, monkeypatch):
-    """The file on disk is the one that its manifest states: only its numbers tell."""
-
-    def drawn(_, out, *__, first=1.0):
-        draws = xr.Dataset({"CLa": ("draw", [first, 2.0, np.nan])}, coords={"name": ("draw", ["a", "b", "c"])})
-        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"made": str(time.time())}), "/posterior": draws})
-        tree.to_netcdf(out / "posterior.nc", engine="h5netcdf")
-
-    monkeypatch.setattr(units, "run_task", drawn)
-    program("run", "study.toml")
-    assert program("run", "study.toml", "--verify").code == 0
-    monkeypatch.setattr(units, "run_task", lambda *given: drawn(*given, first=1.0 + 1e-12))
-    done = program("run", "study.toml", "--verify")
-    assert done.code == 1
-    assert "posterior.nc: posterior/CLa differs at 1 of 3 places, first at (0,)" in done.out.replace("\n", " ")
+    assert program("run", "study.toml").code == 0
+    assert json.loads(results.read_text()) != content  # done again
 
 
 @pytest.mark.usefixtures("calls")
@@ -204,6 +176,7 @@ def test_the_summary_and_the_environment(program, folder):
     import jax
 
     assert f"\njax=={jax.__version__}\n" in requirements
+    assert requirements.splitlines()[-1].startswith(f"# and bayes-aero {bayes_aero.__version__} (source_sha256")
     assert (out / "study.toml").read_text() == STUDY
 
 
@@ -221,7 +194,6 @@ def test_units_are_real_work(program, folder, monkeypatch):
     table = pd.read_csv(folder / "study_results" / "summary.csv").set_index(["method", "parameter"])
     # Noise-free flight of an aircraft whose truth is known: the estimate is the truth but for filters and integration.
     assert table.loc[("mle", "CLa"), "value"] == pytest.approx(3.6, rel=0.05)
-    assert program("run", "study.toml", "--verify").code == 0
 
 
 def test_units_have_stable_names_inside_the_folder(folder):

@@ -355,7 +355,7 @@ def test_an_address_that_does_not_answer_is_one_sentence(program, folder, monkey
         ("--workers 2 --memory lots", "'lots' is no size"),
         ("--workers 2 --memory 100MB", "too little"),
         ("--workers 2 --dry-run", "leave --workers"),
-        ("--verify --scheduler tcp://127.0.0.1:9", "leave --workers and --scheduler out"),
+        ("--dry-run --scheduler tcp://127.0.0.1:9", "leave --workers and --scheduler out"),
     ],
 )
 def test_options_that_do_not_go_together_are_one_sentence(program, folder, monkeypatch, options, told):

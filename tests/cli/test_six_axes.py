@@ -70,10 +70,6 @@ def moves_as(found, plane):
         real, imaginary = mode["eigenvalue_sd"]
         assert abs(off.real) < 4.0 * real < 0.1, mode["name"]
         assert abs(off.imag) <= 4.0 * imaginary < 0.1, mode["name"]
-    assert {row["test"] for row in told["tests"]} == {"roll response", "rudder response"}
-    assert all(row["within"] for row in told["tests"])
-    assert told["untested"]["2.d.7 Dutch roll"]  # the pilot levels the wings all the time
-    assert sum("No free response shows" in sentence for sentence in found["sentences"]) == 1
 
 
 def test_six_coefficients_come_back_from_three_manoeuvres(flown):

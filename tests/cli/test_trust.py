@@ -49,7 +49,7 @@ def test_a_card_that_lies_about_is_not_taken(program, trap):
 
 @pytest.mark.usefixtures("quick")
 def test_a_study_runs_no_code_unless_it_is_told_to(program, trap):
-    for more in ([], ["--dry-run"], ["--verify"]):
+    for more in ([], ["--dry-run"]):
         done = program("run", "study.toml", *more)
         assert done.code == 2
         assert "trap.py" in done.err
@@ -66,7 +66,7 @@ def test_a_study_found_in_a_results_folder_runs_none_either(program, trap):
     Path("results").mkdir()
     for name in ("mine.toml", "trap.py", "flight.csv", "study.toml"):
         shutil.copy(name, "results")
-    assert program("run", "results/study.toml", "--out", "results", "--verify").code == 2
+    assert program("run", "results/study.toml", "--out", "results").code == 2
     assert not trap.exists()
 
 
@@ -92,7 +92,7 @@ def test_links_in_the_folder_lead_nowhere(program, link):
 
 
 @pytest.mark.usefixtures("trap")
-@pytest.mark.parametrize("link", ["figures", "report.html", "results.json.part", ".chains"])
+@pytest.mark.parametrize("link", ["figures", "report.html", "results.json.part"])
 @pytest.mark.parametrize("command", ["identify", "diagnose"])
 def test_links_in_the_folder_of_a_job_lead_nowhere(program, command, link):
     Path("victim").write_text("untouched")

@@ -1,4 +1,4 @@
-"""Which standard manoeuvre separates which effects."""
+"""Which standard manoeuvre tells which effects apart."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from told_apart import deviations, weakest
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design.separating import separating
+from bayes_aero.diagnosis.design.next_test_points import candidates_of
 from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.dynamics.simulated.manoeuvres import commands
@@ -22,6 +23,7 @@ from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
+RATES = ("alpha_dot_lift", "pitch_rate_lift")
 CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
 
 
@@ -47,39 +49,25 @@ def flights(state):
 
 @pytest.fixture(scope="module")
 def rates(state):
-    return separating(state, ("alpha_dot_lift", "pitch_rate_lift"))
-
-
-def test_pitch_rate_and_alpha_dot_part_where_the_flight_path_bends(rates):
-    by_name = {m.manoeuvre: m for m in rates.manoeuvres}
-    pair = ("alpha_dot_lift", "pitch_rate_lift")
-    assert abs(by_name["elevator_doublet"].correlation[pair]) > 0.8
-    assert abs(by_name["bank_to_bank"].correlation[pair]) < 0.7  # a turn has pitch rate at constant alpha
-    assert rates.manoeuvres[0].weakest == max(m.weakest for m in rates.manoeuvres)
-    assert rates.manoeuvres[0].manoeuvre.replace("_", " ") in rates.status
+    return weakest(state, RATES, standard(state, RATES))
 
 
 @pytest.mark.verify
 def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
-    found = separating(state, ("thrust_scale", "mass_scale"), flights=flights)
-    by_name = {m.manoeuvre: m for m in found.manoeuvres}
-    gained = {name: m.weakest**2 - found.present**2 for name, m in by_name.items()}
+    found = weakest(state, ("thrust_scale", "mass_scale"), flights)
+    gained = {name: x**2 - found["records"] ** 2 for name, x in found.items()}
     assert gained["thrust_steps"] == max(gained.values()) > 2.0 * gained["elevator_doublet"]
 
 
 def test_information_grows_with_amplitude(state, rates):
-    smaller = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), amplitude=0.5)
-    less = {m.manoeuvre: m.weakest for m in smaller.manoeuvres}
+    less = weakest(state, RATES, standard(state, RATES, amplitude=0.5))
     for name in ("elevator_doublet", "elevator_3211"):
-        assert less[name] < next(m.weakest for m in rates.manoeuvres if m.manoeuvre == name)
+        assert less[name] < rates[name]
 
 
 def test_one_set_of_flights_serves_several_sets_of_effects(state, rates, flights):
     """With rivals from other sets in the model, at neutral, the manoeuvres are the same flights."""
-    shared = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), flights=flights)
-    for one, other in zip(shared.manoeuvres, rates.manoeuvres, strict=True):
-        assert one.manoeuvre == other.manoeuvre
-        assert one.weakest == pytest.approx(other.weakest, rel=1e-6)
+    assert weakest(state, RATES, flights) == pytest.approx(rates, rel=1e-6)
 
 
 def test_a_record_without_altitude_begins_in_air_of_its_density(state):
@@ -100,15 +88,15 @@ def test_altitude_of_density_is_the_inverse_of_the_standard_atmosphere(height):
     assert altitude_of_density(0.36391) == pytest.approx(11000.0, abs=2.0)
 
 
-def test_a_larger_effect_is_told_apart_in_proportion(state, rates):
+def test_a_larger_effect_is_told_apart_in_proportion(state, rates, flights):
     least = {"CLadot": 2.0, "CLq": 2.0}
-    larger = separating(state, ("alpha_dot_lift", "pitch_rate_lift"), sizes={k: 3.0 * x for k, x in least.items()})
-    assert larger.manoeuvres[0].weakest == pytest.approx(3.0 * rates.manoeuvres[0].weakest, rel=1e-6)
+    larger = weakest(state, RATES, flights, {k: 3.0 * x for k, x in least.items()})
+    assert max(larger.values()) == pytest.approx(3.0 * max(rates.values()), rel=1e-6)
 
 
 def test_sideslip_needs_a_sideslip(state, flights):
-    found = separating(state, ("sideslip_drag", "mach_drag"), flights=flights)
-    assert max(found.manoeuvres, key=lambda m: m.deviations["sideslip_drag", "mach_drag"]).manoeuvre == "sideslip"
+    found = deviations(state, ("sideslip_drag", "mach_drag"), flights)
+    assert max(found, key=lambda name: found[name]["sideslip_drag", "mach_drag"]) == "sideslip"
 
 
 def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
@@ -152,9 +140,9 @@ def test_commands_begin_at_trim_and_scale():
 
 def test_one_effect_is_no_ambiguity(state):
     with pytest.raises(InputError, match="at least two"):
-        separating(state, ("thrust_scale",))
+        candidates_of(state, ("thrust_scale",))
 
 
 def test_an_effect_that_is_no_candidate_is_named(state):
     with pytest.raises(InputError, match="buffet"):
-        separating(state, ("thrust_scale", "buffet"))
+        candidates_of(state, ("thrust_scale", "buffet"))

@@ -1,4 +1,4 @@
-"""Which standard manoeuvre separates which lateral effects: flown in six degrees of freedom."""
+"""Which standard manoeuvre tells which lateral effects apart: flown in six degrees of freedom."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 import six_axes as six
 import stranger_six
 from stranger_six import Plane
+from told_apart import deviations, weakest
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design.separating import separating
 from bayes_aero.diagnosis.design.standard import standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.effects import CATALOGUE
@@ -58,10 +58,6 @@ def flights(state):
     return standard(state, CANDIDATES)
 
 
-def weakest(state, flights, *effects):
-    return {m.manoeuvre: m.weakest for m in separating(state, effects, flights=flights).manoeuvres}
-
-
 def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(flights):
     """Each record, without noise, leaves nothing of the six coefficients at the values that flew it."""
     assert {"aileron_doublet", "rudder_doublet", "sideslip", "stall_with_bank", "engine_steps"} <= set(flights.flown)
@@ -91,22 +87,20 @@ def test_uneven_engines_are_held_straight_by_the_rudder(flights):
 
 def test_an_engine_s_share_is_told_from_an_offset_where_thrust_moves(state, flights):
     """A share of the mean thrust makes a moment that stays where thrust and airspeed stay."""
-    found = weakest(state, flights, "thrust_asymmetry", "yaw_offset")
+    found = weakest(state, ("thrust_asymmetry", "yaw_offset"), flights)
     assert max(found, key=lambda name: found[name]) == "thrust_steps"
     assert found["thrust_steps"] > 5.0 * found["engine_steps"]  # the sum of both engines stays
 
 
 def test_a_centre_of_gravity_is_told_from_an_offset_where_lift_moves(state, flights):
-    found = weakest(state, flights, "lateral_cg_shift", "roll_offset")
+    found = weakest(state, ("lateral_cg_shift", "roll_offset"), flights)
     assert max(found, key=lambda name: found[name]) in ("slow_stall", "stall_with_bank")
     assert found["elevator_doublet"] > 3.0 * found["aileron_doublet"]
 
 
 def test_errors_of_the_aileron_s_sensor_need_an_aileron(state, flights):
-    found = separating(state, ("aileron_delay", "aileron_scale"), flights=flights)
-    deviations = {m.manoeuvre: m.deviations["aileron_delay", "aileron_scale"] for m in found.manoeuvres}
-    assert max(deviations, key=lambda name: deviations[name]) == "aileron_doublet"
-    assert found.manoeuvres[0].manoeuvre.replace("_", " ") in found.status
+    found = deviations(state, ("aileron_delay", "aileron_scale"), flights)
+    assert max(found, key=lambda name: found[name]["aileron_delay", "aileron_scale"]) == "aileron_doublet"
 
 
 def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):

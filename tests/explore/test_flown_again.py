@@ -143,5 +143,3 @@ def test_what_of_process_noise_is_not_flown_is_said(simulator):
     noisy = {"converged": True, "gain": 5.0}
     (said,) = replace(opened, told={**opened.told, "process_noise": noisy}).limits
     assert "gusts and the noise of its states are not flown here" in said
-    (said,) = replace(opened, told={**opened.told, "process_noise": noisy | {"drift": {"names": ["CLa"]}}}).limits
-    assert "gusts, drifts of parameters and the noise" in said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-from importlib import util
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from bayes_aero.explore.hand_on import chosen_model, export_chosen
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.explore.sliders import groups_of
+from bayes_aero.export.python_source import python_source
 from bayes_aero.jobs.handover.export import FORMS
 
 CHOICES = {
@@ -45,21 +45,18 @@ def test_every_form_takes_every_choice(own, form, name):
 
 @pytest.mark.parametrize("name", ["moved", "attached", "sensor"])
 def test_the_exported_function_has_the_coefficients_of_the_page(own, name):
-    """The Python function at single samples of the corrected record, against the model that is flown."""
+    """The function of an FMU at single samples of the corrected record, against the model that is flown."""
     choice = CHOICES[name]
     values = own.fly(0, choice).values
-    folder, (file, *_) = export_chosen(own.opened, choice, values, "python")
-    spec = util.spec_from_file_location("exported", folder / file)
-    module = util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    chosen, exported = chosen_model(own.opened, choice, values), {}
+    exec(compile(python_source(chosen), "exported.py", "exec"), exported)
     flown, flights = flown_model(own.opened.identified.model, choice), own.flights
     arrays = {name: np.asarray(x) for name, x in values.items()}
     channels = flights.with_slopes(flown.corrected(arrays, flights.channels, flights.aircraft))
-    names = chosen_model(own.opened, choice, values).signals
     for k in (100, 300, 500):
         signals = {name: np.asarray(x)[k] for name, x in channels.items()}
         expected = flown.flow(arrays, signals, flights.aircraft)
-        told = module.aerodynamics(**{name: float(signals[name]) for name in names})
+        told = exported["aerodynamics"](**{name: float(signals[name]) for name in chosen.signals})
         for c in ("CL", "CD", "Cm"):
             assert told[c] == pytest.approx(float(expected[c]), rel=1e-9, abs=1e-12), (c, k)
 
@@ -69,7 +66,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(own):
     shutil.rmtree(blocked, ignore_errors=True)
     blocked.write_text("a file")
     with pytest.raises(InputError, match=r"cannot write .*exports"):
-        export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "python")
+        export_chosen(own.opened, Choice(), own.fly(0, Choice()).values, "jsbsim")
     blocked.unlink()
 
 

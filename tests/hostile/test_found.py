@@ -24,7 +24,6 @@ from bayes_aero.jobs.provenance import environment
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.study import case as unit
 from bayes_aero.study.study import read_study
-from bayes_aero.study.verify import verify_unit
 
 NESTED = "[" * 100_000 + "]" * 100_000
 
@@ -187,7 +186,7 @@ def test_a_column_far_out_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", [NESTED, "[]", "null", '{"id": []}', "\xff"])
-def test_damaged_json_in_a_results_folder(tmp_path, monkeypatch, content):
+def test_damaged_json_in_a_results_folder(tmp_path, content):
     """Deep nesting raised RecursionError, a list AttributeError."""
     folder = tmp_path / "environment"
     folder.mkdir()
@@ -201,8 +200,6 @@ def test_damaged_json_in_a_results_folder(tmp_path, monkeypatch, content):
         manifest = {"files": {name: ""}, "made_from": made_from, "state": "done"}
         unit.write_json(manifest, tmp_path / unit.MANIFEST)
         assert unit.state_of(one, tmp_path).word == "damaged"
-    monkeypatch.setattr(unit, "run_task", lambda *_: None)
-    assert verify_unit(one, tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy.io
 from linear_cards import (
     LATERAL,
     LATERAL_TRUTH,
@@ -21,7 +25,9 @@ from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
 from bayes_aero.dynamics.linear import channel_units, linear_dynamics
 from bayes_aero.dynamics.simulated.multisines import multisines
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency.bands import linear_in_band
 from bayes_aero.inference.frequency.fit import cramer_rao, fit_in_band, solve
 from bayes_aero.model.joined_channels import join
@@ -30,6 +36,12 @@ from bayes_aero.residuals.frequency_output_error import LinearFrequencyOutputErr
 
 DT, BAND = 0.04, (0.1, 1.5)
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
+BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
+CASES = {
+    "TC03": ("attas_roll_yaw", ("fAttasAilRud1.mat", "fAttasAilRud2.mat")),
+    "TC11": ("attas_short_period", ("fAttasElv1.mat", "fAttasElv2.mat")),
+}
+OURS = {"Zal": "Zalpha", "Mal": "Malpha"}
 UNSTABLE = SHORT_PERIOD_TRUTH | {"Malpha": 2.0, "Mq": -1.0}  # eigenvalues +0.46 and -2.36 1/s
 
 
@@ -197,6 +209,35 @@ def test_both_ailerons_are_one_input():
 def test_a_band_without_lines_is_refused(band, said):
     with pytest.raises(InputError, match=said):
         lines_in(band, 500, DT, "it")
+
+
+def test_sampling_times_that_differ_are_refused():
+    card, channels = card_of(LATERAL), lateral_flight(LATERAL_TRUTH)
+    records = [record_of(channels, dt, name=f"at {dt:g}") for dt in (0.04, 0.05)]
+    dynamics = linear_dynamics(card, tuple(record.n for record in records))
+    with pytest.raises(InputError, match="different sampling times"):
+        linear_in_band(join(records, card, dynamics.inputs), dynamics, BAND)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_published_fourier_transform_regression(case):
+    """Within two published standard deviations: the published lines are 0.04 Hz apart, of both manoeuvres in a row, and
+    a complex residual counts as one."""
+    if not (BOOK / "references.json").is_file():
+        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
+    published = json.loads((BOOK / "references.json").read_text(encoding="utf-8"))["cases"][case]["methods"]["ftr"]
+    card, records = read_card(CASES[case][0]), []
+    for name in CASES[case][1]:
+        (table,) = (np.deg2rad(x) for key, x in scipy.io.loadmat(BOOK / name).items() if not key.startswith("_"))
+        channels = {c.name: table[:, c.column - 1] for c in card.channels if c.name != "time"}
+        records.append(FlightRecord.from_arrays(name, DT * np.arange(len(table)), channels))
+    dynamics = linear_dynamics(card)
+    flights, band = join(records, card, dynamics.inputs), (0.2, 1.5)
+    start = np.array([p.start for p in dynamics.free])
+    found = fit_in_band(LinearFrequencyError.in_band(flights, dynamics, band), dynamics.free, start, band)
+    for name, theirs in published["parameters"].items():
+        i = found.names.index(OURS.get(name, name))
+        assert abs(found.estimate[i] - theirs["estimate"]) < 2.0 * theirs["std"], name
 
 
 def test_a_state_that_was_not_recorded_is_named():

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_aero.dynamics.filtering.innovations import filter_segments
+from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import advance
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
 from bayes_aero.inference.likelihood.fisher_scoring import (
@@ -23,7 +29,9 @@ from bayes_aero.inference.likelihood.fisher_scoring import (
 )
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
 
+BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 TRUTH = {"Zw": -1.4249, "Zde": -6.2632, "Mw": -0.05, "Mq": -3.7067, "Mde": -12.78}  # as the unstable card, made stable
 F, R = np.array([0.8, 0.06]), np.array([0.15, 0.01, 0.4]) ** 2  # w, q; w, q, az
 DT, N = 0.05, 1200
@@ -85,6 +93,20 @@ def test_without_process_noise_the_fit_says_so(flown):
     free = fit_prediction_error(flown, F, R, priors=False)
     np.testing.assert_array_equal(still.F, 0.0)
     assert free.log_likelihood - still.log_likelihood > 100.0
+
+
+@pytest.mark.skipif(not BOOK.is_dir(), reason="needs ../shared/book")
+def test_without_process_noise_it_is_output_error():
+    """Of the HFB-320's flight."""
+    card = read_card("hfb320")
+    flights = join([read_record(BOOK / "hfb320_1_10.asc", card.channels)], card, FLIGHT)
+    dynamics = aircraft_dynamics(Model.from_card(card), flights, card.fly.outputs or ())
+    whole = segments(flights, dynamics, outputs=card.fly.outputs, fixed=card.fly.initial_state).nameless
+    theta = jnp.asarray([p.start for p in dynamics.free])
+    residual = np.asarray(simulate(whole, theta, jnp.zeros((1, 4))).residual)
+    R = jnp.asarray(residual.reshape(-1, 7).var(axis=0))
+    found = filter_segments(whole, theta, jnp.zeros(4), jnp.zeros(4), R)
+    np.testing.assert_allclose(found.innovation, residual, rtol=1e-8, atol=1e-8)
 
 
 def test_the_noise_of_a_smoothed_channel_is_no_less_than_that_of_its_last_digit(flown):

@@ -238,9 +238,6 @@ def test_pictures_are_small_and_keep_their_look(tmp_path):
 
 def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
     d = flown.diagnosis
-    separating = [
-        {"effects": ["a", "b"], "status": "s", "manoeuvres": [{"manoeuvre": "slow_stall", "standard_errors": 3.2}]}
-    ]
     ranges = {"alpha": [0.07, 0.21], "load_factor": [0.71, 1.52], "airspeed": [80.0, 110.0]}
     point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
     points = {
@@ -253,8 +250,6 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         diagnosed.records,
         provenance(card, diagnosed.records, 0, {}),
         {},
-        {},
-        separating,
         points,
         None,
         ("Hidden was x.",),
@@ -267,7 +262,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         assert cause.claim in text
     for part in ("a or b: expected to be decided, 6.2 standard errors", "thrust steps", "4 to 12", "0.71 to 1.52"):
         assert part in text
-    for part in ("slow stall", "Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax"):
+    for part in ("Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax"):
         assert part in text
     assert [row[0] for row in next(b for b in page.sections[2].blocks if isinstance(b, Table)).rows] == [
         "CL",

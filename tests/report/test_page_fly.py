@@ -12,7 +12,7 @@ from linear_cards import SHORT_PERIOD_TRUTH
 from PIL import Image
 
 from bayes_aero.diagnosis.selection.residuals import TheilParts
-from bayes_aero.diagnosis.trajectories.motion.results import Compared, FlownMode, Motion
+from bayes_aero.diagnosis.trajectories.motion.results import FlownMode, Motion
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import RESULTS
@@ -217,19 +217,12 @@ MODES = (
     FlownMode("roll", -1.4 + 0.0j, (0.03, 0.0), {"time_constant": (0.714, 0.015), "time_to_half": (0.495, 0.011)}),
     FlownMode("spiral", 0.001 + 0.0j, (0.02, 0.0), {}),
 )
-PERIOD = Compared("one", "2.d.7", "Dutch roll", "period", "s", (3.8, 0.02), 4.5, 0.5, False, "2.0 cycles")
-BANK = Compared("one", "2.d.4", "spiral stability", "bank after 20 s", "rad", (0.2, np.nan), 0.21, 0.035, True)
-MOTION = Motion(
-    120.0, 4000.0, MODES, tests=(PERIOD, BANK), sources={"2.d.7 Dutch roll": "the text"},
-    untested={
-        "2.d.7 Dutch roll": {"aileron or rudder move all the time": ("two",)}, "2.c.8 stall": {"no": ("one", "two")},
-    },
-)  # fmt: skip
+MOTION = Motion(120.0, 4000.0, MODES)
 
 
-def test_modes_and_objective_tests_stand_on_the_page_as_people_read_them():
+def test_modes_stand_on_the_page_as_people_read_them():
     page = fly_page(flight().flown, replace(told(), motion=MOTION))
-    modes, tests, source = blocks_of(page, "motion")
+    (modes,) = blocks_of(page, "motion")
     assert [row[:3] for row in modes.rows] == [
         ("Dutch roll", "period, s", "3.831(14)"),
         ("Dutch roll", "damping ratio", "0.1091(24)"),
@@ -237,21 +230,11 @@ def test_modes_and_objective_tests_stand_on_the_page_as_people_read_them():
         ("spiral", "neither grows nor falls beyond its error", "–"),
     ]
     assert "at 120 m/s and 4000 m" in modes.note
-    assert tests.rows[0][1:] == ("period, s", "3.800(20)", "4.5", "± 0.5", "no", "2.0 cycles")
-    assert tests.rows[1][1:5] == ("bank after 20 s, deg", "11.46", "12.03", "± 2.01")
-    assert source.blocks[0].text == "the text"
 
 
 def test_what_motion_lacks_is_said_in_a_sentence_each():
-    said = motion_sentences(MOTION)
-    assert said == [
-        "Whether the spiral grows or falls is not determined: its rate is within its error.",
-        "The fitted model does not meet objective tests: 2.d.7 Dutch roll (period, one).",
-        "Free responses fall short of 2.d.7 (one: 2.0 cycles).",
-        "No free response shows the Dutch roll: aileron or rudder move all the time (two).",
-        "Objective tests that no manoeuvre shows: 2.c.8 stall (no).",
+    assert motion_sentences(MOTION) == [
+        "Whether the spiral grows or falls is not determined: its rate is within its error."
     ]
-    assert motion_sentences(replace(MOTION, modes=(), why_not="no trim", tests=(), untested={})) == [
-        "Modes of motion are not given: no trim."
-    ]
+    assert motion_sentences(replace(MOTION, modes=(), why_not="no trim")) == ["Modes of motion are not given: no trim."]
     assert motion_sentences(None) == []

@@ -13,7 +13,6 @@ from rich.console import Console
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.noise import Colour
@@ -21,7 +20,7 @@ from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.tables.comparison import ordered, scatter
 from bayes_aero.report.tables.models import holdout_table
-from bayes_aero.report.tables.run_tables import PAPER_RECORDS, paper_table, parameter_table, validation_table
+from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.phrases import concise
 
@@ -95,7 +94,7 @@ def test_where_white_noise_is_chosen_its_posterior_fills_both_places(make):
     assert row["white_sd"] == row["emcee_sd"] == pytest.approx(0.011)
 
 
-def test_validation_table(full):
+def test_validation_table(full, make):
     table = validation_table(full).frame()
     folds = {"random": {"all"}, "block": {"all"}, "manoeuvre": {"1", "2", "all"}}
     for split, names in folds.items():
@@ -111,20 +110,6 @@ def test_validation_table(full):
     errors = np.concatenate([p.measured - p.gp for p in parts])
     assert both["points"] == full.observations.n
     assert both["gpr_rmse"] == pytest.approx(np.sqrt(np.mean(errors**2)))
-
-
-def test_the_papers_numbers_stand_beside_ours_for_its_records_and_card_only(full, make):
-    theirs = [replace(r, sha256=known) for r, known in zip(full.records, sorted(PAPER_RECORDS), strict=True)]
-    paper = replace(full, card=read_card("attas"), records=tuple(theirs))
-    table = paper_table(paper).frame()
-    assert table.loc["Cm", "gpr_r_paper"] == 0.902741
-    assert table.loc["CD", "mle_rmse_paper"] == 0.009290
-    v = full.gp.splits["random"][0]["CL"]
-    assert table.loc["CL", "gpr_r_ours"] == pytest.approx(v.gp_scores.r)
-    another = replace(paper.card, sha256="0" * 64)  # a card of the same name
-    for run in (replace(paper, card=another), replace(paper, records=full.records)):
-        assert list(paper_table(run).frame().columns) == ["mle_r_ours", "mle_rmse_ours", "gpr_r_ours", "gpr_rmse_ours"]
-    assert paper_table(make(gp=False)).frame().empty
     assert validation_table(make(gp=False)).frame().empty
 
 

@@ -12,8 +12,8 @@ import pytest
 from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
 from bayes_aero.jobs.io.diagnosis_json import change_results
 from bayes_aero.report.tables.diagnosis_tables import changes_table
+from bayes_aero.report.text.changes import change_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
-from bayes_aero.report.text.drift import change_sentences
 
 CHANGE = ParameterChange(
     parameter="Cm0",
@@ -36,7 +36,7 @@ def test_a_change_is_told_with_its_time_values_and_possible_reasons():
         "Changed: Cm0 has another value at 43.0 s of run2 (95 %: 42.8 to 43.4 s): 0.0591 ± 0.0011 before, "
         "0.0651 ± 0.0012 after, a change of 0.00600 ± 0.00050 (62% of the remaining variance). Possible reasons are a "
         "stuck tab, another setting of trim or flaps, or a shift of the centre of gravity; the record does not "
-        "determine which. `bayes-aero fly --drift Cm0` shows it over time."
+        "determine which."
     ]
 
 

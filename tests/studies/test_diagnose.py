@@ -9,14 +9,12 @@ from importlib import resources
 from unittest.mock import patch
 
 import jsonschema
-import numpy as np
 import pandas as pd
 import pytest
 from simulated_halves import halves
 
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.errors import InputError
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
 from bayes_aero.jobs.io import result_store as kept
@@ -28,10 +26,10 @@ from bayes_aero.jobs.steps import post_processing as follow
 from bayes_aero.report.figures import diagnosis as figures_diagnosis
 
 
-def run(records, card, *, out, hidden=None, predict=None, fly=None, **options):
-    """The job with these in place of what compares predictors and simulates trajectories; without one, not done."""
-    stages = {"predictors": predict is not None, "trajectories": fly is not None}
-    with patch.multiple(job, predictors=predict, simulations=fly):
+def run(records, card, *, out, hidden=None, points=None, fly=None, **options):
+    """The job with these in place of what chooses test points and simulates trajectories; without one, not done."""
+    stages = {"test_points": points is not None, "trajectories": fly is not None}
+    with patch.object(follow, "proposed_points", points), patch.object(job, "simulations", fly):
         return diagnose_records(records, card, DiagnoseOptions(**stages, **options), out=out, hidden=hidden)
 
 
@@ -122,128 +120,57 @@ def test_a_stall_that_cannot_be_computed_loses_nothing(repeated, card, tmp_path,
     assert "was not made" not in page
 
 
-def test_predictors_are_written_and_may_fail(repeated, card, tmp_path):
-    def fails(*_):
-        raise InputError("too large")
+def test_points_are_written_and_may_be_refused(repeated, card, tmp_path):
+    def refused(*_):
+        raise InputError("no level flight")
 
-    run(repeated.records, card, out=tmp_path, figures=False, predict=lambda *_: {"extended": {"Cm": 0.5}})
-    assert validated(tmp_path / "diagnosis.json")["predictors"] == {"extended": {"Cm": 0.5}}
-    found = run(repeated.records, card, out=tmp_path / "other", figures=False, predict=fails)
-    assert "too large" in found.notes[0]
+    run(repeated.records, card, out=tmp_path, figures=False, points=decided)
+    assert validated(tmp_path / "diagnosis.json")["test_points"] == decided()
+    assert len(pd.read_csv(tmp_path / "test_points.csv")) == 1
+    found = run(repeated.records, card, out=tmp_path / "other", figures=False, points=refused)
+    assert "no level flight" in found.notes[0]
 
 
 def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, tmp_path):
     def interrupted(*_):
         end = time.monotonic() + 60.0
-        while not json.loads((tmp_path / "diagnosis.json").read_text())["predictors"]:
+        while not json.loads((tmp_path / "diagnosis.json").read_text())["test_points"]:
             assert time.monotonic() < end
             time.sleep(0.05)
         raise KeyboardInterrupt
 
-    scores = {"extended": {"Cm": 0.5}}
     with pytest.raises(KeyboardInterrupt):
-        run(repeated.records, card, out=tmp_path, predict=lambda *_: scores, fly=interrupted)
-    assert validated(tmp_path / "diagnosis.json")["predictors"] == scores
+        run(repeated.records, card, out=tmp_path, points=decided, fly=interrupted)
+    assert validated(tmp_path / "diagnosis.json")["test_points"] == decided()
 
 
-@pytest.fixture
-def left(repeated, card, tmp_path, monkeypatch):
-    """A folder that a run with predictors and trajectories left when it was interrupted before its page."""
+def decided(*_):
+    """One test point for one question."""
+    point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
+    point |= {"excursion": {"alpha": [0.07, 0.21]}, "standard_errors": [6.25], "nats_per_second": 0.3}
+    questions = [{"effects": ["a", "b"], "enough": 5.0, "present": 0.7}]
+    return {"questions": questions, "points": [point], "refused": {}, "envelope": {}, "stated": []}
 
-    def interrupted(*_):
+
+def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeypatch):
+    def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(follow, "separations", separated)
-    with monkeypatch.context() as patch:
-        patch.setattr(kept.ResultStore, "put_page", interrupted)
+    with monkeypatch.context() as patched:
+        patched.setattr(kept.ResultStore, "put_page", killed)
         with pytest.raises(KeyboardInterrupt):
-            run(repeated.records, card, out=tmp_path, figures=False, predict=told, fly=halved(repeated))
-    return repeated, tmp_path
-
-
-def separated(*_):
-    deviations = {"sideslip": 1.2, "level": float("nan")}
-    manoeuvres = [{"manoeuvre": name, "standard_errors": x} for name, x in deviations.items()]
-    return [{"effects": ["a", "b"], "status": "settled", "manoeuvres": manoeuvres}]
-
-
-def told(*_):
-    scores = {"r2": 0.5, "rmse": 0.1, "r": float("nan"), "theil": 0.2, "coverage95": 0.9}
-    return {"extended": {"Cm": scores, "CL": None}}
-
-
-def halved(case):
-    return lambda *_: halves(case.records[0])
-
-
-def test_a_run_that_was_interrupted_is_taken_up_and_ends_the_same(left, card, tmp_path_factory, monkeypatch):
-    def never(*_):
-        raise AssertionError("done again")
-
-    case, out = left
-    whole = tmp_path_factory.mktemp("whole")
-    run(case.records, card, out=whole, figures=False, predict=told, fly=halved(case))
-    monkeypatch.setattr(follow, "separations", never)
-    found = run(case.records, card, out=out, figures=False, predict=never, fly=never)
-    contents = [validated(folder / "diagnosis.json") for folder in (whole, out)]
-    for content in contents:
-        del content["provenance"]
-    assert contents[0] == contents[1]
-    assert contents[0]["trajectories"]["paths"]
-    for path, again in zip(halves(case.records[0]).paths, found.view.trajectories.paths, strict=True):
-        assert np.array_equal(path.time, again.time)
-        for name, x in path.simulated.items():
-            assert np.array_equal(x, again.simulated[name])
-            assert np.array_equal(path.measured[name], again.measured[name])
-    assert (out / "report.html").stat().st_size > 10_000
-    assert found.failures == ()
-    assert not list(out.glob(".*"))
-
-
-@pytest.mark.parametrize("change", ["finished", "seed", "record", "settings", "damaged", "causes", "folder"])
-def test_nothing_is_taken_up_from_another_run(left, card, change):
-    case, out = left
-    again, options = [], {"seed": 0}
-    records = case.records
-    if change == "finished":
-        (out / ".unfinished.json").unlink()
-    elif change == "seed":
-        options = {"seed": 1}
-    elif change == "settings":
-        options = {"max_effects": 3}
-    elif change == "record":
-        first = records[0]
-        other = {**first.channels, "airspeed": first["airspeed"] + 1e-6}
-        records = [FlightRecord.from_arrays(first.name, first.time, other), *records[1:]]
-    elif change == "damaged":
-        (out / "histories.nc").write_bytes(b"no such luck")
-    elif change == "causes":
-        content = json.loads((out / "diagnosis.json").read_text())
-        content["causes"][0]["name"] = "another"
-        (out / "diagnosis.json").write_text(json.dumps(content))
-    else:  # another run wrote its numbers into the same folder, and was killed too
-        mark = (out / ".unfinished.json").read_text()
-        run(records, card, out=out, seed=1, figures=False, predict=told, fly=halved(case))
-        (out / ".unfinished.json").write_text(mark)
-
-    def flown(*_):
-        again.append("flown")
-        return halves(case.records[0])
-
-    def predicted(*_):
-        again.append("predicted")
-        return told()
-
-    run(records, card, out=out, figures=False, predict=predicted, fly=flown, **options)
-    assert sorted(again) == ["flown", "predicted"]
-
-
-def test_what_is_not_wanted_any_more_is_not_taken_up(left, card):
-    case, out = left
-    run(case.records, card, out=out, figures=False)
-    content = validated(out / "diagnosis.json")
+            run(
+                repeated.records, card, out=tmp_path, figures=False, points=decided,
+                fly=lambda *_: halves(repeated.records[0]),
+            )  # fmt: skip
+    left = validated(tmp_path / "diagnosis.json")
+    assert left["trajectories"]["paths"]
+    assert left["test_points"] == decided()
+    run(repeated.records, card, out=tmp_path, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
     assert content["trajectories"] == {}
-    assert content["predictors"] == {}
+    assert content["test_points"] == {}
+    assert (tmp_path / "report.html").stat().st_size > 10_000
 
 
 def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_path):
@@ -253,13 +180,14 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
     def refused(*_):
         raise InputError("cannot fly")
 
-    found = run(repeated.records, card, out=tmp_path, figures=False, predict=bad, fly=refused)
+    found = run(repeated.records, card, out=tmp_path, figures=False, points=bad, fly=refused)
     content = validated(tmp_path / "diagnosis.json")
     assert content["notes"] == ["Trajectories were not simulated: cannot fly"]
     (told,) = content["failures"]
-    assert told.startswith("Predictors were not compared: ValueError: no such luck.")
+    what = "Test points that would decide what is open were not chosen: ValueError"
+    assert told.startswith(f"{what}: no such luck.")
     assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
-    assert "Predictors were not compared: ValueError" in (tmp_path / "report.html").read_text()
+    assert what in (tmp_path / "report.html").read_text()
     assert "no such luck" in (tmp_path / "error.txt").read_text()
     found = run(repeated.records, card, out=tmp_path, figures=False, fly=bad)
     assert found.failures[0].startswith("Trajectories were not simulated: ValueError: no such luck.")
@@ -268,19 +196,18 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
     assert not (tmp_path / "error.txt").exists()
 
 
-def test_a_state_that_cannot_be_trimmed_has_no_separating_manoeuvre(diagnosed, monkeypatch):
+def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatch):
     def refused(*_, **__):
         raise InputError("level flight needs no angle of attack in range")
 
-    monkeypatch.setattr(outlook, "standard", refused)
+    monkeypatch.setattr(outlook, "next_test_points", refused)
     found = diagnosed.view.diagnosis
     known = found.aerodynamics.state.full.candidates
     rival = next(e.name for e in known if e.name != found.causes[0].name and e.parameters)
     cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
-    (one,) = outlook.separations(replace(found, causes=(cause,)))
-    assert one["effects"] == sorted([cause.name, rival])
-    assert one["status"] == "level flight needs no angle of attack in range"
-    assert one["manoeuvres"] == []
+    with pytest.raises(InputError, match="level flight needs"):  # which the job notes
+        outlook.proposed_points(replace(found, causes=(cause,)))
+    assert outlook.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):

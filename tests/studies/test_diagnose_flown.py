@@ -6,13 +6,12 @@ from importlib import resources
 import jsonschema
 import numpy as np
 import pytest
+from history_files import flight_of, read_histories
 
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import diagnose_records
-from bayes_aero.jobs.io.resume import MARK
-from bayes_aero.jobs.io.time_histories import flight_of, read_histories
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.simulate.injection import hidden_records
 
@@ -28,13 +27,12 @@ def without(record: FlightRecord, *names: str) -> FlightRecord:
 def test_numbers_histories_and_page_are_of_this_run(card, tmp_path, monkeypatch):
     """A folder that an interrupted diagnosis has left keeps nothing of it. Of few effects, which compile sooner."""
     monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in FEW})
-    for name in (MARK, "histories.nc"):
+    for name in ("diagnosis.json", "histories.nc"):
         (tmp_path / name).write_text("of another run")
     hidden = {"thrust_moment": {"thrust_arm": 0.6}}
     records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=40.0)]
     told = diagnose_records(records, card, DiagnoseOptions(max_effects=1), out=tmp_path)
     found, flown = told.diagnosis, told.view.trajectories
-    assert not (tmp_path / MARK).exists()
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     jsonschema.validate(
         content, json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())

@@ -122,14 +122,6 @@ class Information:
             found[one, other] = min(ratios)
         return found
 
-    def correlation(self, one: str, other: str, base: Sequence[str]) -> float:
-        """Of the estimates' information on two columns, after `base`."""
-        place = {label: k for k, label in enumerate(self.labels)}
-        at = [place[label] for label in base]
-        rows = np.eye(len(self.labels))[[place[one], place[other]]]
-        (xx, _), (yy, _), (both, _) = (self.after(at, x) for x in (rows[0], rows[1], rows[0] + rows[1]))
-        return (both - xx - yy) / (2.0 * np.sqrt(xx * yy)) if xx > 0.0 and yy > 0.0 else float("nan")
-
 
 def information_of(
     state: SelectionState, noise: Noise, chosen: Sequence[Effect], blocks: int | None = None

@@ -16,15 +16,16 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.design.information import Information, Noise, Signals, noise_of, signals_of
-from bayes_aero.diagnosis.design.separating import NOT_BY_HAND, candidates_of, worth_of
 from bayes_aero.diagnosis.design.standard import Linearised, Standard, of_records, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.effect import Effect
+from bayes_aero.errors import InputError
 from bayes_aero.flight.envelope import Envelope
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
 MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
+NOT_BY_HAND = ("multisine",)  # manoeuvres that need a computer at the controls
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,26 @@ def next_test_points(
     return TestPoints(
         questions, tuple(q.deviations(present) for q in questions), points, refused_points(variants, envelope)
     )
+
+
+def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
+    """The effects of an ambiguity set; `InputError` if it is none."""
+    chosen = [_candidate(state, name) for name in dict.fromkeys(effects)]
+    if len(chosen) < 2:
+        raise InputError("an ambiguity set has at least two effects")
+    return chosen
+
+
+def _candidate(state: SelectionState, name: str) -> Effect:
+    found = next((e for e in state.full.model.effects if e.name == name and e.parameters), None)
+    if found is None:
+        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
+    return found
+
+
+def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, float]:
+    """The size of each parameter at which effects are told apart: the least worth modelling, or that in `sizes`."""
+    return {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes)
 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:

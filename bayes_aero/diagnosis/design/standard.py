@@ -66,7 +66,7 @@ def standard(
     rigid = Axis.LATERAL in state.full.model.axes
     if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
         raise InputError(
-            "manoeuvres that would separate them are flown from level flight, for which the card has no lift and drag; "
+            "test points are flown from level flight, for which the card has no lift and drag; "
             'add "longitudinal" to [model] axes'
         )
     small = narrowed(state, effects)

@@ -68,7 +68,6 @@ def search_coefficients(
         (*failures, *failed),
         changes=left.changes,
         terms=found.terms,
-        structures=found.structures,
         forms=found.rivals,
     )
 

@@ -91,7 +91,6 @@ def search_innovations(
         tuple(notes),
         failures,
         terms=left.forms.terms,
-        structures=left.forms.structures,
         forms=left.forms.rivals,
     )
 

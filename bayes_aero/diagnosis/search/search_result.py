@@ -9,7 +9,6 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.noise import NoiseReport
-from bayes_aero.diagnosis.terms.forms import Structure
 from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
@@ -32,7 +31,6 @@ class SearchResult:
     testable_now: bool = True
     changes: tuple[ParameterChange, ...] = ()
     terms: tuple[FoundTerm, ...] = ()
-    structures: tuple[Structure, ...] = ()  # in which the terms were sought
     forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
 
     @property

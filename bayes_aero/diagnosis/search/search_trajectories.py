@@ -100,7 +100,6 @@ def search_trajectories(
         (*failures, *failed),
         testable_now=False,
         terms=left.forms.terms,
-        structures=left.forms.structures,
         forms=left.forms.rivals,
     )
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.diagnosis.folds import blocks_of
 from bayes_aero.diagnosis.screening.parameter_fit import optimum
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
@@ -18,28 +17,6 @@ from bayes_aero.inference.scores import Scores, log_density, log_score_gain, log
 def split_name(state: SelectionState) -> str:
     """How data were left out."""
     return "manoeuvre" if len(state.responses.flights.lengths) > 1 else "block"
-
-
-@dataclass(frozen=True)
-class FoldFit:
-    """A fit to all folds but one: its parameters, and what they leave of every block, seen (`train`) or not."""
-
-    fold: slice
-    train: Bool[np.ndarray, " m"]
-    theta: Float[np.ndarray, " k"]
-    residual: Float[np.ndarray, "m c"]
-
-
-def fold_fits(state: SelectionState) -> Iterator[FoldFit]:
-    """Fits of the effects that are in, each fold left out in turn and every fit brought to its own optimum."""
-    import jax.numpy as jnp  # not before: `check` does not load JAX
-
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
-    for number, fold in enumerate(state.folds):
-        others = [f for f in range(len(state.folds)) if f != number]
-        theta = optimum(state, others, state.settings.hold_out_steps)
-        residual = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep]
-        yield FoldFit(fold, blocks_of([state.folds[f] for f in others], len(residual)), theta, residual)
 
 
 @dataclass(frozen=True)
@@ -57,9 +34,14 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
+        import jax.numpy as jnp  # not before: `check` does not load JAX
+
         residual = np.zeros_like(state.residual)
-        for fit in fold_fits(state):
-            residual[fit.fold] = fit.residual[fit.fold]
+        keep = [state.responses.outputs.index(name) for name in state.outputs]
+        for number, fold in enumerate(state.folds):
+            others = [f for f in range(len(state.folds)) if f != number]
+            theta = optimum(state, others, state.settings.hold_out_steps)
+            residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep][fold]
         return cls._of(state, residual)
 
     @classmethod

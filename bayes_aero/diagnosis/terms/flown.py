@@ -22,13 +22,13 @@ from bayes_aero.diagnosis.screening.screening import (
     block_jackknife_covariance,
     screen,
 )
-from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
+from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.structure.components import share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
-from bayes_aero.diagnosis.terms.forms import Forms, Structure, contest, described
+from bayes_aero.diagnosis.terms.forms import Forms, contest, described
 from bayes_aero.diagnosis.terms.search import NEAR, Found, reconsidered, sized, weights_of
 from bayes_aero.inference.variance.variance_inflation import nats
 from bayes_aero.progress import Progress
@@ -87,21 +87,12 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
         UnexplainedStructure(_coefficient(one.column), one.column.term.name, one.share, one.p_value, names)
         for one, names in zip(found, rivals, strict=True)
     ]
-    forms = instead._replace(terms=sized(state, found), replaced=replaced, structures=_structures(state, found))
+    forms = instead._replace(terms=sized(state, found), replaced=replaced)
     return FlownForms(forms, described(unknown, instead))
 
 
 def _coefficient(column: Column) -> str:
     return column.component.label.split(" over ")[0]
-
-
-def _structures(state: SelectionState, found: Sequence[Found]) -> tuple[Structure, ...]:
-    """The coefficients with terms; what describes each, and what the others."""
-    own: dict[str, list[Component]] = {}
-    for one in found:
-        own.setdefault(_coefficient(one.column), []).append(one.column.component)
-    others = {name: [c for other in own if other != name for c in own[other]] for name in own}
-    return tuple(Structure(state, name, tuple(own[name]), tuple(others[name])) for name in own)
 
 
 def _sought(state: SelectionState, seed: int) -> tuple[list[Found], list[tuple[str, ...]]]:

@@ -32,25 +32,11 @@ from bayes_aero.inference.variance.block_jackknife import cluster_covariance
 from bayes_aero.inference.variance.variance_inflation import nats
 
 
-class Structure(NamedTuple):
-    """A coefficient in which structure is left, where its form was sought.
-
-    `own` describes it, by terms or (where these do not) by the functions that show it; `others` is what describes the
-    other coefficients.
-    """
-
-    state: SelectionState
-    coefficient: str
-    own: tuple[Component, ...]
-    others: tuple[Component, ...]
-
-
 class Forms(NamedTuple):
-    """Terms that were found, causes of which little is left beside them, and where they were sought."""
+    """Terms that were found, and causes of which little is left beside them."""
 
     terms: tuple[FoundTerm, ...]
     replaced: tuple[str, ...]
-    structures: tuple[Structure, ...] = ()
     idle: tuple[str, ...] = ()  # coefficients whose offsets between manoeuvres the terms explain
     rivals: Mapping[str, tuple[str, float]] = MappingProxyType({})  # terms as good as a cause; nats they explain less
     sizes: Mapping[str, Size] = MappingProxyType({})  # of parameters of causes that are left, beside the terms
@@ -142,14 +128,13 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     state = taken_out(extension.state, [name for name in left.replaced if name in extension.state.active])
     found = _sought(state, left, seed)
     if not found:
-        return instead._replace(structures=_structures(state, left, found))
+        return instead
     replaced = superfluous(state, causes, [one.column.component for one in found])
     if replaced:
         state = taken_out(state, replaced)
         found = _sought(state, left, seed)
     replaced = replaced if found else ()
-    terms, structures = sized(state, found), _structures(state, left, found)
-    return instead._replace(terms=terms, replaced=replaced, structures=structures)
+    return instead._replace(terms=sized(state, found), replaced=replaced)
 
 
 def described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
@@ -215,14 +200,9 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
     if best is start:
         return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shares)
     gone = tuple(name for name in causes if name not in best.state.active)
-    mine = _by_coefficient([one.column.component for one in best.terms])
-    structures = tuple(
-        Structure(best.state, name, tuple(own), tuple(c for n, others in mine.items() if n != name for c in others))
-        for name, own in mine.items()
-    )
     gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *_negligible(best))
     terms, sizes = sized(best.state, best.terms), _sizes(best, [name for name in causes if name not in gone])
-    return Forms(terms, gone, structures, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shares)
+    return Forms(terms, gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shares)
 
 
 def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
@@ -407,15 +387,6 @@ def _sought(state: SelectionState, left: Left, seed: int) -> list[Found]:
     for coefficient, own in _by_coefficient([f for f in left.functions if not is_periodic(f)]).items():
         found += forms(state, coefficient, gain_of(state, own), seed=seed)
     return found
-
-
-def _structures(state: SelectionState, left: Left, found: Sequence[Found]) -> tuple[Structure, ...]:
-    """Every coefficient with structure that may have a form, with the best description of all of them."""
-    terms = _by_coefficient([one.column.component for one in found])
-    known = {name: terms.get(name, own) for name, own in _by_coefficient(left.functions).items()}
-    others = {name: [c for other, own in known.items() if other != name for c in own] for name in known}
-    sought = _by_coefficient([f for f in left.functions if not is_periodic(f)])
-    return tuple(Structure(state, name, tuple(known[name]), tuple(others[name])) for name in sought)
 
 
 def _by_coefficient(components: Sequence[Component]) -> dict[str, list[Component]]:

@@ -12,11 +12,10 @@ from bayes_aero.diagnosis.result import NOT_NOISE
 from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path.flight_path import PathDynamics
-from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse, RunningEstimates
+from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.scores import OneStep
@@ -158,7 +157,6 @@ class TrajectoryFit:
         noise_growth: noise growth in fully separated flow, by fitted output.
         setting: settings of the fit.
         frequency: fits of the same parameters in a band, where one was asked for.
-        running: estimates in that band while the record grows.
         frequency_responses: measured and modelled frequency responses there.
         following: surfaces that only follow the outputs, of which and the aircraft the fit is one of many.
     """
@@ -174,7 +172,6 @@ class TrajectoryFit:
     noise_growth: Mapping[str, float] = field(default_factory=dict)
     setting: Setting = field(default_factory=Setting)
     frequency: tuple[FrequencyFit, ...] = ()
-    running: RunningEstimates | None = None
     frequency_responses: tuple[FrequencyResponse, ...] = ()
     following: tuple[str, ...] = ()
 
@@ -271,7 +268,6 @@ class ProcessNoise:
         gusts: intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
             name of the parameter, with standard errors.
         histories: what was met, by manoeuvre; empty where no gust has an intensity.
-        drift: a further fit in which parameters drift, where it was asked for.
         one_step: whether one-step predictions are calibrated; None where the fit did not converge.
         covariance: of the `estimates`, in their order (k, k).
     """
@@ -285,7 +281,6 @@ class ProcessNoise:
     autocorrelation: Mapping[str, float]
     gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     histories: tuple[GustHistory, ...] = ()
-    drift: Drift | None = None
     one_step: OneStep | None = None
     covariance: Float[np.ndarray, "k k"] | None = None
 

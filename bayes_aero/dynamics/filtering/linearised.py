@@ -91,7 +91,7 @@ def linearise(
 
     def by_parameters(theta):
         prepared = prepare(flown, theta)
-        *_, true, scale = segment_inputs(flown, prepared, jnp.zeros((len(flown.index), 1)))
+        *_, true, scale = segment_inputs(flown, prepared)
         own = eqx.filter(prepared.sensed, eqx.is_inexact_array)
         return true, prepared.initial_states, scale, own, prepared.drives
 
@@ -238,6 +238,6 @@ def input_innovations(
     drive = own.ahead[..., :1] * after[:, :, None] + own.ahead[..., 1:] * then[:, :, None]
     direct = own.direct[..., None] * before[:, :, None]
     matrix = jnp.where(jnp.isfinite(known.matrix), known.matrix, 0.0)
-    *_, true, _ = segment_inputs(flown, prepare(flown, theta), jnp.zeros((len(flown.index), 1)))
+    *_, true, _ = segment_inputs(flown, prepare(flown, theta))
     begin = jnp.zeros((len(flown.index), known.matrix.shape[-1], before.shape[-1]))
     return jax.vmap(_observed)(begin, known.transition, drive, matrix, direct, jnp.isfinite(true), by.gain)

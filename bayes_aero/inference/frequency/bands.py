@@ -9,6 +9,7 @@ import numpy as np
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.common_rate import at_common_rate
 from bayes_aero.flight.record import FlightRecord
@@ -19,8 +20,7 @@ from bayes_aero.inference.frequency.fit import (
     without_noise_bias_in_band,
 )
 from bayes_aero.inference.frequency.responses import frequency_responses
-from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse, RunningEstimates
-from bayes_aero.inference.frequency.running import running_estimates
+from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.joined_channels import Flights, join
 from bayes_aero.model.model import Model
@@ -59,12 +59,15 @@ def coefficients_in_band(
 
 def linear_in_band(
     flights: Flights, dynamics: Dynamics, band: Band
-) -> tuple[tuple[FrequencyFit, FrequencyFit], RunningEstimates, tuple[FrequencyResponse, ...]]:
-    """Equation error of a linear card in a band, output error from there, estimates while the record grows, responses.
+) -> tuple[tuple[FrequencyFit, FrequencyFit], tuple[FrequencyResponse, ...]]:
+    """Equation error of a linear card in a band, output error from there, and responses.
 
     Raises:
-        InputError: a state was not recorded, or the band holds no frequency of a record.
+        InputError: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
     """
+    dt = np.asarray(flights.channels["dt"], float)
+    if np.ptp(dt) > 1e-6 * dt[0]:
+        raise InputError("the manoeuvres have different sampling times; give --resample")
     bare = unbiased(dynamics)
     assert isinstance(bare, LinearDynamics)
     start = np.array([p.start for p in bare.free])
@@ -74,4 +77,4 @@ def linear_in_band(
     whole = LinearFrequencyOutputError.in_band(flights, bare, band)
     second = fit_in_band(whole, bare.free, start, band, OUTPUT_ERROR)
     responses = frequency_responses(flights, bare, second) if second.converged else ()
-    return (first, second), running_estimates(flights, bare, band), responses
+    return (first, second), responses

@@ -59,18 +59,6 @@ class FrequencyFit:
 
 
 @dataclass(frozen=True)
-class RunningEstimates:
-    """Parameters against time, SI: `time` (t,) in s since the begin, `value` and `sd` (t, k), NaN before they are
-    determined."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    time: Float[np.ndarray, " t"]
-    value: Float[np.ndarray, "t k"]
-    sd: Float[np.ndarray, "t k"]
-
-
-@dataclass(frozen=True)
 class FrequencyResponse:
     """An output over an input at frequencies (f,), Hz; SI.
 

@@ -6,7 +6,7 @@ fit.predict(X_new).mean;  fit.posterior;  fit.status.value;  fit.k_hat
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import numpy as np
@@ -17,20 +17,12 @@ from tqdm import tqdm
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.groups import posterior_tree, systematic_resample
 from bayes_aero.inference.gp.kernel import Scaling, noise_to_signal
-from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise, thinned
+from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
 from bayes_aero.inference.gp.posterior import Budget, Sampled, sample_posterior
 from bayes_aero.inference.gp.predict import Prediction, gaussian_parts, mixture
 from bayes_aero.inference.gp.priors import Priors
 from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.gp.sampling.reweight import SampleStatus
-from bayes_aero.inference.gp.sparse import (
-    SUBSET,
-    Approximation,
-    SparseData,
-    choose_inducing,
-    measured_error,
-    sparse_parts,
-)
 
 __all__ = ["MAX_SAMPLES", "GPFit", "fit_gp"]
 
@@ -46,8 +38,6 @@ class GPFit:
     `optima`: the distinct optima found, best first. `status`: result of the sampling (`.value` is advice).
     `posterior`: DataTree with posterior, sample_stats, prior and proposal groups, hyperparameters in physical
     units; None unless the status is accepted. `draws` (S, 2d + 3): the posterior's theta, log scaled, equal weight.
-    Of an approximated process, `data` is the subset on which the hyperparameters and `posterior` are based, `sparse`
-    has all samples for predictions, and `approximation` the error.
     """
 
     input_names: tuple[str, ...]
@@ -60,8 +50,6 @@ class GPFit:
     sampled: Sampled | None
     draws: Float[np.ndarray, "draws p"] | None
     posterior: xr.DataTree | None
-    sparse: SparseData | None = None
-    approximation: Approximation | None = None
 
     @property
     def map(self) -> dict[str, np.ndarray]:
@@ -97,10 +85,7 @@ class GPFit:
             count = min(draws, len(self.draws))
             thetas = self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
         x_new = self.scaling.inputs(X_new)
-        if self.sparse is None:
-            parts = [gaussian_parts(t, self.data, x_new) for t in thetas]
-        else:
-            parts = [sparse_parts(t, self.sparse, x_new) for t in thetas]
+        parts = [gaussian_parts(t, self.data, x_new) for t in thetas]
         means, latent = (np.array(p) for p in zip(*parts, strict=True))
         rms = self.scaling.rms
         return mixture(rms * means, rms**2 * latent, rms**2 * np.exp(2.0 * thetas[:, -1]))
@@ -117,24 +102,21 @@ def fit_gp(
     seed: int = 0,
     starts: int = 16,
     budget: Budget = Budget(),
-    approximate: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> GPFit:
     """Train a DPSE Gaussian process on inputs X (n, d) and output y (n,), any units; same seed, same numbers.
 
     `sample` adds the posterior of the hyperparameters at all n points to the MAP: exact after re-weighting, or
-    refused with a status. `approximate` allows more than `MAX_SAMPLES` samples: hyperparameters from a random part of
-    them, predictions from all of them through inducing points, with the error in `approximation`. `progress` is called
-    with a text at each step; default: a progress bar on a terminal.
+    refused with a status. More than `MAX_SAMPLES` samples are refused. `progress` is called with a text at each step;
+    default: a progress bar on a terminal.
     """
     X, y = np.asarray(X, float), np.asarray(y, float)
     names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
-    _check(X, y, names, approximate)
+    _check(X, y, names)
     if sample and not priors.proper:
         raise InputError("A flat hyperparameter prior is improper: set sample=False or give proper priors.")
     scaling = Scaling.of(X, y, names)
-    every = ReducedData.of(scaling.inputs(X), y / scaling.rms)
-    data = thinned(every, SUBSET, seed + 2) if len(y) > MAX_SAMPLES else every
+    data = ReducedData.of(scaling.inputs(X), y / scaling.rms)
     with tqdm(disable=progress is not None or not sys.stderr.isatty(), unit="", leave=False) as bar:
 
         def show(text: str) -> None:
@@ -144,8 +126,7 @@ def fit_gp(
         tell = progress or show
         optima = tuple(find_map(data, priors, starts=starts, seed=seed, progress=tell))
         status, sampled, draws, tree = SampleStatus.not_sampled, None, None, None
-        broken = optima[0].status is MapStatus.not_positive_definite
-        if sample and broken:
+        if sample and optima[0].status is MapStatus.not_positive_definite:
             status = SampleStatus.no_optimum
         elif sample and data.dependent:
             status = SampleStatus.dependent
@@ -157,17 +138,7 @@ def fit_gp(
         at = systematic_resample(sampled.weighted.log_weight, seed)
         draws = sampled.weighted.theta.reshape(-1, sampled.weighted.theta.shape[-1])[at]
         tree = posterior_tree(sampled, at, scaling, priors, names, output_name, seed)
-    found = GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
-    return found if data is every or broken else _with_inducing_points(found, every, seed, tell)
-
-
-def _with_inducing_points(fit: GPFit, every: ReducedData, seed: int, tell: Callable[[str], None]) -> GPFit:
-    """The same fit, predicting from all samples."""
-    theta = fit.optima[0].theta
-    tell("choosing inducing points")
-    sparse = SparseData(every.x, every.fy, choose_inducing(theta, every.x, seed))
-    tell(f"measuring the error of {len(sparse.z)} inducing points")
-    return replace(fit, sparse=sparse, approximation=measured_error(theta, sparse, fit.data, seed))
+    return GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
 
 
 def _with_mode_of_draws(
@@ -184,14 +155,14 @@ def _with_mode_of_draws(
     return tuple(distinct([*optima, another], len(optima) + 1))
 
 
-def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...], approximate: bool) -> None:
+def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> None:
     """Raise `InputError` for data that cannot be fitted."""
     if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
         raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
     n, d = X.shape
     if n < 2 * d + 4:
         raise InputError(f"{n} samples cannot determine {2 * d + 3} hyperparameters; give more samples.")
-    if n > MAX_SAMPLES and not approximate:
+    if n > MAX_SAMPLES:
         raise InputError(too_many(n))
     for name, column in (*zip(names, X.T, strict=True), ("output", y)):
         if not np.all(np.isfinite(column)):
@@ -203,6 +174,6 @@ def too_many(n: int) -> str:
     """Why so many samples are refused, and the alternatives."""
     return (
         f"n = {n} samples exceed the bound of {MAX_SAMPLES} of the exact Gaussian process (about "
-        f"{5 * 8 * n**2 / 2**30:.0f} GiB and n^3 time); ask for the approximation through inducing points, whose error "
-        "is measured and reported (identify: --approximate-gp; Python: approximate=True), or thin the records"
+        f"{5 * 8 * n**2 / 2**30:.0f} GiB and n^3 time); give shorter parts of the records, or a longer time step "
+        "(--resample)"
     )

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.posterior.assembly import Drawn, assemble, constrain_draws, converged, diagnose
-from bayes_aero.inference.posterior.checkpoint import BurnIn, Checkpoint, Stretch
 from bayes_aero.inference.posterior.laplace import Mode
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.threads import cores
@@ -67,80 +66,35 @@ class _Target:
         return np.where(bad, -np.inf, value)
 
 
-def _sampler(
-    target: _Target,
-    walkers: int,
-    proposal: _IndependenceProposal,
-    seed: int | None,
-    backend: emcee.backends.Backend | None = None,
-) -> emcee.EnsembleSampler:
-    """A sampler; with `backend` it continues that chain with the stored state of its random generator."""
-    size = target.density.size
+def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
+    """A sampler that has not moved yet."""
     moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
-    sampler = emcee.EnsembleSampler(walkers, size, target, moves=moves, vectorize=True, backend=backend)
-    if backend is None:
-        sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
+    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
+    sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
     return sampler
 
 
 def _burn_in(
-    target: _Target, walkers: int, ensembles: int, seed: int, store: Checkpoint | None, known: BurnIn | None
-) -> BurnIn:
+    target: _Target, walkers: int, ensembles: int, seed: int
+) -> tuple[Float[np.ndarray, "ensemble walker k"], _IndependenceProposal]:
     """Starting points of the ensembles, and the proposal fitted to their draws of the burn-in.
 
-    The fit is repeated while it increases the acceptance much: a skewed posterior takes several rounds. `known` is the
-    stored state of an earlier run.
+    The fit is repeated while it increases the acceptance much: a skewed posterior takes several rounds.
     """
     size = target.density.size
-    if known is None:
-        begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
-        known = BurnIn(begin, np.zeros(size), np.eye(size), 0.0, 0, False, 0)
-    target.rejected = known.rejected
-    while not known.over:
-        number, begin, before = known.rounds, known.begin, known.accepted
-        proposal = _IndependenceProposal(known.centre, known.factor)
+    begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
+    proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
+    for number in range(ROUNDS):
         samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
         _advance(samplers, BURN_IN, begin)
         begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
         found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
         accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
-        over = accepted < MIN_ACCEPTANCE_GAIN * before or number + 1 == ROUNDS
-        factor = np.linalg.cholesky(np.cov(found.T))
-        known = BurnIn(begin, found.mean(axis=0), factor, accepted, number + 1, over, target.rejected)
-        if store:
-            store.keep_burn_in(known)
-    return known
-
-
-def _resume(
-    target: _Target, walkers: int, ensembles: int, seed: int, known: BurnIn, steps: Stretch | None
-) -> list[emcee.EnsembleSampler]:
-    """Samplers after the burn-in, with the steps of an earlier run."""
-    proposal = _IndependenceProposal(known.centre, known.factor)
-    if steps is None:
-        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(ensembles)]
-        _advance(samplers, STEPS_PER_CALL, known.begin)
-        return samplers
-    target.rejected = steps.rejected
-    samplers = []
-    for i, state in enumerate(steps.random_states):
-        backend = emcee.backends.Backend()
-        backend.reset(walkers, target.density.size)
-        backend.chain, backend.log_prob, backend.accepted = steps.chain[i], steps.log_prob[i], steps.accepted[i]
-        backend.iteration, backend.random_state = steps.chain.shape[1], state
-        samplers.append(_sampler(target, walkers, proposal, None, backend))
-    return samplers
-
-
-def _store_steps(samplers: list[emcee.EnsembleSampler], target: _Target, store: Checkpoint, kept: int) -> int:
-    """Store the steps after the first `kept` ones on disk; return the number of all steps."""
-    steps = samplers[0].iteration
-    if steps > kept:
-        backends = [s.backend for s in samplers]
-        chain, log_prob = (np.stack([getattr(b, key)[kept:steps] for b in backends]) for key in ("chain", "log_prob"))
-        accepted, states = np.stack([b.accepted for b in backends]), [b.random_state for b in backends]
-        store.keep(Stretch.of(chain, log_prob, accepted, states, target.rejected), kept)
-    return steps
+        proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
+        if accepted < MIN_ACCEPTANCE_GAIN * before:
+            break
+        before = accepted
+    return begin, proposal
 
 
 def _seed(seed: int, ensemble: int, number: int) -> int:
@@ -188,26 +142,20 @@ def sample_ensemble(
     length: EnsembleLength = EnsembleLength(),
     progress: Progress | None = None,
     predictive: bool = True,
-    checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
 
     Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
     mixed with differential evolution. The proposal is fixed before the stored draws start. `progress(text, share)` is
-    called after every `STEPS_PER_CALL` steps. With a `checkpoint` these steps are stored before the next ones start; a
-    run that was killed continues from there, with the same chain as without the interruption.
+    called after every `STEPS_PER_CALL` steps.
     """
     began = time.perf_counter()
     walkers = length.walkers or 2 * (density.size + 2)
     target = _Target(density, mode)
-    settings = np.array([seed, length.ensembles, walkers, STEPS_PER_CALL, BURN_IN, ROUNDS])
-    known, steps_made = checkpoint.begin(mode.u, mode.factor, settings) if checkpoint else (None, None)
-    known = _burn_in(target, walkers, length.ensembles, seed, checkpoint, known)
-    samplers = _resume(target, walkers, length.ensembles, seed, known, steps_made)
-    kept = 0 if steps_made is None else samplers[0].iteration
+    begin, proposal = _burn_in(target, walkers, length.ensembles, seed)
+    samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(length.ensembles)]
+    _advance(samplers, STEPS_PER_CALL, begin)
     while True:
-        if checkpoint:
-            kept = _store_steps(samplers, target, checkpoint, kept)
         tau = _autocorrelation_time(samplers)
         steps = samplers[0].iteration
         if progress:

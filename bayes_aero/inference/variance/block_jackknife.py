@@ -1,7 +1,7 @@
 """Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
 
-Three other variances differ. `robust_bounds` corrects each block by its leverage (HC3) and not by their number,
-`discrepancy.trust_of` by neither, and `coloured_bounds.standard_error_of_sum` has no blocks.
+Two other variances differ. `robust_bounds` corrects each block by its leverage (HC3) and not by their number, and
+`coloured_bounds.standard_error_of_sum` has no blocks.
 """
 
 from __future__ import annotations

@@ -6,12 +6,8 @@ import csv
 import io
 import re
 import shutil
-import sys
-import sysconfig
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.machinery import PathFinder
-from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +16,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.export.fmu import write_fmu
 from bayes_aero.export.identified import Identified
 from bayes_aero.export.jsbsim_aircraft import PROPERTIES, jsbsim_files
-from bayes_aero.export.python_source import python_source
 from bayes_aero.export.tables import write_tables
 from bayes_aero.export.text import about, validity, version, wrapped
 from bayes_aero.jobs.handover.identified_result import read_identified
@@ -35,7 +30,7 @@ WIDTH = 100
 def export(
     given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
 ) -> tuple[Path, dict[str, Any]]:
-    """Write the model of a result or a card as `form`: jsbsim, fmu, tables or python.
+    """Write the model of a result or a card as `form`: jsbsim, fmu or tables.
 
     Args:
         given: folder or file of a result of identify, fly or diagnose, or a card that states all values.
@@ -90,15 +85,9 @@ def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
 
 
 def _renamed(found: Identified) -> Identified:
-    """The model under a name that is one in Python, in XML and for every system's files, and is no module's."""
+    """The model under a name that is one in XML and for every system's files."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", found.name)
-    name = safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}")
-    own = {module.lower() for module in (*sys.stdlib_module_names, "bayes_aero")}
-    installed = [sysconfig.get_path(kind) for kind in ("purelib", "platlib")]
-    if iskeyword(name) or name.lower() in own or PathFinder.find_spec(name, installed) is not None:
-        said = f"It is called {name}_model, for {name} is a word or a module of Python."
-        return replace(found, name=f"{name}_model", sources=(*found.sources, said))
-    return replace(found, name=name)
+    return replace(found, name=safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}"))
 
 
 def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
@@ -113,16 +102,10 @@ def _fmu(found: Identified, folder: Path) -> tuple[str, ...]:
     return (write_fmu(found, folder).name,)
 
 
-def _python(found: Identified, folder: Path) -> tuple[str, ...]:
-    write_whole(python_source(found), folder / f"{found.name}.py")
-    return (f"{found.name}.py",)
-
-
 FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
     "jsbsim": _jsbsim,
     "fmu": _fmu,
     "tables": write_tables,
-    "python": _python,
 }
 
 
@@ -166,13 +149,11 @@ def _use(found: Identified, form: str) -> tuple[str, ...]:
         )
     if form == "fmu":
         return ("FMI 2.0, co-simulation; it runs where Python runs. The time step solves the separation lag exactly.",)
-    if form == "tables":
-        return (
-            "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of the "
-            "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
-            "X_static, and X through its lag where there is one.",
-        )
-    return (f"import {found.name} and call {found.name}.aerodynamics; it needs no package.",)
+    return (
+        "A coefficient is the sum of its tables, each interpolated linearly; interpolation_error is the sum of the "
+        "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
+        "X_static, and X through its lag where there is one.",
+    )
 
 
 def _write_draws(found: Identified, path: Path) -> None:

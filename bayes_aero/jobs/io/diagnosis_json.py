@@ -30,10 +30,9 @@ from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.text.diagnosis import sentences
 
-SCHEMA = "bayes_aero/diagnosis/4"
+SCHEMA = "bayes_aero/diagnosis/5"
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
 Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated records hide, by effect
@@ -43,9 +42,9 @@ Hidden = Mapping[str, Mapping[str, float]]  # true values of what simulated reco
 class Outcome:
     """A diagnosis with all that is shown of it.
 
-    `named`: each hidden effect is first, named, ambiguous, minor or missed. `predictors` are scores by predictor and
-    coefficient, `separating` the manoeuvres that would separate rivals, `test_points` those that decide all that is
-    open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that failed unexpectedly.
+    `named`: each hidden effect is first, named, ambiguous, minor or missed. `test_points` are the manoeuvres that
+    decide all that is open, `in_band` the sizes of the causes in a band of frequencies, `failures` parts that
+    failed unexpectedly.
     """
 
     view: DiagnosisView
@@ -55,8 +54,6 @@ class Outcome:
     health: tuple[HealthFinding, ...] = ()
     consistency: Consistency | None = None
     failures: tuple[str, ...] = ()
-    predictors: Mapping[str, Any] = field(default_factory=dict)
-    separating: Sequence[Mapping[str, Any]] = ()
     test_points: Mapping[str, Any] = field(default_factory=dict)
     in_band: CausesInBand | None = None
 
@@ -83,7 +80,6 @@ def diagnosis_results(
         "minor": list(d.minor),
         "unexplained": unknown_results(d.unknown),
         "terms": [term_results(one) for one in d.terms],
-        "sampled_terms": sampled_table(d).records(),
         "changes": [change_results(one) for one in d.changes],
         "cancelling": cancelling_results(d),
         "absorbed": absorbed_results(d),
@@ -94,10 +90,8 @@ def diagnosis_results(
         "base_parameters": {name: asdict(move) for name, move in view.moves.items()},
         "covariance": _covariance(view),
         "residuals": _residuals(view),
-        "predictors": dict(outcome.predictors),
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
         "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
-        "separating": [dict(one) for one in outcome.separating],
         "test_points": dict(outcome.test_points),
         "in_band": None if outcome.in_band is None else asdict(outcome.in_band),
         "health": health_results(outcome.health),

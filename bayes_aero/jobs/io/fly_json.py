@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.drift import Drift
 from bayes_aero.diagnosis.trajectories.motion.results import Motion
 from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
@@ -26,7 +25,7 @@ from bayes_aero.jobs.io.trajectories_json import open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 
-SCHEMA = "bayes_aero/trajectories/4"
+SCHEMA = "bayes_aero/trajectories/5"
 RESULTS = "trajectories.json"
 
 
@@ -37,7 +36,7 @@ class Flight:
     `flown.fit` has estimates (k,), standard errors and `det_R`. `sentences` are the findings, `notes` remarks on the
     input, `failures` parts that failed unexpectedly, `apart` parameters for which the coefficients of the same record
     give other values, `posteriors` those of the fit with process noise, by sampler (`nuts`, `emcee`), `motion` modes
-    and objective tests of a fit that converged.
+    of motion of a fit that converged.
     """
 
     flown: TrajectoryFit
@@ -109,11 +108,10 @@ def fly_results(found: Flight, card: Card, records: Sequence[FlightRecord], sour
 
 
 def _process_noise(found: ProcessNoise) -> dict[str, Any]:
-    """All but the histories, which gusts.csv and drift.csv have."""
-    bare = asdict(replace(found, drift=None, one_step=None, histories=()))
-    told = {name: value for name, value in bare.items() if name not in ("drift", "histories")}
-    told |= {"one_step": None if found.one_step is None else _one_step(found.one_step)}
-    return told if found.drift is None else told | {"drift": _drift(found.drift)}
+    """All but the histories, which gusts.csv has."""
+    bare = asdict(replace(found, one_step=None, histories=()))
+    told = {name: value for name, value in bare.items() if name != "histories"}
+    return told | {"one_step": None if found.one_step is None else _one_step(found.one_step)}
 
 
 def _one_step(found: OneStep) -> dict[str, Any]:
@@ -129,8 +127,3 @@ def _one_step(found: OneStep) -> dict[str, Any]:
     outputs = {name: told(one) for name, one in found.outputs.items()}
     together = {key: value for key, value in told(found.together).items() if key != "rms"}
     return {"status": found.status, "outputs": outputs, "together": together}
-
-
-def _drift(found: Drift) -> dict[str, Any]:
-    told = {name: value for name, value in asdict(replace(found, histories=())).items() if name != "histories"}
-    return told | {"coloured": list(found.coloured), "changed": list(found.changed)}

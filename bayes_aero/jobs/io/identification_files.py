@@ -15,7 +15,7 @@ from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pooled.next_flight import next_flight_table
-from bayes_aero.report.tables.run_tables import paper_table, parameter_table, validation_table
+from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.identification import verdict
 
@@ -43,7 +43,6 @@ class IdentificationFiles:
             run.next_flight.save(self.out / "next_flight.nc")
         if run.gp is not None:
             write_csv(validation_table(run), self.out / "validation.csv")
-            write_csv(paper_table(run), self.out / "table1.csv")
         write_json(results(run, verdict(run), self.source, self.flown), self.out / "results.json")
 
     def remove_older(self, run: Identification, *, page: bool, figures: bool) -> None:
@@ -52,7 +51,7 @@ class IdentificationFiles:
             return
         older = {self.out / f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
         if run.gp is None:
-            older |= {self.out / name for name in ("gpr.nc", "validation.csv", "table1.csv")}
+            older |= {self.out / name for name in ("gpr.nc", "validation.csv")}
         if run.next_flight is None:
             older |= {self.out / name for name in ("next_flight.csv", "next_flight.nc")}
         if not page:

@@ -16,24 +16,19 @@ from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
-from bayes_aero.jobs.io.resume import NOTHING, RESTS_ON, RESULTS, Earlier
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.report.design.points import points_table
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
 
 
 class ResultStore:
-    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one.
-
-    What an interrupted run had found (`earlier`) is there from the beginning.
-    """
+    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
 
     def __init__(
         self,
@@ -42,25 +37,12 @@ class ResultStore:
         card: Card,
         records: Sequence[FlightRecord],
         source: Mapping[str, Any],
-        earlier: Earlier = NOTHING,
     ) -> None:
-        self.outcome = replace(
-            outcome,
-            view=replace(outcome.view, trajectories=earlier.trajectories),
-            predictors=earlier.predictors,
-            separating=earlier.separating,
-            test_points=earlier.test_points,
-        )
-        self.path = path
+        self.outcome, self.path = outcome, path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
         self._put_tables()
         self._write()
         self._put_histories()
-
-    def has(self, stage: str) -> bool:
-        """Whether `predictors`, `separating`, `test_points` or `trajectories` are there."""
-        of = self.outcome.view if stage == "trajectories" else self.outcome
-        return bool(getattr(of, stage))
 
     def trajectories(self, found: Trajectories) -> None:
         """Keep simulated trajectories."""
@@ -79,14 +61,6 @@ class ResultStore:
     def holdout(self, view: View) -> None:
         """Keep the scores by manoeuvre of a view of the same diagnosis."""
         self._grow(view={"holdout": view.holdout})
-
-    def predictors(self, found: Mapping[str, Any]) -> None:
-        """Keep a comparison of predictors."""
-        self._grow(predictors=found)
-
-    def separating(self, found: Sequence[Mapping[str, Any]]) -> None:
-        """Keep the manoeuvres that would separate."""
-        self._grow(separating=found)
 
     def test_points(self, found: Mapping[str, Any]) -> None:
         """Keep the test points that decide what is open."""
@@ -129,8 +103,6 @@ class ResultStore:
             self._records,
             self._source,
             drawn,
-            outcome.predictors,
-            outcome.separating,
             outcome.test_points,
             outcome.in_band,
             revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
@@ -161,7 +133,6 @@ class ResultStore:
             write_csv(causes_table(found), self.path / "causes.csv")
             write_csv(changes_table(found), self.path / "changes.csv")
             write_csv(terms_table(found), self.path / "terms.csv")
-            write_csv(sampled_table(found), self.path / "sampled_terms.csv")
             write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
 
     def _put_histories(self) -> None:
@@ -172,7 +143,6 @@ class ResultStore:
         failed = put_histories(
             lambda: {**(diagnosed(view) if isinstance(view, View) else {}), **flights(flown)},
             self.path,
-            self._source.get(RESTS_ON, ""),
         )
         self.fail(failed)
 
@@ -180,4 +150,4 @@ class ResultStore:
         if self.path is None:
             return
         content = diagnosis_results(self.outcome, self._card, self._records, self._source)
-        write_json(content, self.path / RESULTS)
+        write_json(content, self.path / "diagnosis.json")

@@ -95,15 +95,15 @@ def _group(
     return xr.Dataset(data, attrs={"names": [plain_line(name) for name in names]})
 
 
-def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "") -> tuple[str, ...]:
-    """Write `histories.nc` into `folder`, whole or not at all; `rests_on` tells what the numbers were made from.
+def put_histories(make: Callable[[], Histories], folder: Path) -> tuple[str, ...]:
+    """Write `histories.nc` into `folder`, whole or not at all.
 
     Histories that cannot be written cost nothing else: an older file goes, and a sentence on it is returned.
     """
     path = folder / HISTORIES
     try:
         groups = make()
-        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA, "rests_on": rests_on}), **groups})
+        tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"schema": SCHEMA}), **groups})
         small = {"zlib": True, "complevel": 1}
         encoding = {f"/{key}": {str(name): small for name in group.data_vars} for key, group in groups.items()}
         write_whole(tree.to_netcdf(engine=ENGINE, encoding=encoding), path)
@@ -111,23 +111,3 @@ def put_histories(make: Callable[[], Histories], folder: Path, rests_on: str = "
         path.unlink(missing_ok=True)
         return (failure(f"{HISTORIES} was not written", reason, folder),)
     return ()
-
-
-def read_histories(path: Path, rests_on: str | None = None) -> Histories:
-    """All groups, in memory. Raises OSError or ValueError where the file is not what `put_histories` wrote.
-
-    `rests_on`, where given, is what it must have been made from.
-    """
-    with xr.open_datatree(path, engine=ENGINE) as tree:
-        if tree.attrs.get("schema") != SCHEMA:
-            raise ValueError(f"{path} does not say {SCHEMA}")
-        if rests_on is not None and tree.attrs.get("rests_on") != rests_on:
-            raise ValueError(f"{path} was made from something else")
-        return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
-
-
-def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
-    """One manoeuvre's columns. Raises ValueError where there is no such manoeuvre."""
-    names = np.atleast_1d(group.attrs["names"]).tolist()  # a list of one comes back as that one
-    own = group["manoeuvre"].values == names.index(plain_line(manoeuvre)) + 1
-    return {str(key): np.asarray(column.values)[own] for key, column in group.data_vars.items()}

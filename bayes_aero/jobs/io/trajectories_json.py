@@ -1,17 +1,13 @@
-"""The part of diagnosis.json that tells of simulated trajectories, and the way back from it and histories.nc."""
+"""The part of diagnosis.json that tells of simulated trajectories."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.selection.residuals import TheilParts
-from bayes_aero.diagnosis.trajectories.results import Error, Estimates, LagTest, Path, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Error, LagTest, Path, Trajectories
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.jobs.io.time_histories import Histories, column, flight_of
 
 PARTS = ("bias", "variance", "covariance")  # of Theil's coefficient
 
@@ -84,68 +80,8 @@ def _error(unit: str, error: Error) -> dict[str, Any]:
     }
 
 
-def trajectories_of(told: Mapping[str, Any], histories: Histories, card: Card) -> Trajectories:
-    """The inverse of `trajectory_results`, with the flights themselves from histories.nc.
-
-    Raises KeyError, TypeError or ValueError where something is not as it was written.
-    """
-    parameters = told["parameters"]
-    units = {name: p["unit"] for name, p in parameters.items()}
-
-    def estimates(model: str, held: tuple[str, ...]) -> Estimates:
-        values = {
-            name: number(p[model]) for name, p in parameters.items() if model == "extended" or p[model] is not None
-        }
-        status, at_bound = OutputErrorStatus[told["status"][model]], tuple(told["at_bound"][model])
-        return Estimates(values, {name: units[name] for name in values}, status, at_bound, held)
-
-    paths = tuple(_path(one, histories, card) for one in told["paths"])
-    return Trajectories(
-        paths=paths,
-        card=estimates("card", ()),
-        extended=estimates("extended", tuple(name for name, p in parameters.items() if p["held_by_prior"])),
-        deviation={name: number(p["sd"]) for name, p in parameters.items()},
-        variance_inflation=number(told["variance_inflation"]),
-        held={name: tuple(held) for name, held in told["held_without"].items()},
-        fitted=tuple(told["fitted_outputs"]),
-        outputs=tuple(paths[0].errors),
-        noise_growth={name: number(x) for name, x in told["noise_growth"].items()},
-        lag=None if told["lag"] is None else _lag_of(told["lag"]),
-        asked=_asked_of(told["causes"]),
-    )
-
-
-def _asked_of(told: Mapping[str, Any]) -> Confirmation:
-    missed = {name: (number(one["elpd"]), number(one["elpd_se"])) for name, one in told.items()}
-    return Confirmation(tuple(name for name, one in told.items() if one["kept"]), missed)
-
-
 def _lag(lag: LagTest) -> dict[str, Any]:
     elpd, elpd_se = lag.unseen
     unseen = {"elpd": elpd, "elpd_se": elpd_se}
     told = {"effect": lag.effect, "gain": lag.gain, "hold_out": unseen, "kept": lag.kept}
     return told | {"instead_of": list(lag.instead), "slight": lag.slight}
-
-
-def _lag_of(told: Mapping[str, Any]) -> LagTest:
-    unseen = number(told["hold_out"]["elpd"]), number(told["hold_out"]["elpd_se"])
-    instead, slight = tuple(told["instead_of"]), bool(told["slight"])
-    return LagTest(told["effect"], number(told["gain"]), bool(told["kept"]), unseen, instead, slight)
-
-
-def _path(told: Mapping[str, Any], histories: Histories, card: Card) -> Path:
-    manoeuvre, model, split = told["manoeuvre"], told["model"], told["split"]
-    flight = flight_of(histories[f"trajectories_{split}"], manoeuvre)
-    errors = {}
-    for name, e in told["outputs"].items():
-        theil = TheilParts(*(number(e[key]) for key in ("theil", *(f"theil_{part}" for part in PARTS))))
-        band = card.tolerances[name].value if name in card.tolerances else None
-        within, chance = e["within_tolerance"], e["probability_within"]
-        errors[name] = Error(number(e["rms"]), number(e["largest"]), theil, band, within, chance)
-    measured, simulated = ({name: flight[column(name, kind)] for name in errors} for kind in ("measured", model))
-    return Path(manoeuvre, model, split, bool(told["inside_envelope"]), errors, flight["time"], measured, simulated)
-
-
-def number(x: float | None) -> float:
-    """What JSON has null for does not exist."""
-    return float("nan") if x is None else float(x)

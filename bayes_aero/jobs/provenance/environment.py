@@ -6,7 +6,6 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -14,8 +13,6 @@ from typing import Any
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.provenance.package_snapshot import package_wheel, wheel_name
 from bayes_aero.jobs.provenance.provenance import write_json
 
 OWN = "bayes-aero"
@@ -39,20 +36,13 @@ def environment() -> dict[str, Any]:
     }
 
 
-def rests_on(source: Mapping[str, Any], records: Sequence[FlightRecord]) -> dict[str, Any]:
-    """All that a run's numbers rest on but its settings, from its provenance: what may go on where it stopped."""
-    same = {key: source[key] for key in ("seed", "effect_files")} | {"card": source["card"]["sha256"]}
-    return same | {"records": [(r.name, r.content) for r in records], "environment": environment()}
-
-
 def environment_id() -> str:
     """Eight digits that tell one environment from another."""
     return hashlib.sha256(json.dumps(environment(), sort_keys=True).encode()).hexdigest()[:8]
 
 
 def write_environment(out: Path) -> Path:
-    """Write requirements.txt, this package as a wheel, and environment.json into `out`/environment, once; another
-    environment gets its own.
+    """Write requirements.txt and environment.json into `out`/environment, once; another environment gets its own.
 
     Returns the folder that describes the present environment.
     """
@@ -70,17 +60,12 @@ def write_environment(out: Path) -> Path:
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         here = environment()
-        wheel = package_wheel()
         lines = [
             f"# Python {here['python']} on {here['platform']}",
             "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
             *(f"{name}=={version}" for name, version in here["packages"].items()),
+            f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
         ]
-        if wheel is None:
-            lines.append(f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)")
-        else:
-            lines.append(f"./{wheel_name()}")
-            write_whole(wheel, folder / wheel_name())
         write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder

@@ -31,7 +31,7 @@ def process_noise(
     if progress:
         progress("process noise", 0.9)
     own = bool(card.effect_files)
-    fit = lambda: with_process_noise(flown, options.drifting)  # noqa: E731
+    fit = partial(with_process_noise, flown)
     found, failed = attempted("Process noise was not fitted", fit, None, out, own=own)
     if found is None:
         return (None, None), failed

@@ -1,25 +1,20 @@
-"""What follows from a diagnosis: the best predictor available, and the flight that would settle what it left open."""
+"""What follows from a diagnosis: the flights that would settle what it left open, and simulated ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.design.next_test_points import TestPoints, next_test_points
-from bayes_aero.diagnosis.design.separating import separating
-from bayes_aero.diagnosis.design.standard import standard
-from bayes_aero.diagnosis.predictors import compare_states
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import truncated
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import Progress, compare_trajectories
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
-from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.envelope import Envelope
 from bayes_aero.flight.record import FlightRecord
@@ -28,52 +23,13 @@ from bayes_aero.model.joined_channels import despiked, join
 SETS = 2  # ambiguity sets for which the manoeuvres are judged
 
 
-def predictors(diagnosis: Diagnosis, card: Card, progress: Progress | None = None) -> dict[str, Any]:
-    """Card's model, Gaussian process, extended model and that with its discrepancy, by coefficient, on unseen data."""
-    state = truncated(diagnosis.aerodynamics.state, diagnosis.kept)
-    found = compare_states(state, card.gp_inputs, progress=progress)
-    return {
-        name: {c: None if scores is None else asdict(scores) for c, scores in row.items()}
-        for name, row in found.table.items()
-    }
-
-
-def separations(
-    diagnosis: Diagnosis, envelope: Envelope = ANYWHERE, progress: Progress | None = None
-) -> list[dict[str, Any]]:
-    """For each ambiguity set of the coefficients' causes, each pair that cancels, and each parameter of a control at
-    rest with what it may have taken up: the standard manoeuvre that would tell its members apart."""
-    sets = _open_sets(diagnosis)
-    if not sets:
-        return []
-    if progress:
-        progress("manoeuvres that would separate", 0.0)
-    found = {members: {"effects": sorted(members), "manoeuvres": []} for members in sets}
-    try:  # flown, and compiled, once for all
-        flights = standard(_usual(diagnosis), sorted(frozenset().union(*sets)), envelope=envelope)
-    except InputError as error:
-        return [one | {"status": str(error)} for one in found.values()]
-    for members, sizes in sets.items():
-        try:
-            design = separating(diagnosis.aerodynamics.state, sorted(members), sizes=sizes, flights=flights)
-        except InputError as error:
-            found[members]["status"] = str(error)
-            continue
-        ranked = [{"manoeuvre": m.manoeuvre, "standard_errors": m.weakest} for m in design.manoeuvres]
-        found[members] |= {"status": design.status, "manoeuvres": ranked}
-    return list(found.values())
-
-
 def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
     """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
-    nothing to decide, or the model cannot be flown (see the status of `separations`)."""
+    nothing to decide. Raises `InputError` if the model cannot be flown."""
     sets = _open_sets(diagnosis)
     if not sets:
         return {}
-    try:
-        points = next_test_points(diagnosis.aerodynamics.state, sets, envelope, _usual(diagnosis).theta)
-    except InputError:
-        return {}
+    points = next_test_points(diagnosis.aerodynamics.state, sets, envelope, _usual(diagnosis).theta)
     return _told(points, envelope)
 
 

@@ -1,42 +1,31 @@
-"""What follows a diagnosis while trajectories are flown: predictors, separating manoeuvres, stalls, scores, figures."""
+"""What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from bayes_aero.diagnosis.in_band.fit import causes_in_band
-from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.view.holdout import with_holdout_scores
 from bayes_aero.diagnosis.view.models import with_stalls
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.flight.envelope import Envelope
 from bayes_aero.jobs.io.result_store import ResultStore
-from bayes_aero.jobs.steps.post_diagnosis import proposed_points, separations
+from bayes_aero.jobs.steps.post_diagnosis import proposed_points
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
 
-Predict = Callable[[Diagnosis, Progress], Mapping[str, Any]]
-
 
 def follow(
-    kept: ResultStore, predict: Predict | None, figures: ViewFigures, tell: Progress, envelope: Envelope
+    kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
 ) -> dict[str, Path]:
     """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
 
     Returns the figures drawn, by name.
     """
     found = kept.outcome.diagnosis
-    if predict is not None and not kept.has("predictors"):
-        kept.attempt("Predictors were not compared", lambda: kept.predictors(predict(found, tell)))
-    if predict is not None and not kept.has("separating"):
-        what = "Manoeuvres that would separate rival causes were not designed"
-        kept.attempt(what, lambda: kept.separating(separations(found, envelope, tell)))
-    if predict is not None and kept.has("separating") and not kept.has("test_points"):
+    if test_points:
         what = "Test points that would decide what is open were not chosen"
         kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
-    if predict is not None:
         kept.attempt("Causes were not fitted in a band of frequencies", lambda: kept.in_band(causes_in_band(found)))
     if kept.path is None:
         return {}

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bayes_aero.diagnosis.in_band.result import CausesInBand
-from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.report.design.in_band import in_band_sentences, in_band_table
 from bayes_aero.report.design.points import points_sentences, points_table
-from bayes_aero.report.html.page import Block, Table, Text
+from bayes_aero.report.html.page import Block
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import bullets
-from bayes_aero.report.text.phrases import several
-
-
-def separating_blocks(found: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
-    """Which standard manoeuvres would separate rivals."""
-    for one in found:
-        status = f"{str(one['status'])[:1].upper()}{str(one['status'])[1:]}."
-        if not one["manoeuvres"]:
-            yield Text(status)
-            continue
-        rows = [(str(m["manoeuvre"]).replace("_", " "), f"{m['standard_errors']:.1f}") for m in one["manoeuvres"][:5]]
-        yield Table(
-            f"Manoeuvres that would separate {several(one['effects'])}",
-            ("manoeuvre", "separation\n[standard errors]"),
-            tuple(rows),
-            note=f"{ENOUGH:.0f} standard errors or more would be sufficient. {status}",
-        )
 
 
 def test_point_blocks(told: Mapping[str, Any]) -> Iterator[Block]:

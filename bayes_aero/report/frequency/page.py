@@ -19,26 +19,13 @@ BODE = (
     "below 30 %; modelled, with the 95 % band of the estimates. Coherence: the share of an output that all inputs "
     "explain. Inputs that respond to others, as sideslip to the rudder, bias measured responses, not the fits."
 )
-RUNNING = (
-    "Equation error on a recursive Fourier transform: every sample is added to its sums. Each parameter as the samples "
-    "so far give it, with its 95 % band. Dashed: output error in the time domain, of the whole record. The table of "
-    "parameters has equation error and output error of the whole record in the band."
-)
 
 
 def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
-    """Responses, and how the parameters settle while the record grows; nothing where no band was asked for."""
-    if flown.running is None:
+    """Estimates in the band and responses; nothing where no band was asked for."""
+    if not flown.frequency:
         return ()
-    run = flown.running
-    last = several(f"{name} {x:.3g}" for name, x in zip(run.names, run.value[-1], strict=True))
     coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
-    gallery = Gallery(
-        figures,
-        {
-            "bode": (BODE, f"Bode plots. Median coherence: {coherent}."),
-            "running": (RUNNING, f"Time histories of the estimates and their bands. At the end, SI: {last}."),
-        },
-    )
+    gallery = Gallery(figures, {"bode": (BODE, f"Bode plots. Median coherence: {coherent}.")})
     said = [sentence for fit in flown.frequency for sentence in frequency_sentences(fit)]
-    return (*bullets(said), *gallery("bode"), *gallery("running"))
+    return (*bullets(said), *gallery("bode"))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_aero.inference.frequency.result import FrequencyFit, RunningEstimates
+from bayes_aero.inference.frequency.result import FrequencyFit
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import number, several
 
@@ -54,13 +54,6 @@ def band_table(
         terminal_title=f"Frequency domain, {band_text(fits[0])}",
         terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
     )
-
-
-def running_table(found: RunningEstimates) -> Table:
-    """Estimates and standard errors against time, for a file."""
-    pairs = [(name, found.value[:, i], found.sd[:, i]) for i, name in enumerate(found.names)]
-    values = [c for name, x, sd in pairs for c in (Column(list(x), name), Column(list(sd), f"{name}_sd"))]
-    return Table([Column(list(found.time), "time"), *values])
 
 
 def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:

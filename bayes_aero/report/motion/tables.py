@@ -1,12 +1,11 @@
-"""Tables of modes of motion and of objective tests."""
+"""Table of modes of motion."""
 
 from __future__ import annotations
 
 import math
 
-from bayes_aero.diagnosis.trajectories.motion.results import Compared, FlownMode, Motion
-from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, or_dash
-from bayes_aero.report.text.phrases import for_people, number
+from bayes_aero.diagnosis.trajectories.motion.results import FlownMode, Motion
+from bayes_aero.report.tables.table import Estimate, Table, columns_of, in_brackets
 
 SHOWN = {
     "period": "period, s",
@@ -57,42 +56,3 @@ def _equations(found: Motion) -> str:
         "the equations of motion with fixed controls, linearised about straight level flight at "
         f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
     )
-
-
-def test_table(found: Motion) -> Table:
-    """Every objective test, as recorded and as simulated."""
-    rows = list(found.tests)
-    column = columns_of(rows)
-    before = [None, *((r.manoeuvre, r.entry, r.remark) for r in rows)]
-    again = [(r.manoeuvre, r.entry, r.remark) == last for r, last in zip(rows, before, strict=False)]
-    remarks = ["as above" if same and r.remark else r.remark for r, same in zip(rows, again, strict=True)]
-    return Table(
-        [
-            column(lambda r: r.manoeuvre, "", None, "manoeuvre", words=True),
-            column(lambda r: f"{r.entry} {r.test}", "", "test", "test", words=True),
-            column(_quantity, "", "quantity", "quantity", words=True),
-            column(lambda r: _people(r, r.measured), "", "recorded", "recorded", in_brackets),
-            column(lambda r: _people(r, (r.simulated, math.nan)), "", "simulated", "simulated", in_brackets),
-            column(_limit, "", "tolerance", "tolerance"),
-            column(lambda r: "yes" if r.within else "no", "", "met", "met"),
-            Column(remarks, page="remark", form=or_dash, words=True),
-        ],
-        "Objective tests of the lateral motion",
-        "Recorded and simulated manoeuvres are measured in one way. In brackets: the standard error in units of the "
-        "last digit. These data were fitted.",
-        below=[r.manoeuvre for r in rows],
-    )
-
-
-def _quantity(row: Compared) -> str:
-    unit = for_people(row.unit)[0]
-    return row.quantity if unit == "1" else f"{row.quantity}, {unit}"
-
-
-def _people(row: Compared, pair: tuple[float, float]) -> Estimate:
-    factor = for_people(row.unit)[1]
-    return Estimate(factor * pair[0], factor * pair[1])
-
-
-def _limit(row: Compared) -> str:
-    return "direction" if math.isnan(row.limit) else f"± {number(for_people(row.unit)[1] * row.limit)}"

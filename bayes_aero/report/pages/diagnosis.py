@@ -12,7 +12,7 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.design.blocks import in_band_blocks, separating_blocks, test_point_blocks
+from bayes_aero.report.design.blocks import in_band_blocks, test_point_blocks
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
 from bayes_aero.report.html.folded_lists import not_testable_list, open_list
 from bayes_aero.report.html.glossary import WORDS
@@ -33,9 +33,8 @@ from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
 from bayes_aero.report.pages.stall import stall_table
 from bayes_aero.report.pages.trajectories import trajectories
-from bayes_aero.report.structure.tables import sampled_table
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
-from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, predictor_table, residual_tables
+from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, residual_tables
 from bayes_aero.report.text.consistency import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, sentences
 from bayes_aero.report.text.phrases import bracket, several
@@ -108,7 +107,6 @@ def _of_coefficients(view: View, context: PageContext, gallery: Gallery, rest: S
         section("trajectories", "Trajectories, before and after", lambda: _flown(view.trajectories, context)),
         section("stall", "The stall", lambda: _stall(view, gallery)),
         section("parameters", "Change of the card's parameters", lambda: _parameters(view, gallery)),
-        section("predictors", "Which predictor to use", lambda: _predictors(context)),
         section("diagnostics", "Diagnostics", lambda: _diagnostics(view, gallery)),
     )
 
@@ -182,13 +180,12 @@ def _open(d: Diagnosis, context: PageContext, rest: Sequence[str]) -> tuple[Bloc
     else:
         blocks.append(Text("No named cause has a rival on this record."))
     pairs = [one for one in rest if " cancel each other " in one]
-    blocks += [*bullets(pairs), *separating_blocks(context.separating), *test_point_blocks(context.test_points)]
+    blocks += [*bullets(pairs), *test_point_blocks(context.test_points)]
     if context.consistency is not None:
         blocks += [*bullets(open_sentences(context.consistency)), *open_list(context.consistency)]
-    unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Sampled", "Changed", "The estimate of"))]
+    unknown = [one for one in rest if one.startswith(("Unexplained", "Form", "Changed", "The estimate of"))]
     blocks += bullets(unknown) or (Text("No structure remains that a recorded channel predicts."),)
     blocks += [page_table(terms_table(d))] if d.terms else []
-    blocks += [page_table(sampled_table(d))] if any(one.sets for one in d.sampled) else []
     blocks += [page_table(changes_table(d))] if d.changes else []
     others = [s for s in rest if s not in (*unknown, *pairs) and not any(s.startswith(f"{c.name}: ") for c in d.causes)]
     blocks.append(Fold("Noise, and effects that this record cannot test", bullets(others) or (Text("None."),)))
@@ -255,12 +252,6 @@ def _parameters(view: View, gallery: Gallery) -> tuple[Block, ...]:
     if not view.moves:
         return ()
     return (page_table(moves_table(view)), symbols(view.parameters, view.moves, degrees=True), *gallery("moves"))
-
-
-def _predictors(context: PageContext) -> tuple[Block, ...]:
-    if not context.predictors:
-        return (Text("Predictors were not compared in this run."),)
-    return (page_table(predictor_table(context.predictors)),)
 
 
 def _diagnostics(view: View, gallery: Gallery) -> tuple[Block, ...]:

@@ -33,11 +33,10 @@ from bayes_aero.report.html.parts import (
 )
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.motion.tables import mode_table, test_table
+from bayes_aero.report.motion.tables import mode_table
 from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
 from bayes_aero.report.tables import fly as tables
-from bayes_aero.report.tables.filtered import drift_table, one_step_table, posterior_table, process_noise_table
-from bayes_aero.report.text.drift import drift_sentences
+from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
 from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
 from bayes_aero.report.text.process_noise import prediction_sentences
 from bayes_aero.report.text.samplers import unfinished
@@ -91,7 +90,6 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> Page:
             section("motion", "Modes of motion", lambda: _motion(context.motion)),
             section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
             section("posterior", "Posterior", lambda: _posterior(context)),
-            section("drift", "Did a parameter change?", lambda: _drift(context)),
             section("provenance", "Provenance", lambda: _provenance(context.source)),
         ),
     )
@@ -184,14 +182,8 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
 
 
 def _motion(found: Motion | None) -> tuple[Block, ...]:
-    """Modes and objective tests, where there are any."""
-    if found is None:
-        return ()
-    limits = Fold("Where the tolerances come from", tuple(Text(source) for source in found.sources.values()))
-    return (
-        *((page_table(mode_table(found)),) if found.modes else ()),
-        *((page_table(test_table(found)), limits) if found.tests else ()),
-    )
+    """Modes, where there are any."""
+    return (page_table(mode_table(found)),) if found is not None and found.modes else ()
 
 
 def _gusts(context: FlyContext) -> tuple[Block, ...]:
@@ -251,23 +243,6 @@ def _posterior(context: FlyContext) -> tuple[Block, ...]:
         page_table(posterior_table(context.posteriors)),
         *Gallery(context.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
     )
-
-
-def _drift(context: FlyContext) -> tuple[Block, ...]:
-    """Where parameters were asked to drift: the answer, their changes and their histories."""
-    found = None if context.process_noise is None else context.process_noise.drift
-    if found is None:
-        return ()
-    caption = (
-        "Value at each instant from all samples (Rauch-Tung-Striebel smoother). Light: its 95 % band, with the errors "
-        "of all parameters; dark: that of its change from the begin. Dashed: the fit without drift."
-    )
-    by = several(
-        [f"{name} {c.size[0]:.2g} in {m}" for name, p in found.parameters.items() for m, c in p.changes.items()]
-    )
-    alt = f"Time histories of the parameters that drift. Changes from start to end, SI: {by}."
-    pictures = Gallery(context.figures, {"drift": (caption, alt)})("drift")
-    return (*bullets(drift_sentences(found)), page_table(drift_table(found)), *pictures)
 
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:

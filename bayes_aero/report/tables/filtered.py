@@ -1,11 +1,9 @@
-"""Tables of a fit with process noise: parameters, gusts, drift, posterior by both samplers, one-step predictions."""
+"""Tables of a fit with process noise: parameters, gusts, posterior by both samplers, one-step predictions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
-from bayes_aero.diagnosis.trajectories.drift import Drift, DriftChange, Drifted
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior
 from bayes_aero.inference.scores import Calibration, OneStep
@@ -145,62 +143,4 @@ def gust_table(found: ProcessNoise) -> Table:
     )
     return Table(
         [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
-    )
-
-
-def drift_history_table(found: Drift) -> Table:
-    """A row for each sample: manoeuvre, time (s); of each drifting parameter value, standard deviation, and that of
-    its change from the start (SI)."""
-    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
-    values = (
-        column(
-            lambda r, name=name: tuple(x[r[1]] for x in r[0].values[name]), (name, f"{name}_sd", f"{name}_change_sd")
-        )
-        for name in found.parameters
-    )
-    return Table(
-        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *values], index=2
-    )
-
-
-class _Changed(NamedTuple):
-    """One parameter over one manoeuvre."""
-
-    name: str
-    found: Drifted
-    manoeuvre: str
-    change: DriftChange
-
-
-def drift_table(found: Drift) -> Table:
-    """Every drifting parameter and manoeuvre: intensity of the drift, its p-value, and the change.
-
-    Where innovations are not white there are no p-values.
-    """
-    sound = found.usable and not found.coloured
-    rows = [_Changed(n, p, m, change) for n, p in found.parameters.items() for m, change in p.changes.items()]
-    column = columns_of(rows)
-    return Table(
-        [
-            column(lambda r: r.name, "", "parameter", ""),
-            column(lambda r: plain_unit(r.found.unit), "", "unit"),
-            column(lambda r: r.found.intensity[0], "", "intensity", "per √s", 2),
-            column(lambda r: r.found.ratio, "", "likelihood ratio", "ratio", ".1f"),
-            column(lambda r: r.found.p if sound else None, "", "p", "p", 2),
-            column(lambda r: r.manoeuvre, "", "manoeuvre", "manoeuvre"),
-            column(lambda r: Estimate(*found.estimates[r.name]), "", "at the start", "start", in_brackets),
-            column(lambda r: Estimate(*r.change.size), "", "change to the end", "change", in_brackets),
-            column(
-                lambda r: r.change.times[1] if r.name in found.changed and r.change.seen else None,
-                "",
-                "half of it by, s",
-                "half by, s",
-                ".1f",
-            ),
-        ],
-        "Parameters that drift",
-        "Intensity: standard deviation of the change in a second, in the unit of the parameter. Likelihood ratio: "
-        "against no drift of this parameter. Changes in the unit of the parameter, SI and radians; in brackets: the "
-        "standard error in units of the last digit, for white innovations.",
-        terminal_note="SI and radians. per √s: standard deviation of the change in a second.",
     )

@@ -1,20 +1,10 @@
-"""The card's and the extended model side by side: hold-out scores, parameters, predictors, residuals."""
+"""The card's and the extended model side by side: hold-out scores, parameters, residuals."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScores, View
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of
 from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several
-
-PREDICTORS = {
-    "card": "card's model",
-    "gp": "Gaussian process alone",
-    "extended": "extended model",
-    "extended_gp": "extended model + Gaussian process of its residuals",
-}
 
 
 def gain_table(view: DiagnosisView) -> Table | None:
@@ -81,24 +71,6 @@ def moves_table(view: View) -> Table:
         ],
         "The card's parameters, fitted without and with the causes",
         "± is one standard error, autocorrelation included.",
-    )
-
-
-def predictor_table(found: Mapping[str, Any]) -> Table:
-    """R2, RMSE and coverage of every predictor on hold-out data."""
-    columns = [Column([PREDICTORS.get(key, key) for key in found], page="predictor")]
-    for name in next(iter(found.values()), {}):
-        column = columns_of([row.get(name) or {} for row in found.values()])
-        columns += [
-            column(lambda s: s.get("r2"), page="R²", form=".3f", group=name),
-            column(lambda s: s.get("rmse"), page="RMSE [-]", form=".4f", group=name),
-            column(lambda s: s.get("coverage95"), page="inside\n95 %", form=".0%", group=name),
-        ]
-    return Table(
-        columns,
-        "Predictors on hold-out data, 5 Hz means",
-        "“Inside 95 %” is the share of samples inside the predictor's 95 % interval; far below 95 % the interval is "
-        "too narrow.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Tables of a run: parameters by every method, validation by split, and the seed paper's Table 1 beside ours."""
+"""Tables of a run: parameters by every method, validation by split, how well the model fits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.inference.posterior.posterior import Posterior
@@ -29,19 +28,6 @@ from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, 
 from bayes_aero.report.text.phrases import from_to, number, plus_minus
 from bayes_aero.report.text.restraints import unparted
 
-# Table 1 of the seed paper: r and RMSE on 30 % of the samples, drawn at random, of these files with the shipped card.
-PAPER_CARD, PAPER_SPLIT = "attas", "random"
-PAPER_RECORDS = {
-    "e57c7c48db7a0974e5919bbbe0030bb6333dde3d6ecb220cd35bfa916744c75a",
-    "b6f577ddbfb355a7a762ea89a73676705e3223803917b73c9df2ec5ccda0607f",
-}
-"""SHA-256 of the two files of quasi-steady stalls of the ATTAS in the companion data of Jategaonkar (2015)."""
-PAPER = {
-    "CL": (0.989818, 0.029438, 0.991374, 0.02712),
-    "CD": (0.948576, 0.009290, 0.954557, 0.00875),
-    "Cm": (0.466906, 0.011350, 0.902741, 0.00552),
-}
-PAPER_COLUMNS = ("mle_r", "mle_rmse", "gpr_r", "gpr_rmse")
 ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter
 ML = "maximum likelihood\n± standard error"
 SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
@@ -187,29 +173,6 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
         "manoeuvre splits. Pareto k above 0.7 means that the sampled hyperparameters are not reliable.",
         index=3,
     )
-
-
-def paper_table(run: Identification) -> Table:
-    """The seed paper's Table 1 (r and RMSE on held-back samples) from this run, the printed numbers beside ours.
-
-    The printed ones are there where they compare: the ATTAS records, the shipped card and the random split. Another run
-    shows its own chosen split alone; without a Gaussian process there are no held-back samples and the table is empty.
-    """
-    splits = {} if run.gp is None else run.gp.splits
-    same = run.card.sha256 == read_card(PAPER_CARD).sha256 and {r.sha256 for r in run.records} <= PAPER_RECORDS
-    compares = same and PAPER_SPLIT in splits
-    folds = [] if run.gp is None else splits[PAPER_SPLIT if compares else run.gp.chosen]
-    ours = {
-        name: Pooled.of([fold[name] for fold in folds])
-        for name in (PAPER if compares else run.observations.coefficients)
-        if folds
-    }
-    columns = [Column(list(ours), "coefficient")]
-    for k, key in enumerate(PAPER_COLUMNS):
-        method, kind = key.replace("gpr", "gp").split("_")
-        columns += [Column([PAPER[name][k] for name in ours], f"{key}_paper")] if compares else []
-        columns.append(Column([getattr(getattr(p, method), kind) for p in ours.values()], f"{key}_ours"))
-    return Table(columns)
 
 
 def fit_table(run: Identification) -> Table:

@@ -21,7 +21,7 @@ def split_verdict(identification: Identification) -> list[str]:
     report = identification.gp
     if report is None:
         return []
-    return [*_unsampled(report), *_approximated(report), *_leaks(report, identification.observations.dt)]
+    return [*_unsampled(report), *_leaks(report, identification.observations.dt)]
 
 
 def _unsampled(report: GPReport) -> list[str]:
@@ -30,15 +30,6 @@ def _unsampled(report: GPReport) -> list[str]:
         f"Gaussian process of {name}: no sampled hyperparameters ({first[name].status.rstrip('.')})."
         for name, fit in report.fits.items()
         if fit.posterior is None
-    ]
-
-
-def _approximated(report: GPReport) -> list[str]:
-    """How far the processes of the chosen split are from exact ones."""
-    return [
-        f"Gaussian process of {name}: approximated, {fit.approximation.sentence}."
-        for name, fit in report.fits.items()
-        if fit.approximation is not None
     ]
 
 

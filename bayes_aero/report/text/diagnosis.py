@@ -12,9 +12,8 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.report.structure.sentences import sampled_sentences
+from bayes_aero.report.text.changes import change_sentences
 from bayes_aero.report.text.consistency import joint_text
-from bayes_aero.report.text.drift import change_sentences
 from bayes_aero.report.text.phrases import not_testable_sentences, several, size_text
 from bayes_aero.report.text.process_noise import gust_sentences
 from bayes_aero.report.text.restraints import sign_sentences
@@ -48,7 +47,6 @@ def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list
         *_minor(d),
         *_unknown(d),
         *_terms(d.terms),
-        *sampled_sentences(d),
         *change_sentences(d.changes),
         *_noise(d),
         *not_testable_sentences(d.not_testable),

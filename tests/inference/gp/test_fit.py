@@ -8,6 +8,7 @@ import xarray as xr
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit_gp
+from bayes_aero.inference.gp import fit as fitting
 from bayes_aero.inference.gp.predict import mixture
 from bayes_aero.inference.gp.sampling.sample import Settings
 
@@ -162,3 +163,10 @@ def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
     assert fit.status is SampleStatus.dependent
     assert fit.posterior is None
     assert np.isfinite(fit.predict(X).mean).all()
+
+
+def test_too_many_samples_are_refused(monkeypatch):
+    X, y = make(0)
+    monkeypatch.setattr(fitting, "MAX_SAMPLES", 80)
+    with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
+        fit_gp(X, y, sample=False)

@@ -1,1 +1,1 @@
-"""Modes of motion of a fitted model, and objective tests of its responses."""
+"""Modes of motion of a fitted model."""

@@ -1,1 +1,0 @@
-"""Witnesses of a diagnosis as tables and sentences: sampled sets of terms."""
