@@ -6,12 +6,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from changing_parameters import AT, changed
+from six_axes import card_text, record
+from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
 from bayes_aero.diagnosis.structure.changes import manoeuvres
 from bayes_aero.diagnosis.structure.components import with_components
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.simulate.injection import flyable
 
 
@@ -40,7 +43,9 @@ def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
     state = with_components(own, (), (), manoeuvres(own))
     fit, columns = state.fit(), state.full.columns(["Cm0", "CLaM"])
     over = [Span(0, 100, 200), Span(0, 170, len(state.residual))]
-    scan, residual = ChangeScan(state, fit, columns, over), state.left(fit)
+    sound = np.zeros((*state.residual.shape, len(columns)))
+    scan, residual = ChangeScan(state, fit, columns, over, sound), state.left(fit)
+    assert np.all(scan.noise_shares == 0.0)
     estimates = scan.estimates(residual)
     gains = scan.gains(estimates)
     root = np.sqrt(scan.weight)[:, None]
@@ -64,6 +69,41 @@ def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
             assert gains[i, p] == pytest.approx(without - deviance, rel=1e-3, abs=1e-6)
             told = scan.explained(i, p, float(estimates[i, p]))
             assert np.sum(scan.weight * told * residual) == pytest.approx(gains[i, p], rel=1e-3)
+
+
+def test_the_share_of_noise_is_that_of_the_normal_equations(diagnosed):
+    """Noise over what is left of a column beside all others: the diagonal of the inverse of the information."""
+    own = diagnosed.view.diagnosis.aerodynamics.state
+    state = with_components(own, (), (), manoeuvres(own))
+    fit, columns, span = state.fit(), state.full.columns(["CLaM"]), Span(0, 100, 200)
+    noise = 0.1 * np.random.default_rng(1).standard_normal((*state.residual.shape, 1))
+    shares = ChangeScan(state, fit, columns, [span], noise).noise_shares[:, 0, 0]
+    root = np.sqrt(1.0 / fit.variance)[:, None]
+    within = np.zeros((len(state.residual), 1, 1))
+    within[span.begin : span.end] = 1.0
+    whole = state.scaled[:, :, columns]
+    others = fit.columns[fit.columns != columns[0]]
+    A = np.concatenate([state.scaled[:, :, others], whole * within, whole * (1.0 - within)], axis=2) * root
+    A = A.reshape(-1, A.shape[2])
+    information = A.T @ A + np.diag(np.append(state.precision[others], [0.0, 0.0]))
+    unit = np.sqrt(np.diag(information))
+    told = 1.0 / np.diag(np.linalg.inv(information / np.outer(unit, unit)))[-2:] * unit[-2:] ** 2
+    added = [float(np.sum((noise * side * root) ** 2)) for side in (within, 1.0 - within)]
+    assert shares == pytest.approx(np.array(added) / told, rel=0.01)
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("seed", [9, *(pytest.param(s, marks=pytest.mark.verify) for s in (1, 2, 3))])
+def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
+    """One elevator, one aileron and one rudder manoeuvre: sideslip is noise alone in the first, and Clbe is too small
+    there."""
+    rng = np.random.default_rng(seed)
+    plane = Plane() if seed == 9 else drawn(rng)
+    records = [record(k, fly(plane, k, rng, seconds=20.0), rng) for k in ("elevator", "aileron", "rudder")]
+    (tmp_path / "plane.toml").write_text(card_text(plane), encoding="utf-8")
+    found = diagnose(records, read_card(str(tmp_path / "plane.toml")), seed=seed, gains_wanted=False)
+    assert found.verdict is Verdict.NO_EFFECT
+    assert not found.changes
 
 
 # Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice that takes 5 % of the lift slope.

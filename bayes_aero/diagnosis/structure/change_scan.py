@@ -2,6 +2,9 @@
 
 The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model projected
 out. Inner products of such directions are differences of sums over time, so a record of minutes costs milliseconds.
+
+What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated by
+noise alone, the parameter has not changed.
 """
 
 from __future__ import annotations
@@ -13,9 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.screening.regression import Fit, inverse
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.screening.selection_state import TINY, SelectionState
 
 NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
+NOISY = 0.5  # share of noise beyond which a value is that of noise
 
 
 class Span(NamedTuple):
@@ -45,10 +49,20 @@ def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]
 
 
 class ChangeScan:
-    """Directions of the changes of p parameters (`columns` of the state) over each of n spans."""
+    """Directions of the changes of p parameters (`columns` of the state) over each of n spans.
 
-    def __init__(self, state: SelectionState, fit: Fit, columns: Int[np.ndarray, " p"], over: Sequence[Span]) -> None:
-        self.columns, self.over, self.weight = columns, over, 1.0 / fit.variance
+    `noise` is what recording noise adds to the sensitivities to the p parameters, scaled as those are.
+    """
+
+    def __init__(
+        self,
+        state: SelectionState,
+        fit: Fit,
+        columns: Int[np.ndarray, " p"],
+        over: Sequence[Span],
+        noise: Float[np.ndarray, "m c p"],
+    ) -> None:
+        self.columns, self.over, self.noise, self.weight = columns, over, noise, 1.0 / fit.variance
         self._S, self._B = state.scaled[:, :, columns], state.scaled[:, :, fit.columns]
         self._begin, self._end = (np.array([getattr(span, side) for span in over]) for side in ("begin", "end"))
         self._weighed = self._S * self.weight[:, None]
@@ -57,8 +71,33 @@ class ChangeScan:
         self._shares = cross @ inverse(fit.normal)  # n p k
         information = own - np.sum(self._shares * cross, axis=2)
         whole = np.sum(self._S * self._weighed, axis=(0, 1))
-        self._idle = information <= NOTHING * whole  # what the model can do as well
+        self.noise_shares = self._noise_shares(fit, own, cross)
+        noisy = np.any(self.noise_shares > NOISY, axis=0)
+        self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
         self.information = np.where(self._idle, 1.0, information)
+
+    def _noise_shares(
+        self, fit: Fit, own: Float[np.ndarray, "n p"], cross: Float[np.ndarray, "n p k"]
+    ) -> Float[np.ndarray, "2 n p"]:
+        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere.
+
+        By it least squares makes that value too small. All other parameters have one value, fitted beside both.
+        """
+        added = np.einsum("mcp,c->mp", self.noise**2, self.weight)
+        within = self._summed(added)
+        noise = np.stack([within, np.sum(added, axis=0) - within])
+        whole = np.sum(self._S * self._weighed, axis=(0, 1))
+        shared, found = inverse(fit.normal), np.zeros_like(noise)
+        for p, column in enumerate(self.columns):
+            at = int(np.flatnonzero(fit.columns == column)[0])
+            others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
+            total = np.einsum("mc,mck->k", self._weighed[:, :, p], self._B)
+            inside, outside = cross[:, p], total - cross[:, p]
+            a, b = own[:, p] - _form(inside, others, inside), whole[p] - own[:, p] - _form(outside, others, outside)
+            c = -_form(inside, others, outside)
+            told = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
+            found[:, :, p] = noise[:, :, p] / np.maximum(told, TINY)
+        return found
 
     def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
         """Sums over each span."""
@@ -82,3 +121,9 @@ class ChangeScan:
         here = slice(self._begin[span], self._end[span])
         found[here] += self._S[here, :, parameter]
         return estimate * found
+
+
+def _form(
+    x: Float[np.ndarray, "n k"], A: Float[np.ndarray, "k k"], y: Float[np.ndarray, "n k"]
+) -> Float[np.ndarray, " n"]:
+    return np.sum((x @ A) * y, axis=1)

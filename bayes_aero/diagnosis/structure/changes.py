@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.diagnosis.screening.accuracy import recording_noise
 from bayes_aero.diagnosis.screening.autocorrelation import (
     Autocorrelation,
     SharedNoise,
@@ -23,7 +24,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
 from bayes_aero.diagnosis.screening.parameter_fit import optimum
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import without_active
-from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
+from bayes_aero.diagnosis.screening.selection_state import TINY, Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
 from bayes_aero.diagnosis.structure.components import parts_of, share_of, with_components
@@ -77,15 +78,17 @@ def sought_change(
     state = _beside(state, [*chosen, first[0].component])
     folds = manoeuvres(state)
     whole = with_components(state, (), chosen, folds)
-    columns, over = first[1].columns, first[1].over
+    columns, over, noise = first[1].columns, first[1].over, first[1].noise
     _, wider = fit_with(state, first[0].component, chosen, folds)
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
     held = whole.products.fit(whole.columns(), whole.mean, whole.precision, held=wider.variance)
-    scan, residual = ChangeScan(whole, held, columns, over), whole.left(held)
+    scan, residual = ChangeScan(whole, held, columns, over, noise), whole.left(held)
     change = _change(state, scan, _leader(scan, scan.estimates(residual))[0])
     trial, wider = fit_with(state, change.component, chosen, folds)
     share, gained = share_of(trial, trial.component_columns[0]), holdout_gain_of(state, change.component, chosen)
     if share < (settings.single_share if alone else settings.change_share) or gained <= least:
+        return None
+    if _by_noise(trial, wider, change, scan):
         return None
     colour, p = _p_value(whole, held, scan, trial.left(wider), seed)
     if p > settings.change_false_alarm_rate:
@@ -106,12 +109,40 @@ def _promising(state: SelectionState, chosen: Sequence[Component], least: float)
     folds = manoeuvres(state)
     whole = state if not chosen and folds == state.folds else with_components(state, (), chosen, folds)
     fit = whole.fit()
-    scan = ChangeScan(whole, fit, _free(state), _over(state))
+    columns = _free(state)
+    scan = ChangeScan(whole, fit, columns, _over(state), _noise(state, columns))
     leader, gain = _leader(scan, scan.estimates(whole.left(fit)))
     if gain < state.settings.least_share * len(state.residual):
         return None
     change = _change(state, scan, leader)
     return (change, scan) if holdout_gain_of(state, change.component, chosen) > least else None
+
+
+def _noise(state: SelectionState, columns: Int[np.ndarray, " p"], seed: int = 0) -> Float[np.ndarray, "m c p"]:
+    """What noise of the recorded size adds to the sensitivities to these parameters, scaled as those are.
+
+    Added once more it adds as much as the noise that is there already, as in `accuracy.noise_effect`.
+    """
+    flights, rng = state.responses.flights, np.random.default_rng(seed)
+    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
+    noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
+    slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1]
+    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    return slopes[:, keep] / state.noise_growth[:, :, None] - state.scaled[:, :, columns]
+
+
+def _by_noise(state: SelectionState, fit: Fit, change: Change, scan: ChangeScan) -> bool:
+    """Whether one value, made too small by noise on either side of the change, explains it.
+
+    To first order a share s of noise takes s of a value away; what lies between a value and that with twice as much
+    given back may be its truth.
+    """
+    at = int(np.flatnonzero(fit.columns == change.column)[0])
+    elsewhere = float(state.theta[change.column] + fit.step[at])
+    values = elsewhere + change.unit * float(fit.step[-1]), elsewhere
+    shares = scan.noise_shares[:, change.at[0], change.at[1]]
+    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
+    return bool(np.max(least) <= np.min(most))
 
 
 def _beside(state: SelectionState, components: Sequence[Component]) -> SelectionState:
