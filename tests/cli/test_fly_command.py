@@ -1,14 +1,40 @@
-"""Output error from the command line: truth recovered, what is written, exit codes, both kinds of card."""
+"""`bayes-aero fly`: output error, process noise, its posterior, bands of frequency; truth, files and exit codes."""
 
 from __future__ import annotations
 
 import json
+from functools import partial
+from importlib import resources
+from types import SimpleNamespace
 
+import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from flying import NOISE, page_of, told, written
-from linear_cards import LATERAL, LATERAL_TRUTH, SHORT_PERIOD, SHORT_PERIOD_TRUTH, lateral_flight, short_period_flight
+from linear_cards import (
+    FIRST_ORDER,
+    LATERAL,
+    LATERAL_TRUTH,
+    SHORT_PERIOD,
+    SHORT_PERIOD_TRUTH,
+    card_of,
+    disturbed_first_order,
+    lateral_flight,
+    record_of,
+    short_period_flight,
+)
+
+from bayes_aero.diagnosis.trajectories import process_noise
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.posterior.ensemble import EnsembleLength
+from bayes_aero.inference.posterior.innovations import PosteriorLength, sample_innovations
+from bayes_aero.jobs.identify import identify
+from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.simulate.demo import TRUTH, demo_records
 
 
 def test_the_short_period_is_recovered_and_written(program, tmp_path):
@@ -174,3 +200,160 @@ def test_check_says_that_a_linear_card_can_be_flown(program, tmp_path):
     done = program("check", record, "--model", card, "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out)["uses"] == {"fly": {"possible": True, "why_not": None}}
+
+
+def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
+    """The same estimates within the errors, measurement noise as it was made, and next to no process noise."""
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    done = program("fly", record, "--model", card, "--process-noise", "--no-figures", "--out", "out", "--json")
+    assert done.code == 0, done.err
+    found = told(done)
+    filtered = found["process_noise"]
+    assert filtered["converged"]
+    for name, (estimate, sd) in filtered["estimates"].items():
+        assert abs(estimate - found["parameters"][name]["estimate"]) < sd, name
+        assert abs(estimate - SHORT_PERIOD_TRUTH[name]) < 3.5 * sd, name
+    for name, sd in filtered["noise_sd"].items():
+        assert sd == pytest.approx(NOISE[name], rel=0.1)
+    assert filtered["F"]["alpha"] < 0.2 * NOISE["alpha"] / 0.04**0.5  # of what noise adds to a step
+    assert abs(filtered["gain"]) < 10.0
+    assert max(map(abs, filtered["autocorrelation"].values())) < 0.2
+    one_step = filtered["one_step"]
+    assert one_step["status"] == "calibrated"
+    assert set(one_step["outputs"]) == set(filtered["noise_sd"])
+    for name, predicted in one_step["outputs"].items():
+        assert predicted["rms"] == pytest.approx(NOISE[name], rel=0.15)  # the state is known far better
+        assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
+    assert any("inside their 95 % intervals: α " in sentence for sentence in found["sentences"])
+    page = page_of(tmp_path / "out")
+    assert "with process noise" in page
+    assert "inside the interval, %" in page
+
+
+@pytest.mark.recovery
+def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monkeypatch):
+    """NUTS converges about the fit; an ensemble of a hundred steps does not, which terminal, JSON and page say."""
+    length = PosteriorLength(emcee=EnsembleLength(1, 100))
+    monkeypatch.setattr(process_noise, "sample_innovations", partial(sample_innovations, length=length))
+    card, record = tmp_path / "card.toml", tmp_path / "flight.csv"
+    card.write_text(FIRST_ORDER)
+    channels = disturbed_first_order(160, 0.05, -0.8, 0.03, 0.01)
+    write_record(
+        FlightRecord.from_arrays("flight", 0.05 * np.arange(160), channels, "simulated"),
+        record,
+        card_of(FIRST_ORDER).channels,
+    )
+    done = program("fly", record, "--model", card, "--process-noise", "--posterior", "--out", "out")
+    assert done.code == 0, done.err
+    assert "The posterior by emcee: not converged" in " ".join(done.out.split())
+    text = (tmp_path / "out" / "trajectories.json").read_text()
+    found = told(SimpleNamespace(out=text))
+    posterior = found["posterior"]
+    assert {key: row["status"] for key, row in posterior["status"].items()} == {
+        "nuts": "converged",
+        "emcee": "not_converged",
+    }
+    for name, (estimate, sd) in found["process_noise"]["estimates"].items():
+        marginal = posterior["nuts"][name]
+        assert abs(marginal["mean"] - estimate) < sd, name
+        assert marginal["sd"] == pytest.approx(sd, rel=0.3), name
+        assert marginal["rhat"] <= 1.01
+        assert marginal["ess_bulk"] >= 400.0
+    for engine in ("nuts", "emcee"):
+        with xr.open_datatree(tmp_path / "out" / f"posterior_{engine}.nc", engine="h5netcdf") as tree:
+            assert set(tree["posterior"].data_vars) == set(posterior[engine])
+    table = pd.read_csv(tmp_path / "out" / "posterior.csv", index_col=0)
+    assert set(table.index) == {"Zalpha", "F_alpha", "sigma_alpha"}
+    page = page_of(tmp_path / "out")
+    assert "do not use the intervals" in page
+    assert "Pair plot" in page
+
+
+@pytest.mark.parametrize("options", [["--posterior"], ["--posterior", "--process-noise", "--no-priors"]])
+def test_a_posterior_that_cannot_be_is_refused(program, tmp_path, options):
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=100))
+    done = program("fly", record, "--model", card, *options)
+    assert done.code == 2
+    assert "a posterior" in done.err
+    assert "Traceback" not in done.err
+    assert not (tmp_path / "trajectories").exists()
+
+
+def test_one_step_predictions_of_two_flights_are_drawn(program, tmp_path):
+    card, first = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), "one", 1)
+    other = short_period_flight(SHORT_PERIOD_TRUTH, x0=(0.04, -0.02))
+    _, second = written(tmp_path, SHORT_PERIOD, other, "two", 2)
+    done = program("fly", first, second, "--model", card, "--process-noise", "--out", "out")
+    assert done.code == 0, done.err
+    assert (tmp_path / "out" / "figures" / "one_step.png").exists()
+    assert "Quantile plots of innovations by output: " in page_of(tmp_path / "out")
+
+
+FINE = {"alpha": 0.001, "q": 0.001, "az": 0.05}
+
+
+@pytest.fixture(scope="module")
+def banded(tmp_path_factory):
+    """A linear card, and a record of it."""
+    banded = tmp_path_factory.mktemp("band")
+    (banded / "linear.toml").write_text(SHORT_PERIOD)
+    record = record_of(short_period_flight(SHORT_PERIOD_TRUTH), noise=FINE, rng=np.random.default_rng(5))
+    write_record(record, banded / "flight.csv", read_card(banded / "linear.toml").channels)
+    return banded
+
+
+def test_fly_shows_both_fits_in_a_band_beside_the_time_domain(program, banded, tmp_path):
+    asked = ("fly", banded / "flight.csv", "--model", banded / "linear.toml", "--frequency", "0.1", "1.5")
+    done = program(*asked, "--no-priors", "--out", "out")
+    assert done.code == 0, done.err
+    assert "Frequency domain, 0.1 to 1.5 Hz" in done.out
+    assert "Z0, M0 and az0 drop out with bias and drift" in " ".join(done.out.split())
+    found = json.loads((tmp_path / "out" / "trajectories.json").read_text())
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("trajectories.schema.json").read_text())
+    jsonschema.validate(found, schema)
+    assert [fit["method"] for fit in found["frequency"]] == ["equation error", "output error"]
+    for fit in found["frequency"]:
+        assert fit["converged"]
+        for name, p in fit["parameters"].items():
+            assert abs(p["estimate"] - SHORT_PERIOD_TRUTH[name]) < 4.0 * p["crb_corrected"] + 0.003, name
+    table = pd.read_csv(tmp_path / "out" / "parameters.csv", index_col=0)
+    told = found["frequency"][1]["parameters"]["Mq"]["estimate"]
+    assert table.loc["Mq", "frequency_output_error"] == pytest.approx(told)
+    assert (tmp_path / "out" / "figures" / "bode.png").is_file()
+    assert "In the frequency domain" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("model", "hertz", "said"),
+    [("linear.toml", ("2", "1"), "the band 2 to 1 Hz is empty"), ("linear.toml", ("1", "20"), "below 12.5 Hz only")],
+)
+def test_a_wrong_band_is_one_sentence_and_nothing_is_written(program, banded, tmp_path, model, hertz, said):
+    done = program("fly", banded / "flight.csv", "--model", banded / model, "--frequency", *hertz, "--out", "none")
+    assert done.code == 2
+    assert said in " ".join(done.err.split())
+    assert "Traceback" not in done.err
+    assert not (tmp_path / "none").exists()
+
+
+def test_identify_in_a_band_finds_the_truth_and_agrees_with_the_time_domain(card):
+    """Noise with a lag-1 correlation of 0.9 widens bounds threefold in the time domain, and hardly in a band."""
+    found = identify(demo_records(), card, IdentifyOptions(sample=False, gp=False, frequency=(0.05, 1.5)))
+    fit, mle = found.frequency, found.mle
+    assert fit is not None
+    assert fit.converged
+    assert set(fit.unseen) == {"CD0", "Cm0"}  # CL0 is in the drag polar
+    scores = [(x - TRUTH[n]) / sd for n, x, sd in zip(fit.names, fit.estimate, fit.crb_corrected, strict=True)]
+    assert max(map(abs, scores)) < 4.0
+    assert max(fit.apart.values()) < 4.0
+    assert np.median(fit.crb_corrected / fit.crb) < 1.3 < 2.0 < np.median(mle.crb_corrected / mle.crb)
+    assert any("agree within" in note for note in found.notes)
+
+
+def test_a_card_of_effects_is_sent_to_identify(program, tmp_path, card):
+    path = tmp_path / "stall.csv"
+    record = demo_records()[0].window(25.0, 65.0)
+    write_record(record, path, [c for c in card.channels if record.has(c.name) or c.name == "time"])
+    done = program("fly", path, "--frequency", "0.1", "1.5", "--out", "none")
+    assert done.code == 2
+    assert "use bayes-aero identify --frequency" in " ".join(done.err.split())
+    assert not (tmp_path / "none").exists()

@@ -1,4 +1,4 @@
-"""The program itself: help, exit codes, JSON, what an interruption says, the catalogue."""
+"""The program itself: help, exit codes, JSON, interruptions, the catalogue, what is loaded, options that are gone."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import time
 from types import SimpleNamespace
 from typing import get_args
 
+import numpy as np
 import pytest
 
-from bayes_aero.cli import app, choices, main
+from bayes_aero.cli import app, choices, gone_options, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
@@ -227,3 +228,104 @@ def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
     assert done.returncode == 0, done.stderr
     truth = json.loads((tmp_path / "m.csv.truth.json").read_text())
     assert truth["parameters"]["mass_scale"] == 0.06
+
+
+HEAVY = ("jax", "equinox", "numpyro", "arviz_base", "matplotlib", "pandas", "xarray", "scipy.stats", "scipy.signal")
+LOADED = f"""
+import json, sys
+from bayes_aero.cli import main
+try:
+    main()
+except SystemExit as stopped:
+    print(json.dumps([stopped.code or 0, [m for m in {HEAVY!r} if m in sys.modules]]), file=sys.stderr)
+"""
+GLIDER = """
+title = "a glider"
+[aircraft]
+mass = "500 kg"
+Ix = "1500 kg m^2"
+Iy = "1000 kg m^2"
+Iz = "2500 kg m^2"
+Ixz = "0 kg m^2"
+wing_area = "11 m^2"
+chord = "0.75 m"
+half_span = "7.5 m"
+aspect_ratio = 20.0
+tail_arm = "4 m"
+[channels]
+time = { label = "t", unit = "s" }
+ax = { label = "ax", unit = "m/s^2" }
+az = { label = "az", unit = "m/s^2" }
+q = { label = "q", unit = "rad/s" }
+theta = { label = "theta", unit = "rad" }
+alpha = { label = "alpha", unit = "rad" }
+airspeed = { label = "V", unit = "m/s" }
+[constants]
+density = "1 kg/m^3"
+thrust = "0 N"
+p = "0 rad/s"
+r = "0 rad/s"
+[model]
+effects = ["attached_lift", "profile_drag"]
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A steady climb with noise, and its card."""
+    folder = tmp_path_factory.mktemp("light")
+    rng, n = np.random.default_rng(0), 400
+    steady = {"ax": 9.80665 * np.sin(0.1), "az": -9.80665 * np.cos(0.1), "q": 0.0, "theta": 0.1, "alpha": 0.05, "V": 30}
+    noise = {"ax": 0.01, "az": 0.02, "q": 1e-4, "theta": 1e-3, "alpha": 1e-3, "V": 0.1}
+    columns = [0.1 * np.arange(n), *(x + noise[name] * rng.standard_normal(n) for name, x in steady.items())]
+    header = ",".join(["t", *steady])
+    np.savetxt(folder / "climb.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+    (folder / "glider.toml").write_text(GLIDER)
+    (folder / "study.toml").write_text("nonsense = 1")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("code", "arguments"),
+    [
+        (0, ["check", "climb.csv", "--model", "glider.toml"]),
+        (0, ["check", "climb.csv", "--model", "glider.toml", "--out", "checked"]),
+        (0, ["card", "climb.csv", "--out", "new.toml"]),
+        (2, ["check", "climb.csv", "--model", "nosuch"]),
+        (2, ["identify", "climb.csv", "--model", "attas"]),
+        (2, ["diagnose", "nosuch.csv"]),
+        (2, ["fly", "climb.csv", "--model", "attas"]),
+        (2, ["run", "study.toml"]),
+        (2, ["export", "nosuch", "--to", "jsbsim"]),
+        (2, ["open", "nosuch"]),
+    ],
+)
+def test_nothing_heavy_is_loaded(files, code, arguments):
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *arguments], cwd=files, capture_output=True, text=True, check=False
+    )
+    found = json.loads(done.stderr.splitlines()[-1])
+    assert found == [code, []], done.stderr
+
+
+SPELLED = [(command, given, instead) for command, option, instead in gone_options.GONE for given in option.split("/")]
+
+
+@pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
+@pytest.mark.parametrize("value", ["", "=x"])
+def test_an_option_that_is_gone_says_what_to_use(program, command, option, instead, value):
+    done = program(command, "no_such_file", option + value)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"error: {option} of {command} is gone: {instead}\n"
+
+
+@pytest.mark.parametrize(("command", "option"), [row[:2] for row in SPELLED])
+def test_no_command_has_an_option_that_is_gone(program, command, option):
+    assert option not in program(command, "--help").out.split()
+
+
+def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
+    monkeypatch.setattr(gone_options, "GONE", (("check", "--old/--no-old", "leave it out"),))
+    assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
+    assert "gone" not in program("path", "a.csv", "--no-old").err
+    assert "gone" not in program("check", "--", "--no-old").err

@@ -315,7 +315,9 @@ def test_a_full_disk_is_told_and_costs_what_was_in_work(folder, cluster, undistu
 def small_disk(place, size):
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", place]
     if sys.platform != "linux" or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk cannot be mounted here; test_durable.py limits the size of files instead")
+        pytest.skip(
+            "a small disk cannot be mounted here; studies/test_units_of_work.py limits the size of files instead"
+        )
     try:
         yield
     finally:

@@ -1,21 +1,34 @@
-"""Synthetic records: what is hidden is in the file, nothing else is, and the file is a record like any other."""
+"""Synthetic records: what is hidden is in the file, nothing else is; records of three axes, flown with their states."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
+from importlib import resources
 
+import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+import six_axes as six
+import stranger_six
+from calling import called
 
 from bayes_aero.cli.choices import Manoeuvre
+from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
+from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.dynamics.simulated.manoeuvres import commands
 from bayes_aero.dynamics.simulated.rigid_manoeuvres import lateral_commands
 from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
 from bayes_aero.simulate import request
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
 
 
 def test_a_sensor_error_acts_when_it_is_recorded(flights):
@@ -125,3 +138,166 @@ def test_a_size_beyond_the_plausible_is_told(program):
         done = program("simulate", "--effect", f"pitch_rate_bias={size}", *arguments)
         assert done.code == 0, done.err
         assert ("largest plausible departure" in " ".join((done.out + done.err).split())) == told
+
+
+SCHEMA = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("trajectories.schema.json").read_text())
+SECONDS = 14.0
+EFFECTS = (
+    "attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
+    *six.LATERAL,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """Three manoeuvres of another simulator as files, and their aircraft."""
+    folder, rng = tmp_path_factory.mktemp("stranger"), np.random.default_rng(11)
+    plane = stranger_six.drawn(rng, **six.ATTACHED)
+    for kind in ("elevator", "aileron", "rudder"):
+        flight = six.recorded(stranger_six.fly(plane, kind, rng, seconds=SECONDS), rng)
+        pd.DataFrame(flight).to_csv(folder / f"{kind}.csv", index=False)
+    return folder, plane
+
+
+def fitted(folder, plane, name, kinds, *arguments, **card):
+    (folder / f"{name}.toml").write_text(six.card_text(plane, **card))
+    files = [folder / f"{kind}.csv" for kind in kinds]
+    options = ("--no-process-noise", "--no-figures", "--json", "--out", folder / name)
+    done = called(folder, "fly", *files, "--model", folder / f"{name}.toml", *options, *arguments)
+    assert done.code == 0, done.err
+    return json.loads((folder / name / "trajectories.json").read_text())
+
+
+def recovered(found, plane):
+    for name, row in found["parameters"].items():
+        true = getattr(plane, name)
+        assert abs(row["estimate"] - true) < 4.0 * row["sd_corrected"], name
+        assert row["sd_corrected"] < 0.1 * abs(true) + 0.01, name
+
+
+def moves_as(found, plane):
+    """Modes within four standard errors of those of the true derivatives; what cannot be tested is said."""
+    jsonschema.validate(found, SCHEMA)
+    model, told = six.model(), found["motion"]
+    steady = Steady(told["airspeed"], told["altitude"])
+    true = modes(AircraftDynamics(model), six.values(plane, model), six.aircraft(plane), steady)
+    assert [mode["name"] for mode in told["modes"]] == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
+    for mode, right in zip(told["modes"], true, strict=True):
+        off = complex(*mode["eigenvalue"]) - right.eigenvalue
+        real, imaginary = mode["eigenvalue_sd"]
+        assert abs(off.real) < 4.0 * real < 0.1, mode["name"]
+        assert abs(off.imag) <= 4.0 * imaginary < 0.1, mode["name"]
+
+
+def test_six_coefficients_come_back_from_three_manoeuvres(flown):
+    folder, plane = flown
+    found = fitted(folder, plane, "six", ("elevator", "aileron", "rudder"))
+    assert found["converged"]
+    assert len(found["parameters"]) == 22
+    assert found["fitted_outputs"] == [
+        "airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "ax", "ay", "az",
+    ]  # fmt: skip
+    recovered(found, plane)
+    assert set(found["initial_states"]["rudder"]) == {*found["fitted_outputs"][:9], "altitude"}
+    page = (folder / "six" / "report.html").read_text()
+    assert "Clda" in page
+    moves_as(found, plane)
+    assert all(name in page for name in ("Modes of motion", "Dutch roll", "spiral"))
+
+
+def test_lateral_derivatives_come_back_with_the_longitudinal_motion_held(flown):
+    folder, plane = flown
+    found = fitted(folder, plane, "lateral", ("aileron", "rudder"), effects=six.LATERAL, axes=(six.BOTH[1],))
+    assert found["fitted_outputs"] == ["beta", "p", "r", "phi", "psi", "ay"]
+    assert any("Held to the record: airspeed, alpha, q, theta and altitude" in note for note in found["notes"])
+    recovered(found, plane)
+    assert [mode["name"] for mode in found["motion"]["modes"]] == ["Dutch roll", "roll", "spiral"]
+
+
+def test_a_card_holds_further_states(flown):
+    """Roll and yaw alone, sideslip and bank as recorded; what the vane's noise adds is not in the errors."""
+    folder, plane = flown
+    more = '[fly]\nheld = ["beta", "phi"]\noutputs = ["p", "r"]\n'
+    card = {"effects": [n for n in six.LATERAL if not n.endswith("side_force")], "axes": (six.BOTH[1],), "more": more}
+    found = fitted(folder, plane, "held", ("aileron", "rudder"), **card)
+    assert found["fitted_outputs"] == ["p", "r"]
+    assert found["motion"]["modes"] == []
+    (why,) = (sentence for sentence in found["sentences"] if sentence.startswith("Modes of motion are not given"))
+    assert "holds beta, phi to the record" in why
+    for name in ("Clp", "Clda", "Cnbe", "Cndr"):
+        assert found["parameters"][name]["estimate"] == pytest.approx(getattr(plane, name), rel=0.05)
+
+
+def test_every_simulation_holds_what_the_card_holds(tmp_path):
+    """That of `diagnose`, too: the states are known from the records as they are joined."""
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    (tmp_path / "held.toml").write_text(six.card_text(plane, more='[fly]\nheld = ["beta", "phi"]\n'))
+    card = read_card(str(tmp_path / "held.toml"))
+    flight = stranger_six.fly(plane, "rudder", rng, seconds=5.0)
+    flights = join([six.record("rudder", flight, rng)], card, ())
+    dynamics = aircraft_dynamics(Model.from_card(card), flights)
+    assert dynamics.prescribed == ("beta", "phi")
+    assert not {"beta", "phi"} & set(dynamics.states)
+
+
+def test_a_state_that_there_is_not_cannot_be_held(flown, program):
+    folder, plane = flown
+    (folder / "wrong.toml").write_text(six.card_text(plane, more='[fly]\nheld = ["bank"]\n'))
+    done = program("fly", folder / "rudder.csv", "--model", folder / "wrong.toml")
+    assert done.code == 2
+    assert "[fly] held must be a list of states, of airspeed, alpha" in done.err
+
+
+def test_a_record_without_sideslip_is_flown_without_the_lateral_axis(flown, program, tmp_path):
+    folder, plane = flown
+    table = pd.read_csv(folder / "rudder.csv").drop(columns="beta")
+    table.to_csv(tmp_path / "blind.csv", index=False)
+    text = six.card_text(plane).replace('beta = { label = "beta",', 'beta = { label = "beta", required = false,')
+    (tmp_path / "card.toml").write_text(text)
+    done = program("fly", "blind.csv", "--model", tmp_path / "card.toml", "--no-process-noise", "--no-figures")
+    said = " ".join(done.out.split())
+    assert done.code == 3, done.err  # while the rudder moves, the elevator only holds the attitude
+    assert "elevator follows the recorded q, theta" in said
+    assert "The lateral axis (CY, Cl, Cn) is left out: record blind has no channel beta" in said
+
+
+@pytest.mark.verify
+def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
+    """Doublets of aileron and rudder and a 3-2-1-1, by `simulate`; their derivatives come back from `fly`."""
+    plane = stranger_six.Plane()
+    more = "fixed = { CLaM = 7.0 }\n"
+    (tmp_path / "card.toml").write_text(six.card_text(plane, EFFECTS, more=more))
+    files = []
+    for seed, kind in enumerate(("elevator_3211", "aileron_doublet", "rudder_doublet")):
+        files.append(f"{kind}.csv")
+        asked = ("--manoeuvre", kind, "--noise", "white", "--duration", SECONDS, "--seed", seed, "--no-page")
+        done = called(tmp_path, "simulate", "--model", "card.toml", *asked, "--out", files[-1])
+        assert done.code == 0, done.err
+    table = pd.read_csv(tmp_path / "aileron_doublet.csv")
+    assert np.ptp(table["aileron"]) > np.radians(8.0)
+    assert np.ptp(table["phi"]) > np.radians(4.0)
+    options = ("--no-process-noise", "--no-figures", "--json", "--out", "out")
+    done = called(tmp_path, "fly", *files, "--model", "card.toml", *options)
+    assert done.code == 0, done.err
+    found = json.loads((tmp_path / "out" / "trajectories.json").read_text())
+    truth = json.loads((tmp_path / "rudder_doublet.csv.truth.json").read_text())["parameters"]
+    for name in ("CLa", "Cma", "Cmq", "Cmde", "Clp", "Clda", "Clbe", "Cnbe", "Cnr", "Cndr", "CYbe"):
+        row = found["parameters"][name]
+        assert abs(row["estimate"] - truth[name]) < 4.0 * row["sd_corrected"], name
+        assert row["sd_corrected"] < 0.2 * abs(truth[name]), name
+
+
+def test_a_longitudinal_card_has_no_aileron_to_move(program):
+    done = program("simulate", "--manoeuvre", "aileron_doublet", "--out", "no.csv")
+    assert done.code == 2
+    assert "needs a card that models the lateral axis" in done.err
+
+
+def test_errors_of_sensors_that_a_card_fixes_are_in_the_record():
+    """At rest before the doublet a gyro shows its bias, and an accelerometer differs from another card's by its own."""
+    card, request = read_card("full_six"), Request({}, "elevator_doublet", "none", duration=6.0)
+    plain = replace(card, effects=tuple(n for n in card.effects if n not in ("pitch_rate_bias", "accel_z_bias")))
+    found, without = (synthetic(request, one, CATALOGUE).record for one in (card, plain))
+    assert found["q"][0] == pytest.approx(card.fixed["pitch_rate_bias"], abs=1e-9)
+    np.testing.assert_allclose(found["q"] - without["q"], card.fixed["pitch_rate_bias"], atol=1e-9)
+    np.testing.assert_allclose(found["az"] - without["az"], card.fixed["accel_z_bias"], atol=1e-7)

@@ -1,0 +1,338 @@
+"""The diagnosis as a job: what it writes follows its schema, is whole, and survives what fails late."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from unittest.mock import patch
+
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from history_files import flight_of, read_histories
+from simulated_halves import halves
+
+from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis.diagnose import NO_GAIN
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.scores import score
+from bayes_aero.jobs import diagnose as job
+from bayes_aero.jobs.diagnose import diagnose_records, hide_one
+from bayes_aero.jobs.io import result_store as kept
+from bayes_aero.jobs.io import time_histories as histories
+from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
+from bayes_aero.jobs.options import DiagnoseOptions
+from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.steps import post_diagnosis as outlook
+from bayes_aero.jobs.steps import post_processing as follow
+from bayes_aero.report.figures import diagnosis as figures_diagnosis
+from bayes_aero.simulate.injection import hidden_records
+
+
+def run(records, card, *, out, hidden=None, points=None, fly=None, **options):
+    """The job with these in place of what chooses test points and simulates trajectories; without one, not done."""
+    stages = {"test_points": points is not None, "trajectories": fly is not None}
+    with patch.object(follow, "proposed_points", points), patch.object(job, "simulations", fly):
+        return diagnose_records(records, card, DiagnoseOptions(**stages, **options), out=out, hidden=hidden)
+
+
+def validated(path) -> dict:
+    content = json.loads(path.read_text())
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(content, schema)
+    return content
+
+
+@pytest.fixture
+def repeated(monkeypatch, diagnosed):
+    """The job with the diagnosis already made."""
+    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
+    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
+    return diagnosed
+
+
+def test_files_are_complete_and_follow_the_schema(repeated, card, tmp_path):
+    found = run(repeated.records, card, out=tmp_path, hidden=repeated.hidden, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
+    assert content["verdict"] == found.diagnosis.verdict.value
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
+    assert content["hidden"]["effects"] == repeated.hidden
+    assert set(found.named) == set(repeated.hidden)
+    assert "first" in found.named.values()
+    assert content["provenance"]["settings"] == {"max_effects": 8}
+    assert len(pd.read_csv(tmp_path / "screen.csv")) == len(content["screening"])
+    assert set(pd.read_csv(tmp_path / "causes.csv")["cause"]) == {c["name"] for c in content["causes"]}
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_gains_are_by_coefficient(repeated, card, tmp_path):
+    run(repeated.records, card, out=tmp_path, figures=False)
+    gain = validated(tmp_path / "diagnosis.json")["causes"][-1]["gain"]
+    assert gain["split"] == "block"
+    assert set(gain["by_coefficient"]) == {"CL", "CD", "Cm"}
+    assert gain["by_coefficient"]["Cm"]["r2_after"] > gain["by_coefficient"]["Cm"]["r2_before"]
+
+
+def test_numbers_that_do_not_exist_are_null(repeated, card, tmp_path):
+    view = repeated.view
+    cause = replace(view.diagnosis.causes[0], gain=NO_GAIN, p_value=float("nan"))
+    view = replace(view, diagnosis=replace(view.diagnosis, causes=(cause,)))
+    content = diagnosis_results(Outcome(view), card, repeated.records, provenance(card, repeated.records, 0, {}))
+    write_json(content, tmp_path / "diagnosis.json")
+    (one,) = validated(tmp_path / "diagnosis.json")["causes"]
+    assert one["p_value"] is None
+    assert one["gain"] == {"elpd": None, "elpd_se": None, "split": "not measured", "by_coefficient": {}, "degraded": {}}
+
+
+def test_a_figure_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(job, "DIAGNOSIS_FIGURES", {"bad": bad, "colour": figures_diagnosis.residual_colour})
+    found = run(repeated.records, card, out=tmp_path)
+    content = validated(tmp_path / "diagnosis.json")
+    (told,) = found.failures
+    assert told.startswith("Figure bad was not drawn: ValueError: no such luck. This is a defect of the program")
+    assert content["failures"] == [told]
+    assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
+
+
+def test_a_page_that_fails_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(kept, "diagnosis_page", bad)
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    (told,) = found.failures
+    assert told.startswith("report.html was not written: ValueError: no such luck.")
+    assert validated(tmp_path / "diagnosis.json")["failures"] == [told]
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_stall_that_cannot_be_computed_loses_nothing(repeated, card, tmp_path, monkeypatch):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(follow, "with_stalls", bad)
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    (told,) = found.failures
+    assert told.startswith("Stall left out: ValueError: no such luck.")
+    page = (tmp_path / "report.html").read_text()
+    assert "Stall left out: ValueError: no such luck." in page
+    assert "was not made" not in page
+
+
+def test_points_are_written_and_may_be_refused(repeated, card, tmp_path):
+    def refused(*_):
+        raise InputError("no level flight")
+
+    run(repeated.records, card, out=tmp_path, figures=False, points=decided)
+    assert validated(tmp_path / "diagnosis.json")["test_points"] == decided()
+    assert len(pd.read_csv(tmp_path / "test_points.csv")) == 1
+    found = run(repeated.records, card, out=tmp_path / "other", figures=False, points=refused)
+    assert "no level flight" in found.notes[0]
+
+
+def test_what_was_found_beside_an_interrupted_flight_is_on_disk(repeated, card, tmp_path):
+    def interrupted(*_):
+        end = time.monotonic() + 60.0
+        while not json.loads((tmp_path / "diagnosis.json").read_text())["test_points"]:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(repeated.records, card, out=tmp_path, points=decided, fly=interrupted)
+    assert validated(tmp_path / "diagnosis.json")["test_points"] == decided()
+
+
+def decided(*_):
+    """One test point for one question."""
+    point = {"manoeuvre": "thrust_steps", "amplitude": 1.5, "airspeed": 95.4, "altitude": 5200.0, "seconds": 60.0}
+    point |= {"excursion": {"alpha": [0.07, 0.21]}, "standard_errors": [6.25], "nats_per_second": 0.3}
+    questions = [{"effects": ["a", "b"], "enough": 5.0, "present": 0.7}]
+    return {"questions": questions, "points": [point], "refused": {}, "envelope": {}, "stated": []}
+
+
+def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(kept.ResultStore, "put_page", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(
+                repeated.records, card, out=tmp_path, figures=False, points=decided,
+                fly=lambda *_: halves(repeated.records[0]),
+            )  # fmt: skip
+    left = validated(tmp_path / "diagnosis.json")
+    assert left["trajectories"]["paths"]
+    assert left["test_points"] == decided()
+    run(repeated.records, card, out=tmp_path, figures=False)
+    content = validated(tmp_path / "diagnosis.json")
+    assert content["trajectories"] == {}
+    assert content["test_points"] == {}
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+
+
+def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_path):
+    def bad(*_):
+        raise ValueError("no such luck")
+
+    def refused(*_):
+        raise InputError("cannot fly")
+
+    found = run(repeated.records, card, out=tmp_path, figures=False, points=bad, fly=refused)
+    content = validated(tmp_path / "diagnosis.json")
+    assert content["notes"] == ["Trajectories were not simulated: cannot fly"]
+    (told,) = content["failures"]
+    what = "Test points that would decide what is open were not chosen: ValueError"
+    assert told.startswith(f"{what}: no such luck.")
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
+    assert what in (tmp_path / "report.html").read_text()
+    assert "no such luck" in (tmp_path / "error.txt").read_text()
+    found = run(repeated.records, card, out=tmp_path, figures=False, fly=bad)
+    assert found.failures[0].startswith("Trajectories were not simulated: ValueError: no such luck.")
+    found = run(repeated.records, card, out=tmp_path, figures=False)
+    assert found.failures == ()
+    assert not (tmp_path / "error.txt").exists()
+
+
+def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatch):
+    def refused(*_, **__):
+        raise InputError("level flight needs no angle of attack in range")
+
+    monkeypatch.setattr(outlook, "next_test_points", refused)
+    found = diagnosed.view.diagnosis
+    known = found.aerodynamics.state.full.candidates
+    rival = next(e.name for e in known if e.name != found.causes[0].name and e.parameters)
+    cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
+    with pytest.raises(InputError, match="level flight needs"):  # which the job notes
+        outlook.proposed_points(replace(found, causes=(cause,)))
+    assert outlook.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("the work began")
+
+    monkeypatch.setattr(job, "diagnose", never)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out"):
+        run([], card, out=tmp_path / "file" / "below")
+
+
+def test_hiding_is_seeded_and_hides_what_the_card_lacks(card, monkeypatch):
+    monkeypatch.setattr(job, "flyable", lambda names, **_: ({names[0]: {}}, []))
+    drawn = [next(iter(hide_one(card, seed)[0])) for seed in (1, 1, 2, 3, 4)]
+    assert drawn[0] == drawn[1]
+    assert len(set(drawn)) > 1
+    assert not set(drawn) & (set(card.effects) - {"separation_lag", "reattachment_hysteresis"})
+
+
+FEW = ("thrust_moment", "pitch_rate_lift", "mach_drag", "alpha_bias")
+
+
+def without(record: FlightRecord, *names: str) -> FlightRecord:
+    channels = {name: x for name, x in record.channels.items() if name not in names}
+    return FlightRecord.from_arrays(record.name, record.time, channels)
+
+
+@pytest.mark.recovery
+def test_numbers_histories_and_page_are_of_this_run(card, tmp_path, monkeypatch):
+    """A folder that an interrupted diagnosis has left keeps nothing of it. Of few effects, which compile sooner."""
+    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: CATALOGUE[name] for name in FEW})
+    for name in ("diagnosis.json", "histories.nc"):
+        (tmp_path / name).write_text("of another run")
+    hidden = {"thrust_moment": {"thrust_arm": 0.6}}
+    records = [without(r, "ax", "ay", "az") for r in hidden_records(hidden, seed=413_233, seconds=40.0)]
+    told = diagnose_records(records, card, DiagnoseOptions(max_effects=1), out=tmp_path)
+    found, flown = told.diagnosis, told.view.trajectories
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    jsonschema.validate(
+        content, json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    )
+    assert [c["name"] for c in content["causes"]] == [c.name for c in found.causes] != []
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    groups = read_histories(tmp_path / "histories.nc")
+    for path, told in zip(flown.paths, content["trajectories"]["paths"], strict=True):
+        flight = flight_of(groups[f"trajectories_{path.split}"], path.manoeuvre)
+        residual = flight["alpha_measured"] - flight[f"alpha_{path.model}"]
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(told["outputs"]["alpha"]["rms"], rel=1e-9)
+
+
+@pytest.fixture
+def groups(diagnosed, tmp_path):
+    flown = histories.flights(halves(diagnosed.records[0]).paths)
+    assert histories.put_histories(lambda: {**histories.diagnosed(diagnosed.view), **flown}, tmp_path) == ()
+    assert [path.name for path in tmp_path.iterdir()] == ["histories.nc"]
+    return read_histories(tmp_path / "histories.nc")
+
+
+def test_coefficients_give_the_scores_that_are_told(groups, diagnosed):
+    view, (record,) = diagnosed.view, diagnosed.records
+    flight = flight_of(groups["coefficients"], record.name)
+    assert np.array_equal(flight["time"], record.time)
+    for key, fitted in (("card", view.card), ("extended", view.extended)):
+        told = fitted.composition
+        for name in ("CL", "CD", "Cm"):
+            assert groups["coefficients"][f"{name}_{key}"].attrs["units"] == "1"
+            again = score(flight[f"{name}_measured"], flight[f"{name}_{key}"])
+            assert again.r2 == pytest.approx(told[name]["r2"], abs=1e-9)
+            assert again.rmse == pytest.approx(told[name]["rmse"], rel=1e-9)
+        assert 0.0 <= flight[f"X_{key}"].min() <= flight[f"X_{key}"].max() <= 1.0
+
+
+def test_trajectories_give_the_errors_that_are_told(groups, diagnosed):
+    for path in halves(diagnosed.records[0]).paths:
+        flight = flight_of(groups[f"trajectories_{path.split}"], path.manoeuvre)
+        assert np.array_equal(flight["time"], path.time)
+        for name, error in path.errors.items():
+            residual = flight[f"{name}_measured"] - flight[f"{name}_{path.model}"]
+            assert np.sqrt(np.mean(residual**2)) == pytest.approx(error.rms, rel=1e-9)
+    units = {name: groups["trajectories_hold_out"][f"{name}_card"].attrs["units"] for name in ("airspeed", "alpha")}
+    assert units == {"airspeed": "m/s", "alpha": "rad"}
+
+
+@pytest.mark.parametrize("name", ["run/1", "Flug 7 \u00fc", "undecodable \udcff", "end\0", "~", ""])
+def test_any_name_of_a_record_and_of_a_channel_is_kept(name, diagnosed, tmp_path):
+    (path, *_) = halves(diagnosed.records[0]).paths
+    kinds = {"q/hat": "rad/s", "p_rate/norm": "1"}
+    renamed = {kind: dict(zip(kinds, getattr(path, kind).values(), strict=False)) for kind in ("measured", "simulated")}
+    odd = replace(path, manoeuvre=name, **renamed)
+    assert histories.put_histories(lambda: histories.flights([odd], kinds), tmp_path) == ()
+    (group,) = read_histories(tmp_path / "histories.nc").values()
+    flight = flight_of(group, name)
+    for output, unit in kinds.items():
+        for kind, x in (("measured", odd.measured), (odd.model, odd.simulated)):
+            key = histories.column(output, kind)
+            assert np.array_equal(flight[key], x[output])
+            assert group[key].attrs["units"] == unit
+
+
+def test_histories_that_cannot_be_written_are_told_and_leave_no_old_ones(tmp_path):
+    def bad():
+        raise RuntimeError("no such luck")
+
+    (tmp_path / "histories.nc").write_bytes(b"of another run")
+    assert "no such luck" in histories.put_histories(bad, tmp_path)[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["error.txt"]
+
+
+def test_a_folder_whose_name_begins_with_a_tilde_is_no_home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    folder = Path("~")
+    folder.mkdir()
+    time = np.arange(3.0)
+    group = xr.Dataset({"time": ("sample", time)})
+    assert histories.put_histories(lambda: {"coefficients": group}, folder) == ()
+    assert (tmp_path / "~" / "histories.nc").is_file()
