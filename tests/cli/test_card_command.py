@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from pathlib import Path
@@ -11,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
+from calling import answer, refused, succeeded
 from flight.health.flights import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,24 +37,14 @@ def foreign(flights, card, tmp_path_factory):
     deg = np.rad2deg
     table = pd.DataFrame(
         {
-            "Time (sec)": record.time,
-            "AoA": deg(record["alpha"]),
-            "AOS [deg]": deg(record["beta"]),
-            "KTAS": record["airspeed"] * 3600.0 / 1852.0,
-            "PressAlt_ft": record["altitude"] / 0.3048,
-            "RollRate": deg(record["p"]),
-            "PitchRate": deg(record["q"]),
-            "YawRate": deg(record["r"]),
-            "PitchAngle": deg(record["theta"]),
-            "Bank": deg(record["phi"]),
-            "nx": record["ax"] / 9.80665,
-            "ny": record["ay"] / 9.80665,
-            "nz": -record["az"] / 9.80665,
-            "ElevPos": -deg(record["elevator"]),
-            "FN": (record["thrust_left"] + record["thrust_right"]) / 1000.0,
-            "Xyzzy": record["q"],
+            "Time (sec)": record.time, "AoA": deg(record["alpha"]), "AOS [deg]": deg(record["beta"]),
+            "KTAS": record["airspeed"] * 3600.0 / 1852.0, "PressAlt_ft": record["altitude"] / 0.3048,
+            "RollRate": deg(record["p"]), "PitchRate": deg(record["q"]), "YawRate": deg(record["r"]),
+            "PitchAngle": deg(record["theta"]), "Bank": deg(record["phi"]), "nx": record["ax"] / 9.80665,
+            "ny": record["ay"] / 9.80665, "nz": -record["az"] / 9.80665, "ElevPos": -deg(record["elevator"]),
+            "FN": (record["thrust_left"] + record["thrust_right"]) / 1000.0, "Xyzzy": record["q"],
         }
-    )
+    )  # fmt: skip
     path = tmp_path_factory.mktemp("foreign") / "N123.csv"
     table.to_csv(path, index=False, float_format="%.9g")
     return path, record
@@ -69,8 +59,7 @@ def filled(text):
 
 def test_a_foreign_record_is_read_through_its_starter_card(program, foreign, tmp_path):
     path, truth = foreign
-    done = program("card", path, "--out", "mine.toml")
-    assert done.code == 0, done.err
+    succeeded(program("card", path, "--out", "mine.toml"))
     text = (tmp_path / "mine.toml").read_text()
     table = tomllib.loads(text)
     assert table["channels"]["az"] == {"label": "nz", "unit": "g", "sign": -1}
@@ -84,19 +73,14 @@ def test_a_foreign_record_is_read_through_its_starter_card(program, foreign, tmp
     for name in ("alpha", "beta", "airspeed", "altitude", "p", "q", "r", "theta", "phi", "ax", "ay", "az", "elevator"):
         scale = np.abs(truth[name]).max()
         assert np.allclose(record[name], truth[name], rtol=1e-6, atol=1e-6 * scale), name
-    checked = program("check", path, "--model", "mine.toml", "--no-sensors")
-    assert checked.code == 0, checked.out + checked.err
+    checked = succeeded(program("check", path, "--model", "mine.toml", "--no-sensors"))
     assert "sign reversed" in checked.out
 
 
 def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_path):
     path, _ = foreign
     program("card", path, "--out", "mine.toml")
-    done = program("check", path, "--model", "mine.toml")
-    assert done.code == 2
-    assert "[aircraft] mass is still TODO" in done.err
-    assert "[aircraft] Iy" in done.err, "the others are told with it"
-    assert done.err.count("\n") == 1
+    refused(program("check", path, "--model", "mine.toml"), "[aircraft] mass is still TODO", "[aircraft] Iy")
     text = (tmp_path / "mine.toml").read_text().replace('mass = "TODO"', 'mass = "1 t"')
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(InputError, match=r"\[aircraft\] Ix is still TODO"):
@@ -105,9 +89,7 @@ def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_pa
 
 def test_a_card_is_not_overwritten(program, foreign, tmp_path):
     (tmp_path / "N123.toml").write_text("mine")
-    done = program("card", foreign[0])
-    assert done.code == 2
-    assert "--force" in done.err
+    refused(program("card", foreign[0]), "--force")
     assert program("card", foreign[0], "--force").code == 0
     assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "the aircraft of N123"
 
@@ -116,25 +98,17 @@ def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
     record = read_record(flights.sound, card.channels)
     table = pd.DataFrame(
         {
-            "t": record.time,
-            'al"pha\\': record["alpha"],
-            "alpha": record["alpha"],
-            "q": record["q"],
-            "theta": record["theta"],
-            "TAS": record["airspeed"],
-            "h": record["altitude"],
-            "az": record["az"],
-            "]\n[evil": record["q"],
-            "remark": ["climb"] * record.n,
+            "t": record.time, 'al"pha\\': record["alpha"], "alpha": record["alpha"], "q": record["q"],
+            "theta": record["theta"], "TAS": record["airspeed"], "h": record["altitude"], "az": record["az"],
+            "]\n[evil": record["q"], "remark": ["climb"] * record.n,
         }
-    )
+    )  # fmt: skip
     table.to_csv("plain.csv", index=False)
     done = program("card", "plain.csv")
     assert done.code in (0, 2)
     assert "Traceback" not in done.err
     table.drop(columns="]\n[evil").to_csv("plain.csv", index=False)
-    done = program("card", "plain.csv")
-    assert done.code == 0, done.err
+    succeeded(program("card", "plain.csv"))
     text = (tmp_path / "plain.toml").read_text()
     units = {name: entry["unit"] for name, entry in tomllib.loads(text)["channels"].items()}
     assert units["alpha"] == units["theta"] == "rad"
@@ -163,10 +137,7 @@ def test_density_and_mach_follow_from_the_altitude(flights, card, tmp_path):
 
 @pytest.mark.parametrize(
     ("line", "told"),
-    [
-        ('mach = "ideal gas"', "standard atmosphere"),
-        ('thrust = "standard atmosphere"', "unknown key of [derived]"),
-    ],
+    [('mach = "ideal gas"', "standard atmosphere"), ('thrust = "standard atmosphere"', "unknown key of [derived]")],
 )
 def test_bad_rules_are_one_sentence(tmp_path, line, told):
     (tmp_path / "bad.toml").write_text(shipped_cards()["attas"].read_text() + f"[derived]\n{line}\n")
@@ -193,8 +164,7 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
         table = pd.read_csv(tmp_path / "run.csv")
         table["PB_dps"] += 8.0 * np.sin(table["Time_s"])
         table.to_csv(tmp_path / "run.csv", index=False)
-    done = program("card", "run.csv", "--out", "mine.toml")
-    assert done.code == 0, done.err
+    succeeded(program("card", "run.csv", "--out", "mine.toml"))
     text = filled((tmp_path / "mine.toml").read_text())
     (tmp_path / "mine.toml").write_text(text)
     still = {"phi": "0 deg", "beta": "0 deg", "ay": "0 m/s^2"}
@@ -208,8 +178,7 @@ def test_wings_that_stayed_level_let_the_sensors_be_checked(program, tmp_path, r
 
 def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     path, _ = foreign
-    done = program("card", path, "--out", "mine.toml")
-    assert done.code == 0, done.err
+    succeeded(program("card", path, "--out", "mine.toml"))
     html = (tmp_path / "mine.toml.report.html").read_text().replace("<wbr>", "")
     table = tomllib.loads((tmp_path / "mine.toml").read_text())
     for entry in table["channels"].values():
@@ -231,9 +200,7 @@ def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tm
     assert 'unit = "TODO"' in entry
     assert "lbf" in entry
     (tmp_path / "mine.toml").write_text(filled((tmp_path / "mine.toml").read_text()))
-    done = program("check", "large.csv", "--model", "mine.toml")
-    assert done.code == 2
-    assert "thrust unit is still TODO" in done.err
+    refused(program("check", "large.csv", "--model", "mine.toml"), "thrust unit is still TODO")
 
 
 def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, foreign, tmp_path):
@@ -264,9 +231,7 @@ def test_the_drag_form_of_a_stall_is_left_open(program, foreign, tmp_path):
 
 
 def test_guesses_for_machines(program, foreign, tmp_path):
-    done = program("card", foreign[0], "--out", "mine.toml", "--no-page", "--json")
-    assert done.code == 0, done.err
-    told = json.loads(done.out)
+    told = answer(program("card", foreign[0], "--out", "mine.toml", "--no-page", "--json"))
     assert told["channels"]["az"]["sign"] == -1
     assert told["unknown"] == ["'Xyzzy'"]
     assert "mass" in told["todo"]

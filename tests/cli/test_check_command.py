@@ -22,7 +22,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 import pytest
-from calling import called
+from calling import answer, called, refused
 
 import bayes_aero as ba
 from bayes_aero.diagnosis.consistency import consistency
@@ -86,9 +86,7 @@ def open_card():
 
 def test_a_file_that_is_no_record_is_bad_input(program, tmp_path):
     (tmp_path / "empty.csv").write_text("")
-    done = program("check", "empty.csv")
-    assert done.code == 2
-    assert "empty.csv" in done.err
+    refused(program("check", "empty.csv"), "empty.csv")
 
 
 def test_an_elevator_that_the_file_counts_the_other_way_is_told(program, flights, tmp_path):
@@ -101,8 +99,8 @@ def test_an_elevator_that_the_file_counts_the_other_way_is_told(program, flights
     done = program("check", "turned.csv", "--no-sensors")
     assert done.code == 3
     assert "write sign = -1 at elevator" in done.out
-    assert json.loads(program("check", "turned.csv", "--no-sensors", "--json").out)["cautions"]
-    assert json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"] == []
+    assert answer(program("check", "turned.csv", "--no-sensors", "--json"))["cautions"]
+    assert answer(program("check", flights.sound, "--no-sensors", "--json"))["cautions"] == []
 
 
 def test_a_report_of_the_check_is_written_on_request_only(program, flights, tmp_path):
@@ -152,7 +150,7 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
     program, flights, tmp_path, column, name, declared, meant, factor
 ):
     """A file in knots or feet that the card takes for SI; each number alone is plausible."""
-    cautions = json.loads(program("check", flights.sound, "--no-sensors", "--json").out)["cautions"]
+    cautions = answer(program("check", flights.sound, "--no-sensors", "--json"))["cautions"]
     assert cautions == []
     table = pd.read_csv(flights.sound)
     table[column] *= factor
@@ -187,7 +185,7 @@ def test_a_sign_or_unit_that_other_channels_refute_is_doubted(program, flights, 
     table[column] *= factor
     table.to_csv("other.csv", index=False)
     for record, doubted in ((flights.sound, False), ("other.csv", True)):
-        cautions = json.loads(program("check", record, "--no-sensors", "--json").out)["cautions"]
+        cautions = answer(program("check", record, "--no-sensors", "--json"))["cautions"]
         assert any(words in caution for caution in cautions) == doubted, cautions
 
 

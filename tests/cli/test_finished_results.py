@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calling import called
+from calling import answer, called, refused
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, record_of, short_period_flight
 
 from bayes_aero.errors import InputError
@@ -21,25 +21,6 @@ from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import write_record
-
-
-@pytest.fixture(scope="module")
-def stall_folder(tmp_path_factory, clean_records, card):
-    """A simulated stall as a CSV file, and the result of identify on it."""
-    there = tmp_path_factory.mktemp("opened")
-    record = clean_records[0].window(25.0, 65.0)
-    write_record(record, there / "stall.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = called(there, "identify", "stall.csv", "--out", "results", "--no-sample", "--no-gp", "--no-figures")
-    assert done.code == 0, done.err
-    return there
-
-
-def refused(done, words):
-    assert done.code == 2
-    assert done.err.startswith("error: ")
-    assert done.err.count("\n") == 1
-    assert words in done.err, done.err
-    assert not done.out
 
 
 def test_help_names_the_options(program):
@@ -57,11 +38,10 @@ def interrupts():
 
 
 @pytest.mark.usefixtures("interrupts")
-def test_it_serves_until_ctrl_c_and_ends_with_zero(stall_folder):
+def test_it_serves_until_ctrl_c_and_ends_with_zero(identified):
     command = [sys.executable, "-m", "bayes_aero", "open", "results", "--no-browser"]
-    with subprocess.Popen(
-        command, cwd=stall_folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as running:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=identified, text=True, **pipes) as running:
         try:
             line = running.stdout.readline()
             assert line.startswith("identify: results is open at http://127.0.0.1:"), (line, running.stderr.read())
@@ -75,21 +55,21 @@ def test_it_serves_until_ctrl_c_and_ends_with_zero(stall_folder):
     assert (running.returncode, out, err) == (0, "", "")
 
 
-def test_what_is_no_result_is_one_sentence(program, stall_folder, tmp_path):
+def test_what_is_no_result_is_one_sentence(program, identified, tmp_path):
     (tmp_path / "empty").mkdir()
-    refused(program("open", "empty"), "is not the result of one run of identify, fly or diagnose")
+    refused(program("open", "empty"), "identify, fly or diagnose")
     refused(program("open", "nosuch"), "there is no result 'nosuch'")
     refused(program("open", "attas"), "attas is a card; give the folder of a result")
-    told = json.loads((stall_folder / "results" / "results.json").read_text())
+    told = json.loads((identified / "results" / "results.json").read_text())
     told["mle"]["status"] = "not_converged"
     (tmp_path / "results.json").write_text(json.dumps(told))
     refused(program("open", "results.json"), "has not converged")
 
 
-def test_records_that_moved_are_one_sentence(program, stall_folder, tmp_path):
+def test_records_that_moved_are_one_sentence(program, identified, tmp_path):
     (tmp_path / "deep" / "results").mkdir(parents=True)
     result = tmp_path / "deep" / "results" / "results.json"
-    result.write_bytes((stall_folder / "results" / "results.json").read_bytes())
+    result.write_bytes((identified / "results" / "results.json").read_bytes())
     refused(program("open", "deep/results"), "give its folder with --records")
     refused(program("open", "deep/results", "--records", tmp_path), f"is not in {tmp_path}")
 
@@ -122,9 +102,7 @@ def here(folder, program, monkeypatch):
 
 def test_a_linear_model_is_qualified(here):
     """The model is the true one. Its noise is far inside 2 deg, and outside 0.02 m/s^2 in every flight."""
-    done = here("qualify", "flown", "other.csv", "--draws", 100, "--out", "passed", "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
+    found = answer(here("qualify", "flown", "other.csv", "--draws", 100, "--out", "passed", "--json"))
     chances = {(t["kind"], t["output"]): t["probability"] for t in found["tests"]}
     assert {output for _, output in chances} == {"alpha", "q", "az"}
     assert all(x == (0.0 if output == "az" else 1.0) for (_, output), x in chances.items())
@@ -135,15 +113,9 @@ def test_a_linear_model_is_qualified(here):
     assert found["failures"] == []
 
 
-def refused_with(done, *words):
-    assert done.code == 2
-    assert done.err.count("\n") == 1
-    assert all(word in done.err for word in words), done.err
-
-
 def test_what_a_linear_system_lacks_is_one_sentence(here, folder):
-    refused_with(here("qualify", "flown", "--gusts", 1, "--out", "no"), "moving air", "leave --gusts out")
-    refused_with(here("export", "flown", "--to", "jsbsim", "--out", "no"), "states a linear system", "[model]")
+    refused(here("qualify", "flown", "--gusts", 1, "--out", "no"), "moving air", "leave --gusts out")
+    refused(here("export", "flown", "--to", "jsbsim", "--out", "no"), "states a linear system", "[model]")
     assert not (folder / "no").exists()
     opened = open_result(str(folder / "flown"))
     with pytest.raises(InputError, match="no form in another simulator"):
@@ -163,9 +135,8 @@ def test_parts_of_a_divided_file_are_found_again(here, folder):
 
     (folder / "both.csv").write_text("\n".join([head, *first, *map(later, second)]) + "\n")
     assert here("fly", "both.csv", "--split", "--out", "divided", *FLAGS).code in (0, 3)
-    done = here("qualify", "divided", "--draws", 100, "--out", "parts", "--json")
-    assert done.code == 0, done.err
-    assert len({t["manoeuvre"] for t in json.loads(done.out)["tests"]}) == 2
+    found = answer(here("qualify", "divided", "--draws", 100, "--out", "parts", "--json"))
+    assert len({t["manoeuvre"] for t in found["tests"]}) == 2
 
 
 def test_constants_of_each_manoeuvre_cannot_fly_another_one(here, folder):
@@ -173,12 +144,9 @@ def test_constants_of_each_manoeuvre_cannot_fly_another_one(here, folder):
     (folder / "own.toml").write_text(text)
     flags = ("--model", "own.toml", "--no-figures", "--no-process-noise")
     assert here("fly", "one.csv", "two.csv", "--out", "own", *flags).code in (0, 3)
-    refused_with(
-        here("qualify", "own", "other.csv", "--draws", 100, "--out", "no"), "states M0 for each manoeuvre", "other"
-    )
-    done = here("qualify", "own", "--draws", 100, "--out", "both", "--json")
-    assert done.code == 0, done.err
-    assert "no value of M0" in json.loads(done.out)["origins"]["structure"]
+    refused(here("qualify", "own", "other.csv", "--draws", 100, "--out", "no"), "M0", "other")
+    found = answer(here("qualify", "own", "--draws", 100, "--out", "both", "--json"))
+    assert "no value of M0" in found["origins"]["structure"]
     turning = open_result(str(folder / "own")).groups()[1]
     assert [s.name for s in turning.sliders] == ["M0_1", "M0_2", "Malpha", "Mq", "Mde"]
 
@@ -238,9 +206,7 @@ def test_the_short_period_of_a_recorded_flight_is_qualified_and_opened(program):
     records = [str(BOOK / f"fAttasElv{k}.mat") for k in (1, 2)]
     flown = program("fly", *records, "--model", "attas_short_period", "--no-figures", "--no-process-noise")
     assert flown.code in (0, 3), flown.err
-    done = program("qualify", "trajectories", "--draws", 100, "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
+    found = answer(program("qualify", "trajectories", "--draws", 100, "--json"))
     assert found["verdict"] == "passes"
     assert {t["manoeuvre"] for t in found["tests"]} == {"fAttasElv1", "fAttasElv2"}
     simulator = Simulator(open_result("trajectories"))

@@ -12,6 +12,7 @@ from unittest.mock import Mock
 import numpy as np
 import pandas as pd
 import pytest
+from calling import answer, refused
 
 from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
 from bayes_aero.errors import InputError
@@ -117,9 +118,7 @@ def flight(tmp_path_factory):
 
 def test_errors_of_sensors_are_found_and_taken_out(program, flight, tmp_path):
     card, record, truth = flight
-    done = program("path", record, "--model", card, "--out", "out", "--no-figures", "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
+    found = answer(program("path", record, "--model", card, "--out", "out", "--no-figures", "--json"))
     assert found["status"] == "converged"
     expected = HIDDEN | {"alpha_scale": SCALE, "vane_position": VANE}
     for name, p in found["parameters"].items():
@@ -145,9 +144,9 @@ def test_an_airspeed_with_a_pitot_offset_is_made_true(program, flight, tmp_path)
     table["airspeed"] = np.sqrt(table["airspeed"] ** 2 + 2.0 * 300.0 / density)
     table.to_csv(tmp_path / "leak.csv", index=False)
     (tmp_path / "leak.toml").write_text(card.read_text() + f'\n[constants]\ndensity = "{density} kg/m^3"\n')
-    done = program("path", "leak.csv", "--model", "leak.toml", "--out", "out", "--no-figures", "--json")
-    assert done.code == 0, done.err
-    found = json.loads(done.out)["parameters"]
+    found = answer(program("path", "leak.csv", "--model", "leak.toml", "--out", "out", "--no-figures", "--json"))[
+        "parameters"
+    ]
     for name, true in {"pitot_pressure_bias": 300.0, "airspeed_bias": 0.0, "airspeed_scale": 0.0}.items():
         assert abs(found[name]["estimate"] - true) < 3.5 * found[name]["sd_corrected"], name
     corrected = pd.read_csv(tmp_path / "out" / "corrected" / "leak.csv")["airspeed"].to_numpy()
@@ -287,7 +286,8 @@ def test_without_bank_a_flight_that_rolled_is_one_sentence(program, flight, tmp_
     pd.read_csv(record).drop(columns="phi").to_csv(tmp_path / "rolled.csv", index=False)
     lines = [line for line in card.read_text().splitlines() if not line.startswith("phi")]
     (tmp_path / "rolled.toml").write_text("\n".join(lines))
-    done = program("path", "rolled.csv", "--model", "rolled.toml", "--out", "out")
-    assert done.code == 2
-    assert "the flight path cannot be reconstructed: the flight path needs phi, because the aircraft rolled" in done.err
-    assert not (tmp_path / "out" / "trajectories.json").exists()
+    refused(
+        program("path", "rolled.csv", "--model", "rolled.toml", "--out", "out"),
+        "the flight path cannot be reconstructed: the flight path needs phi, because the aircraft rolled",
+        gone=["out/trajectories.json"],
+    )

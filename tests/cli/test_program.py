@@ -12,6 +12,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from calling import answer, refused, succeeded
 
 from bayes_aero.cli import app, choices, gone_options, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
@@ -53,8 +54,7 @@ def test_choices_are_those_of_the_libraries():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_help_has_an_example(program, command):
-    done = program(command, "--help")
-    assert done.code == 0
+    done = succeeded(program(command, "--help"))
     assert f"Example: bayes-aero {command} " in done.out
 
 
@@ -83,7 +83,7 @@ def test_the_module_is_the_program(monkeypatch, capsys):
 
 def test_the_catalogue_is_listed_and_explained(program):
     listed = program("effects").out
-    found = {e["name"]: e for e in json.loads(program("effects", "--json").out)["effects"]}
+    found = {e["name"]: e for e in answer(program("effects", "--json"))["effects"]}
     assert set(found) == set(CATALOGUE)
     assert all(name in listed for name in CATALOGUE)
     told = program("effects", "pitch_rate_bias").out
@@ -93,8 +93,7 @@ def test_the_catalogue_is_listed_and_explained(program):
 
 
 def test_the_catalogue_is_a_page_too(program, tmp_path):
-    done = program("effects", "--model", "attas", "--out", "all")
-    assert done.code == 0, done.err
+    succeeded(program("effects", "--model", "attas", "--out", "all"))
     assert json.loads((tmp_path / "all" / "effects.json").read_text())["effects"][0]["name"] in CATALOGUE
     html = (tmp_path / "all" / "report.html").read_text().replace("<wbr>", "")
     assert all(f"<summary>{name}</summary>" in html for name in CATALOGUE)
@@ -112,17 +111,14 @@ def test_the_catalogue_is_a_page_too(program, tmp_path):
 
 
 def test_an_unknown_effect_is_told_with_its_neighbours(program):
-    done = program("effects", "pitch_rat_bias")
-    assert done.code == 2
-    assert "pitch_rate_bias" in done.err
-    assert done.err.count("\n") == 1
+    refused(program("effects", "pitch_rat_bias"), "pitch_rate_bias")
 
 
 def test_effects_of_a_card_are_listed_with_it(program, tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     text = study.shipped_cards()["attas"].read_text()
     (tmp_path / "mine.toml").write_text(text.replace("[model]\n", '[model]\neffect_files = ["mine.py"]\n'))
-    found = json.loads(program("effects", "my_moment", "--model", "mine.toml", "--json").out)["effects"]
+    found = answer(program("effects", "my_moment", "--model", "mine.toml", "--json"))["effects"]
     assert found[0]["claim"] == "Mine."
     assert found[0]["model"] is False
     assert program("effects", "my_moment").code == 2
@@ -158,9 +154,7 @@ def test_json_is_all_that_is_on_stdout(program, monkeypatch):
         return SimpleNamespace(consistency=None, health=(), failures=())
 
     monkeypatch.setattr(job, "identify", finished)
-    done = program("identify", "--json")
-    assert done.code == 0
-    assert json.loads(done.out) == {"schema": "bayes_aero/results/1"}
+    assert answer(program("identify", "--json")) == {"schema": "bayes_aero/results/1"}
 
 
 def test_a_ctrl_c_that_a_library_drops_is_raised_again():
@@ -189,8 +183,7 @@ def test_nothing_of_an_earlier_run_stands_beside_a_later_one(program, flights, t
     mine = [out / name for name in ("posterior_mine.nc", "notes.txt", "figures/mine.png")]
     for path in (*older, *mine):
         path.write_text("of another day")
-    done = program("identify", flights.sound, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
-    assert done.code == 0, done.err
+    succeeded(program("identify", flights.sound, "--no-sample", "--no-gp", "--no-figures", "--out", "id"))
     assert not any(path.exists() for path in older)
     assert all(path.read_text() == "of another day" for path in mine)
     assert (out / "report.html").exists()
@@ -215,15 +208,8 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
 def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
     """A process that has read no record flies an aircraft whose mass is a traced number."""
     given = [
-        "simulate",
-        "--effect",
-        "mass_scale=0.06",
-        "--duration",
-        "8",
-        "--no-page",
-        "--out",
-        str(tmp_path / "m.csv"),
-    ]
+        "simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--no-page", "--out", str(tmp_path / "m.csv"),
+    ]  # fmt: skip
     done = subprocess.run([sys.executable, "-m", "bayes_aero", *given], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     truth = json.loads((tmp_path / "m.csv.truth.json").read_text())
@@ -290,16 +276,12 @@ def files(tmp_path_factory):
     [
         (0, ["check", "climb.csv", "--model", "glider.toml"]),
         (0, ["check", "climb.csv", "--model", "glider.toml", "--out", "checked"]),
-        (0, ["card", "climb.csv", "--out", "new.toml"]),
-        (2, ["check", "climb.csv", "--model", "nosuch"]),
-        (2, ["identify", "climb.csv", "--model", "attas"]),
-        (2, ["diagnose", "nosuch.csv"]),
-        (2, ["fly", "climb.csv", "--model", "attas"]),
-        (2, ["run", "study.toml"]),
-        (2, ["export", "nosuch", "--to", "jsbsim"]),
-        (2, ["open", "nosuch"]),
+        (0, ["card", "climb.csv", "--out", "new.toml"]), (2, ["check", "climb.csv", "--model", "nosuch"]),
+        (2, ["identify", "climb.csv", "--model", "attas"]), (2, ["diagnose", "nosuch.csv"]),
+        (2, ["fly", "climb.csv", "--model", "attas"]), (2, ["run", "study.toml"]),
+        (2, ["export", "nosuch", "--to", "jsbsim"]), (2, ["open", "nosuch"]),
     ],
-)
+)  # fmt: skip
 def test_nothing_heavy_is_loaded(files, code, arguments):
     done = subprocess.run(
         [sys.executable, "-c", LOADED, *arguments], cwd=files, capture_output=True, text=True, check=False

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import six_axes as six
 import stranger_six
-from calling import called
+from calling import answer, called, refused, succeeded
 
 from bayes_aero.cli.choices import Manoeuvre
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
@@ -62,9 +62,7 @@ def test_noise_is_that_of_the_sensors_and_of_the_seed(program, flights):
     arguments = ["--manoeuvre", "slow_stall", "--duration", "40", "--noise", "white", "--noise-scale", "2"]
     made = {}
     for name, seed in (("a.csv", 5), ("again.csv", 5), ("b.csv", 6)):
-        done = program("simulate", *arguments, "--seed", seed, "--out", name, "--json")
-        assert done.code == 0, done.err
-        truth = json.loads(done.out)
+        truth = answer(program("simulate", *arguments, "--seed", seed, "--out", name, "--json"))
         made[name] = pd.read_csv(name)
     pd.testing.assert_frame_equal(made["a.csv"], made["again.csv"])
     still = pd.read_csv(flights.sound)
@@ -85,30 +83,21 @@ def test_every_standard_manoeuvre_can_be_chosen():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--effect", "pitch_rat_bias=1"], "pitch_rate_bias"),
-        (["--effect", "pitch_rate_bias"], "NAME=VALUE"),
+        (["--effect", "pitch_rat_bias=1"], "pitch_rate_bias"), (["--effect", "pitch_rate_bias"], "NAME=VALUE"),
         (["--effect", "flow_separation=3"], "flow_separation.alpha_star=VALUE"),
-        (["--effect", "thrust_lag=-1"], "between 0 and 20"),
-        (["--effect", "thrust_lag=1 kg"], "kg"),
-        (["--effect", "kirchhoff_lift=1"], "no parameter"),
-        (["--dt", "5"], "0.1 s"),
-        (["--duration", "1000"], "random_stall"),
-        (["--model", "nowhere.toml"], "nowhere.toml"),
+        (["--effect", "thrust_lag=-1"], "between 0 and 20"), (["--effect", "thrust_lag=1 kg"], "kg"),
+        (["--effect", "kirchhoff_lift=1"], "no parameter"), (["--dt", "5"], "0.1 s"),
+        (["--duration", "1000"], "random_stall"), (["--model", "nowhere.toml"], "nowhere.toml"),
     ],
-)
+)  # fmt: skip
 def test_bad_requests_are_one_sentence(program, tmp_path, arguments, told):
-    done = program("simulate", *arguments, "--out", "f.csv")
-    assert done.code == 2
-    assert told in done.err
-    assert done.err.count("\n") == 1
+    refused(program("simulate", *arguments, "--out", "f.csv"), told)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_file_that_is_there_is_kept(program, tmp_path):
     (tmp_path / "flight.csv").write_text("precious")
-    done = program("simulate", "--out", "flight.csv")
-    assert done.code == 2
-    assert "--force" in done.err
+    refused(program("simulate", "--out", "flight.csv"), "--force")
     assert (tmp_path / "flight.csv").read_text() == "precious"
 
 
@@ -123,10 +112,7 @@ def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_named(program):
-    done = program("simulate", "--out", "nowhere/a.csv")
-    assert done.code == 2
-    assert "there is no folder nowhere" in done.err
-    assert "Errno" not in done.err
+    refused(program("simulate", "--out", "nowhere/a.csv"), "there is no folder nowhere")
 
 
 def test_a_size_beyond_the_plausible_is_told(program):
@@ -135,8 +121,7 @@ def test_a_size_beyond_the_plausible_is_told(program):
     most = effect.sizes["pitch_rate_bias"][1]
     arguments = ["--manoeuvre", "slow_stall", "--duration", "20", "--no-page", "--force", "--out", "a.csv"]
     for size, told in ((0.9 * most, False), (-1.1 * most, True)):
-        done = program("simulate", "--effect", f"pitch_rate_bias={size}", *arguments)
-        assert done.code == 0, done.err
+        done = succeeded(program("simulate", "--effect", f"pitch_rate_bias={size}", *arguments))
         assert ("largest plausible departure" in " ".join((done.out + done.err).split())) == told
 
 
@@ -163,8 +148,7 @@ def fitted(folder, plane, name, kinds, *arguments, **card):
     (folder / f"{name}.toml").write_text(six.card_text(plane, **card))
     files = [folder / f"{kind}.csv" for kind in kinds]
     options = ("--no-process-noise", "--no-figures", "--json", "--out", folder / name)
-    done = called(folder, "fly", *files, "--model", folder / f"{name}.toml", *options, *arguments)
-    assert done.code == 0, done.err
+    succeeded(called(folder, "fly", *files, "--model", folder / f"{name}.toml", *options, *arguments))
     return json.loads((folder / name / "trajectories.json").read_text())
 
 
@@ -243,9 +227,10 @@ def test_every_simulation_holds_what_the_card_holds(tmp_path):
 def test_a_state_that_there_is_not_cannot_be_held(flown, program):
     folder, plane = flown
     (folder / "wrong.toml").write_text(six.card_text(plane, more='[fly]\nheld = ["bank"]\n'))
-    done = program("fly", folder / "rudder.csv", "--model", folder / "wrong.toml")
-    assert done.code == 2
-    assert "[fly] held must be a list of states, of airspeed, alpha" in done.err
+    refused(
+        program("fly", folder / "rudder.csv", "--model", folder / "wrong.toml"),
+        "[fly] held must be a list of states, of airspeed, alpha",
+    )
 
 
 def test_a_record_without_sideslip_is_flown_without_the_lateral_axis(flown, program, tmp_path):
@@ -271,14 +256,12 @@ def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
     for seed, kind in enumerate(("elevator_3211", "aileron_doublet", "rudder_doublet")):
         files.append(f"{kind}.csv")
         asked = ("--manoeuvre", kind, "--noise", "white", "--duration", SECONDS, "--seed", seed, "--no-page")
-        done = called(tmp_path, "simulate", "--model", "card.toml", *asked, "--out", files[-1])
-        assert done.code == 0, done.err
+        succeeded(called(tmp_path, "simulate", "--model", "card.toml", *asked, "--out", files[-1]))
     table = pd.read_csv(tmp_path / "aileron_doublet.csv")
     assert np.ptp(table["aileron"]) > np.radians(8.0)
     assert np.ptp(table["phi"]) > np.radians(4.0)
     options = ("--no-process-noise", "--no-figures", "--json", "--out", "out")
-    done = called(tmp_path, "fly", *files, "--model", "card.toml", *options)
-    assert done.code == 0, done.err
+    succeeded(called(tmp_path, "fly", *files, "--model", "card.toml", *options))
     found = json.loads((tmp_path / "out" / "trajectories.json").read_text())
     truth = json.loads((tmp_path / "rudder_doublet.csv.truth.json").read_text())["parameters"]
     for name in ("CLa", "Cma", "Cmq", "Cmde", "Clp", "Clda", "Clbe", "Cnbe", "Cnr", "Cndr", "CYbe"):
@@ -288,9 +271,10 @@ def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
 
 
 def test_a_longitudinal_card_has_no_aileron_to_move(program):
-    done = program("simulate", "--manoeuvre", "aileron_doublet", "--out", "no.csv")
-    assert done.code == 2
-    assert "needs a card that models the lateral axis" in done.err
+    refused(
+        program("simulate", "--manoeuvre", "aileron_doublet", "--out", "no.csv"),
+        "needs a card that models the lateral axis",
+    )
 
 
 def test_errors_of_sensors_that_a_card_fixes_are_in_the_record():

@@ -108,17 +108,10 @@ CARDS = {
     "linear": tomllib.loads(SHORT_PERIOD),
 }
 STUDY = {
-    "title": "a study",
-    "task": "identify",
-    "records": ["flights/*.csv", "flights/a.csv"],
-    "one_by_one": True,
-    "cards": ["attas", "mine.toml"],
-    "seeds": [0, 1],
-    "splits": ["random", "block"],
-    "noise": ["white", "ar1"],
-    "effects": [[], ["alpha_squared_moment"]],
-    "options": {"gp": False, "figures": False, "resample": 0.04},
-}
+    "title": "a study", "task": "identify", "records": ["flights/*.csv", "flights/a.csv"], "one_by_one": True,
+    "cards": ["attas", "mine.toml"], "seeds": [0, 1], "splits": ["random", "block"], "noise": ["white", "ar1"],
+    "effects": [[], ["alpha_squared_moment"]], "options": {"gp": False, "figures": False, "resample": 0.04},
+}  # fmt: skip
 
 
 def refused(read, path) -> str:

@@ -145,14 +145,10 @@ def test_a_terminal_shows_the_units_of_outputs():
 @pytest.mark.parametrize(
     ("value", "sd", "text"),
     [
-        (-0.39102, 0.0159, "-0.391 ± 0.016"),
-        (23.716, 1.5, "23.7 ± 1.5"),
-        (1.5, np.nan, "1.5"),
-        (1.5, 0.0, "1.5"),
-        (-0.03, 5.7, "0.0 ± 5.7"),
-        (12345.6, 0.0, "12346"),
+        (-0.39102, 0.0159, "-0.391 ± 0.016"), (23.716, 1.5, "23.7 ± 1.5"), (1.5, np.nan, "1.5"), (1.5, 0.0, "1.5"),
+        (-0.03, 5.7, "0.0 ± 5.7"), (12345.6, 0.0, "12346"),
     ],
-)
+)  # fmt: skip
 def test_numbers_with_standard_errors(value, sd, text):
     assert plus_minus(value, sd) == text
     assert size_text(value, sd, "1") == text
@@ -161,17 +157,10 @@ def test_numbers_with_standard_errors(value, sd, text):
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
     [
-        (999.7, 3, "1000"),
-        (999.4, 3, "999"),
-        (99.97, 3, "100"),
-        (-1234.6, 3, "-1235"),
-        (0.00012346, 3, "0.000123"),
-        (9.9996e-5, 3, "0.0001"),
-        (2.5e-7, 2, "2.5e-07"),
-        (4.2e7, 3, "4.20e+07"),
-        (-0.0, 3, "0"),
+        (999.7, 3, "1000"), (999.4, 3, "999"), (99.97, 3, "100"), (-1234.6, 3, "-1235"), (0.00012346, 3, "0.000123"),
+        (9.9996e-5, 3, "0.0001"), (2.5e-7, 2, "2.5e-07"), (4.2e7, 3, "4.20e+07"), (-0.0, 3, "0"),
     ],
-)
+)  # fmt: skip
 def test_numbers_have_no_exponent_where_people_read_them(value, digits, text):
     assert number(value, digits) == text
 
