@@ -274,11 +274,13 @@ class Pair:
     y: Float[np.ndarray, " n"]
 
 
-def test_what_fits_passes_and_an_int_stands_for_a_float():
+def test_what_fits_passes_and_the_package_is_checked():
     assert both(N, N, 2).shape == (3,)
     assert both(M, M).shape == (4,)  # a letter means another size at the next call
     assert Pair(N, y=N).x is N
     assert unknown("x", 0) == 0
+    with pytest.raises(BeartypeCallHintViolation):
+        smooth("no signal", 0.1)
 
 
 @pytest.mark.parametrize(
@@ -297,11 +299,6 @@ def test_what_fits_passes_and_an_int_stands_for_a_float():
 def test_what_does_not_fit_is_refused(wrong):
     with pytest.raises(BeartypeCallHintViolation):
         wrong()
-
-
-def test_the_package_is_checked():
-    with pytest.raises(BeartypeCallHintViolation):
-        smooth("no signal", 0.1)
 
 
 def test_xdist_knows_the_groups(request):

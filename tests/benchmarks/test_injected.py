@@ -34,21 +34,18 @@ def record(card):
     return simulate_stall(0, card=card)
 
 
-def test_a_faulty_sensor_records_the_error_and_nothing_else(record, card):
+def test_a_faulty_sensor_records_the_error_and_nothing_else_and_thrust_stays_shared(record, card):
     (faulty,) = injected([record], {"pitch_rate_bias": {"pitch_rate_bias": 0.01}}, card, Cmde=-0.7)
     np.testing.assert_allclose(np.asarray(faulty["q"]) - np.asarray(record["q"]), 0.01, atol=1e-9)
     for name in ("alpha", "ax", "az", "elevator", "thrust_left", "airspeed"):
         np.testing.assert_allclose(faulty[name], record[name], rtol=1e-9, atol=1e-9)
     assert faulty.sha256 != record.sha256
-
-
-def test_thrust_is_shared_between_the_engines_as_it_was(record, card):
     (faulty,) = injected([record], {"thrust_scale": {"thrust_scale": 0.25}}, card, Cmde=-0.7)
     for name in ("thrust_left", "thrust_right"):  # true = recorded x 1.25
         np.testing.assert_allclose(np.asarray(faulty[name]) * 1.25, record[name], rtol=1e-6)
 
 
-def test_the_elevator_holds_an_injected_moment(record, card):
+def test_the_elevator_holds_an_injected_moment_and_alpha_dot_is_made_from_the_record(record, card):
     (held,) = injected([record], {"thrust_moment": {"thrust_arm": 0.5}}, card, Cmde=-0.7)
     a, thrust = card.aircraft, np.asarray(record["thrust_left"]) + np.asarray(record["thrust_right"])
     pressure = 0.5 * np.asarray(record["density"]) * np.asarray(record["airspeed"]) ** 2
@@ -56,23 +53,17 @@ def test_the_elevator_holds_an_injected_moment(record, card):
     change = np.asarray(held["elevator"]) - np.asarray(record["elevator"])
     # Density and airspeed are smoothed before coefficients are formed.
     np.testing.assert_allclose(-0.7 * change + moment, 0.0, atol=0.02 * moment.max())
+    (held,) = injected([record], {"alpha_dot_moment": {"Cmadot": -3.0}}, card, Cmde=-0.7)
+    assert np.std(np.asarray(held["elevator"]) - np.asarray(record["elevator"])) > 1e-4
 
 
-def test_lift_cannot_be_injected(record, card):
+def test_what_cannot_be_injected_is_refused(record, card):
     with pytest.raises(InputError, match="more than the pitching moment"):
         injected([record], {"thrust_lift": {"thrust_lift": 0.3}}, card, Cmde=-0.7)
     with pytest.raises(InputError, match="rests on parameters of other effects"):
         injected([record], {"drag_offset": {"CLmin": 0.1}}, card, Cmde=-0.7)
-
-
-def test_what_depends_on_separation_cannot_be_injected(record, card):
     with pytest.raises(InputError, match="depends on separation"):
         injected([record], {"separated_damping": {"CmqX": 0.3}}, card, Cmde=-0.7)
-
-
-def test_alpha_dot_is_made_from_the_record(record, card):
-    (held,) = injected([record], {"alpha_dot_moment": {"Cmadot": -3.0}}, card, Cmde=-0.7)
-    assert np.std(np.asarray(held["elevator"]) - np.asarray(record["elevator"])) > 1e-4
 
 
 @pytest.mark.verify

@@ -28,16 +28,13 @@ from bayes_aero.report.style import save
 from bayes_aero.simulate.demo import TRUTH
 
 
-def test_a_truth_has_as_many_draws_below_it_as_its_quantile_says():
+def test_ranks_have_the_closed_form_of_quantiles_and_uniform_ones_stay_in_their_band():
     draws = np.arange(1000.0)[:, None] / 1000.0
     draws = np.random.default_rng(0).permutation(draws)
     assert rank(np.array([-1.0]), draws)[0] == 0
     assert rank(np.array([2.0]), draws)[0] == DRAWS
     assert abs(rank(np.array([0.25]), draws)[0] - 0.25 * DRAWS) < 3.0 * np.sqrt(0.25 * 0.75 * DRAWS)
-
-
-def test_uniform_ranks_stay_in_the_band_as_often_as_it_says():
-    """95 % simultaneous: of 200 sets, 190 are expected inside, with a deviation of 3.1."""
+    # 95 % simultaneous: of 200 sets, 190 are expected inside, with a deviation of 3.1.
     rng = np.random.default_rng(3)
     inside = sum(band_of(list(map(int, rng.integers(0, DRAWS + 1, 100)))).inside for _ in range(200))
     assert 178 <= inside <= 199

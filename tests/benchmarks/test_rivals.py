@@ -86,12 +86,9 @@ def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
             assert len(np.unique(p.manoeuvre[p.train])) == 1
 
 
-def test_stretches_are_the_marked_blocks():
+def test_stretches_are_marked_blocks_and_what_does_not_train_has_no_part_in_the_loss():
     rows = np.array([1, 1, 0, 1, 0, 0, 1], bool)
     assert _runs(rows) == (slice(0, 2), slice(3, 4), slice(6, 7))
-
-
-def test_samples_that_do_not_train_have_no_part_in_the_loss():
     measured = jnp.array([[1.0, 2.0], [jnp.nan, jnp.nan], [3.0, 1.0]])
     predicted = jnp.array([[2.0, 2.0], [9.0, 9.0], [3.0, 3.0]])
     assert float(_missing_left_out(predicted, measured)) == pytest.approx((1.0 + 4.0) / 4.0)

@@ -109,19 +109,17 @@ def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
     assert "Traceback" not in done.err
     table.drop(columns="]\n[evil").to_csv("plain.csv", index=False)
     succeeded(program("card", "plain.csv"))
-    text = (tmp_path / "plain.toml").read_text()
-    units = {name: entry["unit"] for name, entry in tomllib.loads(text)["channels"].items()}
+    table = tomllib.loads((tmp_path / "plain.toml").read_text())
+    units = {name: entry["unit"] for name, entry in table["channels"].items()}
     assert units["alpha"] == units["theta"] == "rad"
     assert (units["q"], units["airspeed"], units["altitude"], units["az"]) == ("rad/s", "m/s", "m", "m/s^2")
-    table = tomllib.loads(text)
     assert table["derived"] == {"density": "standard atmosphere", "mach": "standard atmosphere"}
     assert table["constants"]["thrust"] == "TODO"
 
 
 def test_density_and_mach_follow_from_the_altitude(flights, card, tmp_path):
     text = shipped_cards()["attas"].read_text()
-    for label in ("DENSITY", "MACH"):
-        name = label.lower()
+    for name in ("density", "mach"):
         text = re.sub(rf"^{name} = .*$", "", text, count=1, flags=re.MULTILINE)
     text += '[derived]\ndensity = "standard atmosphere"\nmach = "standard atmosphere"\n'
     (tmp_path / "few.toml").write_text(text)
@@ -136,12 +134,11 @@ def test_density_and_mach_follow_from_the_altitude(flights, card, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
-    [('mach = "ideal gas"', "standard atmosphere"), ('thrust = "standard atmosphere"', "unknown key of [derived]")],
+    ("line", "words"), [('mach = "ideal gas"', "standard atmosphere"), ('thrust = "standard atmosphere"', "[derived]")]
 )
-def test_bad_rules_are_one_sentence(tmp_path, line, told):
+def test_bad_rules_are_one_sentence(tmp_path, line, words):
     (tmp_path / "bad.toml").write_text(shipped_cards()["attas"].read_text() + f"[derived]\n{line}\n")
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(words)):
         read_card(tmp_path / "bad.toml")
 
 
@@ -180,6 +177,7 @@ def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     path, _ = foreign
     succeeded(program("card", path, "--out", "mine.toml"))
     html = (tmp_path / "mine.toml.report.html").read_text().replace("<wbr>", "")
+    assert "was not made" not in html
     table = tomllib.loads((tmp_path / "mine.toml").read_text())
     for entry in table["channels"].values():
         assert f"&#39;{entry['label']}&#39;" in html
@@ -188,7 +186,6 @@ def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     assert all(f'<th scope="row">{key}</th>' in html for key in todo)
     assert "&#39;Xyzzy&#39;" in html.split("Columns without a proposal")[-1]
     assert "turned" in html
-    assert "was not made" not in html
 
 
 def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tmp_path):
@@ -222,21 +219,16 @@ def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, forei
     assert "Columns without a name" in rest
 
 
-def test_the_drag_form_of_a_stall_is_left_open(program, foreign, tmp_path):
+def test_guesses_for_machines_leave_the_drag_form_of_a_stall_open(program, foreign, tmp_path):
     """Published and textbook drag of a stall differ by one share; a card that fixed it would be called wrong."""
-    assert program("card", foreign[0], "--out", "mine.toml").code == 0
-    model = tomllib.loads((tmp_path / "mine.toml").read_text())["model"]
-    assert "separated_induced_drag" in model["effects"]
-    assert "induced_share" not in model["fixed"]
-
-
-def test_guesses_for_machines(program, foreign, tmp_path):
     told = answer(program("card", foreign[0], "--out", "mine.toml", "--no-page", "--json"))
     assert told["channels"]["az"]["sign"] == -1
     assert told["unknown"] == ["'Xyzzy'"]
     assert "mass" in told["todo"]
     assert (told["not_found"], told["report"]) == ([], None)
-    assert (tmp_path / told["card"]).exists()
+    model = tomllib.loads((tmp_path / told["card"]).read_text())["model"]
+    assert "separated_induced_drag" in model["effects"]
+    assert "induced_share" not in model["fixed"]
 
 
 def test_a_record_without_alpha_is_not_said_to_hold_no_stall(program, foreign, tmp_path):

@@ -31,21 +31,17 @@ from bayes_aero.model.recorded_axes import on_recorded_axes
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED, ALONE = ("--initial-state", "fixed"), "--no-process-noise"
+ELEVATOR, LATERAL = (tuple(f"fAttas{kind}{k}.mat" for k in (1, 2)) for kind in ("Elv", "AilRud"))
 CASES = {
     "TC01": ("attas_lateral", ("fAttasAilRud1.asc",), "oem_gauss_newton", FIXED),
-    "TC03": ("attas_roll_yaw", ("fAttasAilRud1.mat", "fAttasAilRud2.mat"), "oem_gauss_newton", FIXED),
+    "TC03": ("attas_roll_yaw", LATERAL, "oem_gauss_newton", FIXED),
     "TC04": ("hfb320", ("hfb320_1_10.asc",), "oem_gauss_newton", (*FIXED, ALONE)),
     "TC04 free": ("hfb320", ("hfb320_1_10.asc",), "oem_initial_state_free", ("--initial-state", "free", ALONE)),
     "TC08": ("unstable", ("unStabAC_sim.asc",), "oem_gauss_newton", FIXED),
-    "TC11": ("attas_short_period", ("fAttasElv1.mat", "fAttasElv2.mat"), "oem_gauss_newton", FIXED),
-    "TC11 own": (
-        "attas_short_period",
-        ("fAttasElv1.mat", "fAttasElv2.mat"),
-        "independent_optimum_own_initial_state",
-        FIXED,
-    ),
+    "TC11": ("attas_short_period", ELEVATOR, "oem_gauss_newton", FIXED),
+    "TC11 own": ("attas_short_period", ELEVATOR, "independent_optimum_own_initial_state", FIXED),
     "TC31": ("attas_lateral", ("fAttasAilRud1.mat",), "oem_gauss_newton", FIXED),
-    "TC34": ("attas_lateral", ("fAttasAilRud1.mat", "fAttasAilRud2.mat"), "oem_gauss_newton_two_manoeuvres", FIXED),
+    "TC34": ("attas_lateral", LATERAL, "oem_gauss_newton_two_manoeuvres", FIXED),
 }
 OURS = {  # their names, where ours are others
     "Zal": "Zalpha", "Mal": "Malpha", "CDal": "CDa", "CLal": "CLa", "Cmal": "Cma", "bx_p": "L0", "bx_r": "N0",
@@ -116,16 +112,15 @@ def test_estimates_deviations_and_det_R_are_those_published(program, book, tmp_p
         assert ours["crb"] == pytest.approx(theirs["std"], rel=0.03), name
         assert ours["crb"] <= ours["sd_corrected"] < 100.0 * ours["crb"], name  # residuals are coloured in all cases
         assert ours["prior"] is None
-    for theirs, ours in zip(
-        expected.get("initial_state_per_segment", ()), found["initial_states"].values(), strict=False
-    ):
+    states = expected.get("initial_state_per_segment", ())
+    for theirs, ours in zip(states, found["initial_states"].values(), strict=False):
         for name, state in theirs.items():
             away = abs(ours[STATES.get(name, name)]["value"] - state["estimate"])
             assert away <= 0.3 * state.get("std", 0.0) + 1e-8, name
     replaced = [note for note in found["notes"] if "spikes" in note]  # the only way in which the data differ
     spikes = "2 of ay and 1 of beta" if case == "TC34" else "1 of beta"
-    said = f"Isolated spikes were replaced by the median of their neighbours: {spikes}."
-    assert replaced == ([said] if "AilRud" in files[0] else [])
+    assert len(replaced) == ("AilRud" in files[0])
+    assert all(f": {spikes}." in note for note in replaced)
 
 
 def test_cost_and_settings_are_printed(program, book):
@@ -136,7 +131,7 @@ def test_cost_and_settings_are_printed(program, book):
     cost = book["TC08"]["methods"]["independent_optimum"]["det_R"]
     told = float(said.split("det R is ")[1].split()[0])
     assert told == pytest.approx(cost, rel=1e-4)
-    assert "It was fitted without priors and with initial states fixed." in said
+    assert "without priors and with initial states fixed" in said
     assert "no priors" in said
 
 
@@ -146,9 +141,8 @@ def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(boo
     found = ba.fit(ba.read(BOOK / "hfb320_1_10.asc", "hfb320"), "hfb320").mle
     place = found.names.index("CLa")
     assert found.status is MleStatus.CONVERGED
-    assert abs(found.estimate[place] - filtered["estimate"]) < 1.96 * np.hypot(
-        found.crb_corrected[place], filtered["std"]
-    )
+    sd = np.hypot(found.crb_corrected[place], filtered["std"])
+    assert abs(found.estimate[place] - filtered["estimate"]) < 1.96 * sd
 
 
 def test_process_noise_finds_the_truth_of_a_simulated_flight_in_turbulence(program, book):
@@ -190,9 +184,8 @@ WITHIN = 0.005
 @pytest.mark.skipif(not RECORD.is_file(), reason="needs ../shared/book")
 def test_the_filter_finds_the_truth(program):
     """All within half a per cent; output error as published (`test_published_cases.py`) is 48 per cent off in Mq."""
-    found = answer(
-        program("fly", RECORD, "--model", "unstable", "--process-noise", "--no-figures", "--json", "--out", "out")
-    )["process_noise"]
+    how = ("--process-noise", "--no-figures", "--json", "--out", "out")
+    found = answer(program("fly", RECORD, "--model", "unstable", *how))["process_noise"]
     assert found["converged"]
     assert set(found["estimates"]) == set(TRUTH)
     for name, true in TRUTH.items():
@@ -220,9 +213,8 @@ def six_records(six_card):
 
 
 def published(case: str) -> dict:
-    return json.loads((BOOK / "references.json").read_text(encoding="utf-8"))["cases"][case]["methods"][
-        "oem_gauss_newton"
-    ]
+    cases = json.loads((BOOK / "references.json").read_text(encoding="utf-8"))["cases"]
+    return cases[case]["methods"]["oem_gauss_newton"]
 
 
 @pytest.mark.parametrize(
@@ -244,10 +236,8 @@ def test_published_estimates_come_back(six_card, six_records, case, drag):
     lengths = {"Cm": six_card.aircraft.chord, "Cl": 10.75, "Cn": 10.75}
     for name, row in reference["parameters"].items():
         ours = SIX_OURS.get(name, name)
-        back = sum(
-            estimate[derivative] * six_card.fixed[bias] * lengths[name[:2]] / V
-            for derivative, bias in RATES.get(name, {}).items()
-        )
+        rates = RATES.get(name, {}).items()
+        back = sum(estimate[slope] * six_card.fixed[bias] * lengths[name[:2]] / V for slope, bias in rates)
         assert estimate[ours] - back == pytest.approx(row["estimate"], abs=0.1 * row["std"]), name
         assert sd[ours] == pytest.approx(row["std"], rel=0.03), name
     assert found.det_R == pytest.approx(reference["det_R"], rel=0.01)
@@ -279,10 +269,8 @@ def test_a_missing_channel_leaves_its_axis_out_and_says_so(six_card, six_records
     fewer = [six_records[0], replace(six_records[1], channels=channels), six_records[2]]
     own, said = on_recorded_axes(six_card, fewer)
     assert own.axes == ("longitudinal",)
-    assert said == (
-        "The lateral axis (CY, Cl, Cn) is left out: record fAttasAil1 has no channel ay; map it on the card to include "
-        "it.",
-    )
+    assert len(said) == 1
+    assert all(part in said[0] for part in ("CY, Cl, Cn", "fAttasAil1", "channel ay"))
     assert Model.from_card(own).coefficients == ("CL", "CD", "Cm")
     monkeypatch.setattr(candidate_set, "CATALOGUE", {})  # what a diagnosis finds is not asked here
     assert diagnose(fewer[:2], six_card, gains_wanted=False, process_noise=False).notes[0] == said[0]

@@ -48,15 +48,12 @@ def found(folder):
     return json.loads((folder / "qualification" / "qualification.json").read_text())
 
 
-def test_the_numbers_follow_the_schema(found):
+def test_the_numbers_follow_the_schema_and_every_thing_counted_makes_a_test_harder(found):
     validated(found, "qualification")
     assert not found["failures"]
     assert {t["kind"] for t in found["tests"]} == {"again", "test"}
     assert list(found["tolerances"]) == ["airspeed", "alpha", "theta", "q", "az"]
-
-
-def test_every_thing_counted_makes_a_test_harder(found):
-    """Draws are shared, so a test that fails by parameters fails with structure and gusts but for single draws."""
+    # Draws are shared, so a test that fails by parameters fails with structure and gusts but for single draws.
     for test in found["tests"]:
         chances = [test["counted"][name]["value"] for name in ("parameters", "structure", "gusts")]
         assert chances[1] <= chances[0] + 0.05

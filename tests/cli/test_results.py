@@ -26,7 +26,7 @@ def flown(tmp_path_factory, clean_records, card):
     return folder, paths, done
 
 
-def test_results_follow_the_schema(flown):
+def test_results_follow_the_schema_and_are_printed(flown):
     folder, _, _ = flown
     results = validated(folder / "first" / "results.json", "results")
     assert results["mle"]["status"] == "converged"
@@ -35,6 +35,8 @@ def test_results_follow_the_schema(flown):
     assert results["next_flight"]["manoeuvres"] == list(results["mle"]["alone"])
     for name in ("parameters.csv", "posterior_nuts.nc", "next_flight.csv", "next_flight.nc"):
         assert (folder / "first" / name).is_file()
+    assert "alpha_star" in flown[2].out
+    assert "first" in flown[2].out
 
 
 def test_the_page_and_the_file_tell_the_same_stall(flown):
@@ -64,11 +66,6 @@ def test_one_manoeuvre_has_no_next_flight(flown):
     folder, paths, _ = flown
     done = called(folder, "identify", paths[0], "--out", "one", "--next-flight")
     refused(done, "2 to 24 manoeuvres, and there is 1", gone=[folder / "one"])
-
-
-def test_table_and_place_of_results_are_printed(flown):
-    assert "alpha_star" in flown[2].out
-    assert "first" in flown[2].out
 
 
 @pytest.mark.parametrize(

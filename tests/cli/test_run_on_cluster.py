@@ -358,7 +358,7 @@ def test_an_address_that_does_not_answer_is_one_sentence(program, folder, monkey
 )
 def test_options_that_do_not_go_together_are_one_sentence(program, folder, monkeypatch, options, told):
     monkeypatch.chdir(folder)
-    refused(program("run", "study.toml", *options.split()), told, gone=[folder / "study_results"])
+    refused(program("run", "study.toml", *options.split()), told, gone=["study_results"])
 
 
 def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
@@ -366,8 +366,4 @@ def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
     monkeypatch.delitem(sys.modules, "bayes_aero.study.cluster", raising=False)
     monkeypatch.delattr("bayes_aero.study.cluster", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    done = program("run", "study.toml", "--workers", "2")
-    assert done.code == 2
-    assert done.err == (
-        'error: --workers and --scheduler need distributed; install it with: pip install "bayes-aero[cluster]"\n'
-    )
+    refused(program("run", "study.toml", "--workers", "2"), "--workers", 'pip install "bayes-aero[cluster]"')

@@ -58,16 +58,11 @@ def test_a_study_runs_no_code_unless_it_is_told_to(program, trap):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_study_found_in_a_results_folder_runs_none_either(program, trap):
+def test_a_study_found_in_a_results_folder_runs_none_either_and_a_shipped_name_is_the_shipped_card(program, trap):
     Path("results").mkdir()
     for name in ("mine.toml", "trap.py", "flight.csv", "study.toml"):
         shutil.copy(name, "results")
     assert program("run", "results/study.toml", "--out", "results").code == 2
-    assert not trap.exists()
-
-
-@pytest.mark.usefixtures("quick", "trap")
-def test_a_shipped_name_in_a_study_is_the_shipped_card(program, trap):
     Path("study.toml").write_text('records = ["flight.csv"]\ncards = ["attas"]\n')
     assert program("run", "study.toml").code == 0
     assert not trap.exists()

@@ -104,16 +104,13 @@ BEFORE = {name: x + 0.3 * RNG.standard_normal(N) for name, x in RECORDED.items()
 NOW = {name: x + 0.2 * RNG.standard_normal(N) for name, x in RECORDED.items()}
 
 
-def test_errors_are_those_of_the_window():
+def test_errors_and_gain_are_those_of_the_window():
     alpha, q = scores(RECORDED, BEFORE, NOW, WINDOW, {"alpha": 0.25})
     wrong = (NOW["alpha"] - RECORDED["alpha"])[50:]
     assert alpha.now == pytest.approx(np.linalg.norm(wrong) / np.sqrt(150.0), rel=1e-12)
     assert alpha.within == np.count_nonzero(np.abs(wrong) <= 0.25) / 150
     assert alpha.within_before < alpha.within
     assert (q.within, q.within_before) == (None, None)
-
-
-def test_the_gain_is_the_difference_of_normal_log_densities():
     sd = {"alpha": 0.3, "q": 0.5}
 
     def density(simulated):
@@ -184,14 +181,11 @@ def test_a_websocket_of_another_origin_is_refused(served, origin, monkeypatch):
     assert asked(served.port, "/ws", Origin=origin, **UPGRADE)[0] == 403
 
 
-def test_it_listens_on_this_machine_alone(served):
+def test_it_listens_on_this_machine_alone_and_a_taken_port_is_one_sentence(served):
     own = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
     for address in own - {"127.0.0.1"}:
         with socket.socket() as other:
             other.settimeout(5.0)
             assert other.connect_ex((address, served.port)) != 0
-
-
-def test_a_port_that_is_taken_is_one_sentence(served):
     with pytest.raises(InputError, match=rf"port {served.port} cannot be used \(it is taken\); give another --port"):
         PageServer(lambda _: None, served.port)

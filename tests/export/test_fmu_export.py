@@ -77,17 +77,14 @@ def test_it_follows_the_packages_flight(exported, name):
     assert error.max() <= LARGEST * np.ptp(expected)
 
 
-def test_parameters_can_be_set(exported):
+def test_parameters_can_be_set_and_it_runs_from_rest(exported):
     signals = {"airspeed": 90.0, "alpha": 0.1, "mach": 0.3}
     told = fmpy.simulate_fmu(
         str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals | {"parameter.CL0": 0.55}
     )
     usual = fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals)
     assert told["CL"][-1] - usual["CL"][-1] == pytest.approx(0.55 - 0.15, abs=1e-12)
-
-
-def test_it_runs_from_rest(exported):
-    """Cm = Cm0 + Cma alpha + Cmq q c/V with V = 1 m/s, attached flow."""
+    # Cm = Cm0 + Cma alpha + Cmq q c/V with V = 1 m/s, attached flow.
     rest = {"airspeed": 0.0, "alpha": 0.02, "mach": 0.0, "q": 0.1, "elevator": 0.0, "alpha_dot": 0.0}
     start = {n: x for n, x in rest.items() if n in exported.found.program.inputs_of("signal")}
     told = fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=start)

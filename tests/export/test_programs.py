@@ -46,24 +46,18 @@ def test_a_program_gives_what_the_traced_function_gives(name):
     np.testing.assert_allclose(program.evaluated({"x": x, "y": y})["z"], expected, rtol=1e-13, atol=1e-14)
 
 
-def test_numbers_by_hand():
+def test_programs_by_hand():
     program = translated(lambda given: {"z": jax.nn.sigmoid(2.0 * given["x"]) - 1.0}, {"x": 0.0})
     assert program.evaluated({"x": 0.3})["z"] == pytest.approx((1.0 + tanh(0.3)) / 2.0 - 1.0, abs=1e-16)
     assert program.evaluated({"x": -400.0})["z"] == -1.0
     program = translated(lambda given: {"z": jnp.exp(-given["x"]) / (1.0 + given["x"])}, {"x": 0.0})
     assert program.evaluated({"x": 2.0})["z"] == exp(-2.0) / 3.0
-
-
-def test_what_changes_nothing_is_no_step():
     build = Builder()
     assert build.apply("add", "x", 0.0) == build.apply("mul", 1.0, "x") == build.apply("div", "x", 1.0) == "x"
     assert build.apply("mul", 0.0, "x") == 0.0
     assert build.apply("add", 1.0, build.apply("sub", "y", 1.0)) == "y"
     assert build.apply("sin", "x") == build.apply("sin", "x")
     assert build.apply("sub", 3.0, 1.0) == 2.0
-
-
-def test_summands_keep_their_signs():
     program = translated(lambda g: {"z": g["a"] - (g["b"] - 2.0 * g["c"])}, {"a": 1.0, "b": 1.0, "c": 1.0})
     inputs = {"a": 3.0, "b": 5.0, "c": 7.0}
     parts = program.giving({str(i): x for i, (_, x) in enumerate(terms(program, "z"))})
@@ -161,10 +155,16 @@ def test_the_state_follows_its_static_value():
     assert told["lag"] == pytest.approx(5.0 * 3.159 / 80.0, rel=1e-12)
 
 
-def test_the_file_needs_nothing_but_math():
+def test_the_file_needs_nothing_but_math_and_words_of_a_card_are_no_code():
     tree = ast.parse(python_source(six()))
     imported = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
     assert [alias.name for node in imported for alias in node.names] == ["math"]
+    # A title and a source that would end a string.
+    title = 'x"""\nraise SystemExit("run")\n"""\\'
+    found = replace(stall(), title=title, sources=(title,))
+    tree = ast.parse(_slave(found, "stall", "stall_function"))
+    assert "raise SystemExit" in ast.unparse(tree)
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
 
 
 def test_errors_of_the_record_and_random_air_are_left_out_and_said():
@@ -177,15 +177,6 @@ def test_errors_of_the_record_and_random_air_are_left_out_and_said():
     assert isinstance(CATALOGUE["buffet"].disturbance, Disturbance)
     assert set(found.left_out) <= set(about(found))
     assert found.actual_aircraft.reference_point[0] == pytest.approx(-0.02 - 0.01)  # the shift moves all else aft
-
-
-def test_words_of_a_card_are_no_code():
-    """A title and a source that would end a string."""
-    title = 'x"""\nraise SystemExit("run")\n"""\\'
-    found = replace(stall(), title=title, sources=(title,))
-    tree = ast.parse(_slave(found, "stall", "stall_function"))
-    assert "raise SystemExit" in ast.unparse(tree)
-    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
 
 
 def test_a_channel_that_is_no_name_of_python_is_refused():

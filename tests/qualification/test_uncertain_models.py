@@ -102,15 +102,12 @@ def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
     assert qualify(flown, None, given, {"az": 1.0}).scattered is None
 
 
-def test_the_same_seed_draws_the_same_flights(flown):
+def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flown):
     given = unknown(flown, np.random.default_rng(4), hold_out=HoldOut(np.ones((2, N, 1)), np.zeros(1)))
     few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
     one, two, other = (qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
     assert one == two
     assert one != other
-
-
-def test_monte_carlo_errors_are_those_of_a_binomial():
     found = Chance.of(300, 400)
     assert found.value == 0.75
     assert found.error == pytest.approx(np.sqrt(0.75 * 0.25 / 400), rel=0.01)
@@ -165,16 +162,13 @@ def test_draws_have_the_size_and_the_memory_of_the_errors():
     assert np.corrcoef(drawn[:, 200], drawn[:, 205])[0, 1] == pytest.approx(PHI**5, abs=4.0 / np.sqrt(4000) + 0.01)
 
 
-def test_what_is_explained_is_left_out():
+def test_what_is_explained_is_left_out_and_errors_grow_with_separation():
     """Half of the mean square explained: half is left."""
     errors = from_zero(np.random.default_rng(3), 200, 300)
     whole, half = structure(errors), structure(errors, explained=0.5 * float(np.mean(errors**2)))
     assert half.innovation**2 == pytest.approx(0.5 * whole.innovation**2, rel=1e-6)
     assert structure(errors, explained=2.0 * float(np.mean(errors**2))).innovation == 0.0
-
-
-def test_errors_grow_with_separation_as_they_did():
-    """Three times as large in separated flow: a growth of 2."""
+    # Three times as large in separated flow: a growth of 2.
     rng = np.random.default_rng(4)
     separated = np.repeat((np.arange(300) > 200).astype(float)[None], 100, axis=0)
     errors = rng.standard_normal((100, 300, 1)) * (1.0 + 2.0 * separated[:, :, None])
@@ -189,18 +183,15 @@ def white(sizes=CERTAIN, left=1.0, innovation=1.0):
     return Structure(np.zeros((1, 3)), np.array([innovation]), np.zeros(1), np.zeros(1), sizes, np.array([left]))
 
 
-def test_few_sizes_widen_the_tails():
+def test_few_sizes_widen_the_tails_and_a_part_of_an_error_repeats():
     """Of nu independent values the size is that of nu over a chi-square: Student's t, of variance nu/(nu-2)."""
     rng = np.random.default_rng(5)
     wide, narrow = (white(sizes).draws(40_000, np.zeros(1), DT, rng)[:, 0, 0] for sizes in (8, CERTAIN))
     assert np.var(narrow) == pytest.approx(1.0, rel=0.03)
     assert np.var(wide) == pytest.approx(8.0 / 6.0, rel=0.06)
     assert structure(np.ones((5, 40, 1))).sizes == 3 * 5
-
-
-def test_a_part_of_an_error_repeats():
-    """Of a constant error b a share w of the square repeats, w uniform: the mean is b E sqrt(w) = 2 b / 3, the mean
-    square b^2 / 2, beside half of that of the random errors."""
+    # Of a constant error b a share w of the square repeats, w uniform: the mean is b E sqrt(w) = 2 b / 3, the mean
+    # square b^2 / 2, beside half of that of the random errors.
     own = np.full((40, 1), 5.0)
     drawn = white().draws(40_000, np.zeros(40), DT, np.random.default_rng(6), own)[:, 10, 0]
     assert np.mean(drawn) == pytest.approx(5.0 * 2.0 / 3.0, rel=0.01)
@@ -229,15 +220,12 @@ def test_the_nearest_point_of_a_simplex(k):
     assert np.linalg.norm(found) == pytest.approx(1.0 / np.sqrt(k), rel=1e-9)
 
 
-def test_a_hull_without_volume():
+def test_a_hull_without_volume_and_linear_programming():
     """A segment in the plane, a single point, and a far sample."""
     assert nearest(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0])) == pytest.approx([0.5, 0.5])
     assert nearest(np.array([[2.0, 3.0]]), np.array([-1.0, 5.0])) == pytest.approx([2.0, 3.0])
     assert nearest(box(3), np.array([1e3, 0.5, -1e3])) == pytest.approx([1.0, 0.5, -1.0], abs=1e-6)
-
-
-def test_inside_agrees_with_linear_programming():
-    """A sample is inside if some convex combination of the points is the sample."""
+    # A sample is inside if some convex combination of the points is the sample.
     rng = np.random.default_rng(0)
     points = rng.standard_normal((60, 4))
     for sample in 1.2 * rng.standard_normal((40, 4)):
@@ -264,10 +252,7 @@ def test_a_region_tells_share_distance_time_and_channels():
     assert found.share == pytest.approx(np.mean(ramp["alpha"] > 0.21), abs=1e-9)  # beyond a tenth of the scale
     within = channels(alpha=np.full(n, 0.15), mach=np.full(n, 0.25), q=np.full(n, 0.05))
     assert region.outside("within", "recorded", 0.1 * np.arange(n), within) is None
-
-
-def test_a_channel_that_did_not_move_has_a_scale_of_its_own():
-    """Sideslip was always zero: two degrees of it are two least scales of a degree outside."""
+    # Sideslip was always zero: two degrees of it are two least scales of a degree outside.
     region = Region.of(channels(alpha=[0.0, 0.2], beta=[0.0, 0.0], airspeed=[80.0, 100.0]))
     assert region.channels == ("alpha", "beta", "airspeed")
     slipping = channels(alpha=[0.1], beta=[np.radians(2.0)], airspeed=[90.0])

@@ -19,7 +19,7 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section, write_page
+from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
@@ -89,24 +89,18 @@ def test_whatever_comes_from_a_run_is_escaped():
     assert json.loads(data[1])[0]["more"] == HOSTILE
 
 
-def test_a_page_asks_nothing_of_a_network(html):
+def test_a_page_is_sound_asks_nothing_of_a_network_and_tells_the_numbers(html, full):
     own = re.sub(r"<script>.*?</script>", "", html, flags=re.S)  # the library is watched in a browser
     assert re.findall(r"""(?:src|href)\s*=\s*["']data:""", own)
     assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|#)""", own)
     assert "@import" not in own
     assert "default-src 'none'" in html
-
-
-def test_the_outline_is_sound(html):
     outline = Outline(html)
     assert outline.headings.count(1) == 1
     assert all(b - a <= 1 for a, b in zip([0, *outline.headings], outline.headings, strict=False))
     assert outline.scopeless == 0
     assert outline.alternatives
     assert all(len(text) > 40 and re.search(r"\d", text) for text in outline.alternatives)
-
-
-def test_the_page_tells_the_numbers_of_the_run(html, full):
     text = Outline(html).text
     for posterior in ("emcee", "NUTS", "Cramér–Rao"):
         assert posterior in text
@@ -143,16 +137,13 @@ def test_parameters_are_those_of_every_method(full):
     assert sum(span for _, span in table.groups) == len(table.head) == len(row)
 
 
-def test_a_stall_beyond_the_record_is_said_to_be(full):
+def test_what_a_record_or_sampler_does_not_show_is_said(full):
     (table, warning) = stall_table({"emcee": full.stall}, "")
     assert full.stall.at_edge == 1.0  # lift without separation only rises
     assert table.rows[0][1].startswith("at least")
     assert table.rows[0][2] == "not shown by this record"
     assert "100%" in warning.text
     assert "CLmax" not in headline(full)
-
-
-def test_draws_that_did_not_converge_are_warned_of_first(full):
     bad = replace(full.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
     page = identification_page(replace(full, posteriors={**full.posteriors, "nuts": bad}), {}, {})
     assert page.lead[0].tone == "warning"
@@ -179,28 +170,16 @@ def test_a_part_that_fails_does_not_cost_the_page(tmp_path):
 
     page = Page("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
     text = Outline(render(page)).text
-    assert "The part 'Lift' of the page was not made: ValueError: no such luck." in text
+    assert "'Lift'" in text
+    assert "ValueError: no such luck" in text
     assert "fine" in text
     (told,) = put_page(lambda: page, tmp_path)
     assert "'Lift'" in told
-    assert "a defect of the program" in told
     (tmp_path / "other").mkdir()
     (told,) = put_page(fails, tmp_path / "other")
-    assert told.startswith("report.html was not written: ValueError: no such luck. This is a defect of the program")
+    assert "report.html" in told
+    assert "ValueError: no such luck" in told
     assert "in fails" in (tmp_path / "other" / "error.txt").read_text()
-
-
-def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = write_page(page_of(Text("first")), tmp_path / "report.html")
-
-    def breaks(*_):
-        raise OSError("disk full")
-
-    monkeypatch.setattr("bayes_aero.atomic_write.os.replace", breaks)
-    with pytest.raises(OSError, match="disk full"):
-        write_page(page_of(Text("second")), path)
-    assert "first" in path.read_text()
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_thinning_keeps_every_peak():
@@ -245,16 +224,8 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         "points": [{**point, "excursion": ranges, "standard_errors": [6.25], "nats_per_second": 0.3}],
         "stated": [],
     }
-    told = PageContext(
-        card,
-        diagnosed.records,
-        provenance(card, diagnosed.records, 0, {}),
-        {},
-        points,
-        None,
-        ("Hidden was x.",),
-        ("n",),
-    )
+    source = provenance(card, diagnosed.records, 0, {})
+    told = PageContext(card, diagnosed.records, source, {}, points, None, ("Hidden was x.",), ("n",))
     page = diagnosis_page(flown, told)
     assert not [s.title for s in page.sections if any("was not made" in getattr(b, "text", "") for b in s.blocks)]
     text = Outline(render(page)).text
@@ -264,11 +235,8 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         assert part in text
     for part in ("Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax"):
         assert part in text
-    assert [row[0] for row in next(b for b in page.sections[2].blocks if isinstance(b, Table)).rows] == [
-        "CL",
-        "CD",
-        "Cm",
-    ]
+    table = next(b for b in page.sections[2].blocks if isinstance(b, Table))
+    assert [row[0] for row in table.rows] == ["CL", "CD", "Cm"]
     assert "manoeuvre by manoeuvre" not in text  # there is one
     only = diagnosis_page(by_trajectories(flown), told)
     text = Outline(render(only)).text

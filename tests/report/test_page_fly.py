@@ -136,16 +136,13 @@ def test_a_simulation_that_is_lost_leaves_the_page_whole():
     assert "first values → fit: α\u00a0–" in page.lead[0].text
 
 
-def test_the_state_at_the_first_sample_is_the_flown_one():
+def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels():
     rows = {row[0]: row[1:] for row in page_table(initial_table(flight().flown)).rows[:3]}
     assert list(rows) == ["one", "α [deg]", "q [deg/s]"]
     assert float(rows["α [deg]"][0]) * DEGREE == pytest.approx(0.04, abs=0.002)
     assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)
     measured = flight().flown.path("one", "start").simulated["alpha"][0]
     assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
-
-
-def test_a_linear_card_s_records_show_its_own_channels():
     (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, Table))
     assert [head.replace("\n", " ") for head in table.head[5:]] == [
         "alpha α [deg]",
@@ -222,7 +219,7 @@ MODES = (
 MOTION = Motion(120.0, 4000.0, MODES)
 
 
-def test_modes_stand_on_the_page_as_people_read_them():
+def test_modes_stand_on_the_page_and_what_motion_lacks_is_said():
     page = fly_page(flight().flown, replace(context(), motion=MOTION))
     (modes,) = blocks_of(page, "motion")
     assert [row[:3] for row in modes.rows] == [
@@ -232,9 +229,6 @@ def test_modes_stand_on_the_page_as_people_read_them():
         ("spiral", "neither grows nor falls beyond its error", "–"),
     ]
     assert "at 120 m/s and 4000 m" in modes.note
-
-
-def test_what_motion_lacks_is_said_in_a_sentence_each():
     assert motion_sentences(MOTION) == [
         "Whether the spiral grows or falls is not determined: its rate is within its error."
     ]
@@ -273,16 +267,13 @@ def test_the_verdict_of_diagnoses_counts_verdicts_and_names_the_commonest_cause(
     assert said[:2] == [f"5 explained and {N - 5} no effect", f"thrust_scale is named in 4 of {N}"]
 
 
-def test_units_that_failed_come_first_with_their_reason(tmp_path):
+def test_units_that_failed_or_are_in_doubt_are_named_with_their_reason(tmp_path):
     page = study_page(study_told(tmp_path, failed=(4,)))
     assert page.verdict.startswith(f"{N - 1} of {N} units are done (1 failed); all converged; ")
     (units,) = next(s.blocks for s in page.sections if s.key == "units")
     assert units.rows[0][:3] == ("flight5-<b>", "5", "failed")
     assert units.rows[0][-1] == "no samples"
     assert [row[1] for row in units.rows[1:]] == [str(k) for k in (1, 2, 3, 4, 6, 7)]
-
-
-def test_a_unit_whose_records_are_in_doubt_is_named(tmp_path):
     page = study_page(study_told(tmp_path))
     assert "Records are in doubt in 1 of 7 units: flight2-&lt;b&gt;: the sensors disagree." in render(page)
 
@@ -296,14 +287,11 @@ def test_a_unit_leads_to_its_own_page_and_nothing_else_to_anywhere(tmp_path):
     assert "<b>" not in text
 
 
-def test_a_study_in_which_nothing_was_done_has_a_page(tmp_path):
+def test_a_study_in_which_nothing_was_done_has_a_page_and_a_large_one_says_what_it_leaves_out(tmp_path):
     page = study_page(study_told(tmp_path, failed=range(N)))
     assert page.verdict == f"0 of {N} units are done ({N} failed)."
     assert page.lead == ()
     assert put_page(lambda: page, tmp_path) == ()
-
-
-def test_a_large_study_says_what_it_leaves_out(tmp_path):
     page = study_page(study_told(tmp_path, n=MOST_UNITS + 30))
     (units,) = next(s.blocks for s in page.sections if s.key == "units")
     assert len(units.rows) == MOST_UNITS

@@ -139,15 +139,10 @@ def test_a_wheel_alone_scrolls_the_page(fresh):
     assert fresh.evaluate(RANGES) == before
 
 
-def test_every_axis_has_its_unit(desk):
+def test_everyone_can_read_it_with_units_and_words_and_hostile_names_are_only_names(desk):
     has_a_unit_on_every_axis(desk)
-
-
-def test_every_figure_says_in_words_what_it_shows(desk):
     says_in_words_what_figures_show(desk, 6 + len(DRAWN) - 1)  # a twin has the words of its picture
-
-
-def test_hostile_names_are_only_names(desk):
+    can_be_read_by_everyone(desk)
     assert desk.get_by_role("heading", name=HOSTILE, exact=True).count() == 1
     assert desk.evaluate("document.querySelectorAll('script').length") == 3
     assert desk.heard == []
@@ -169,10 +164,6 @@ def test_the_first_picture_has_a_twin_that_a_phone_shows_whole(desk, phone):
     assert tall.evaluate("i => i.naturalWidth / i.naturalHeight") < 0.8
     assert tall.evaluate("i => i.closest('.box').scrollWidth <= i.closest('.box').clientWidth")
     assert tall.evaluate("i => i.width") >= 340
-
-
-def test_it_can_be_read_by_everyone(desk):
-    can_be_read_by_everyone(desk)
 
 
 def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):

@@ -54,14 +54,18 @@ def check(figure: Figure) -> None:
             assert named, "no y label"
 
 
+def saved(figure: Figure, folder) -> None:
+    """As a picture that shows something."""
+    pixels = imread(save(figure, folder / "figure.png"))
+    assert min(pixels.shape[:2]) > 300
+    assert pixels[..., :3].std() > 0.01
+
+
 @pytest.mark.parametrize("stem", [stem for stem in FIGURES if stem not in OF_LATERAL | ASKED_FOR])
 def test_every_figure_draws_complete(stem, full, tmp_path):
     figure = FIGURES[stem](full)
     check(figure)
-    path = save(figure, tmp_path / f"{stem}.png")
-    pixels = imread(path)
-    assert min(pixels.shape[:2]) > 300
-    assert pixels[..., :3].std() > 0.01
+    saved(figure, tmp_path)
 
 
 @pytest.mark.parametrize("stem", sorted(OF_LATERAL))
@@ -112,22 +116,6 @@ def test_a_figure_that_fails_is_named_and_leaves_the_others(full, tmp_path, monk
     assert heard[-1] == ("figures", 1.0)
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = tmp_path / "a.png"
-    path.write_bytes(b"old")
-    figure = Figure()
-
-    def fails(partial, **_):
-        partial.write(b"half")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(figure, "savefig", fails)
-    with pytest.raises(OSError, match="disk full"):
-        save(figure, path)
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_neither_backend_nor_settings_nor_open_figures_of_the_user_change(full):
     import matplotlib.pyplot as plt
 
@@ -139,13 +127,16 @@ def test_neither_backend_nor_settings_nor_open_figures_of_the_user_change(full):
     assert not plt.get_fignums()
 
 
-def test_predictions_follow_the_test_points_in_order(full):
+def test_predictions_follow_the_test_points_and_lines_break_at_gaps(full):
     points = predicted(full, "CD")
     test = full.gp.splits["random"][0]["CD"]
     assert np.array_equal(points.index, test.test)
     assert np.array_equal(points.gp, test.gp)
     second = points.of(full.observations.manoeuvre == 1)
     assert set(full.observations.manoeuvre[second.index]) == {1}
+    t, y = broken(np.array([0.0, 0.1, 5.0]), np.array([1.0, 2.0, 3.0]))
+    assert np.isnan(t[2])
+    assert np.array_equal(y, [1.0, 2.0, np.nan, 3.0], equal_nan=True)
 
 
 def test_without_a_gp_the_fit_at_all_samples_is_shown(make):
@@ -155,12 +146,6 @@ def test_without_a_gp_the_fit_at_all_samples_is_shown(make):
     chord, arm = run.card.aircraft.chord, run.card.aircraft.tail_arm
     assert points.gp is None
     assert np.allclose(points.mle, 0.2 + 4.0 * alpha + 0.8 * chord / arm * elevator)
-
-
-def test_lines_break_at_gaps():
-    t, y = broken(np.array([0.0, 0.1, 5.0]), np.array([1.0, 2.0, 3.0]))
-    assert np.isnan(t[2])
-    assert np.array_equal(y, [1.0, 2.0, np.nan, 3.0], equal_nan=True)
 
 
 SIGMA = 0.005  # of the noise of the sample runs, which is white
@@ -184,34 +169,28 @@ def run_of(make, noise: Colour, **values: float):
     return replace(run, pit=pit_of(run))
 
 
-def test_one_step_ahead_under_coloured_noise(make):
-    run = run_of(make, Colour.AR1, rho=0.0)
-    caption, alt = pit_words(run)
-    assert "innovation" in caption
-    assert "one-step-ahead" in alt
-    assert "near enough to independence" in caption
-    t = run.pit
-    assert t.values.shape[1] == 3
-    assert all(bars.outside == 0 for bars in t.bars)
-
-
-def test_colour_that_the_noise_model_does_not_have_is_told(make):
+@pytest.mark.parametrize(
+    ("noise", "rho", "caption", "alt"),
+    [
+        (Colour.AR1, 0.0, ("innovation", "near enough to independence"), ("one-step-ahead",)),
+        (Colour.AR1, 0.9, ("residuals of CL, CD and Cm", "too narrow"), ("CL -0.",)),
+        (Colour.WHITE, None, ("each sample by itself",), ()),
+    ],
+)
+def test_the_words_say_which_distribution_is_asked_and_what_the_band_does_not_know(make, noise, rho, caption, alt):
     """A correlation of 0.9 taken out of white samples leaves neighbours tied by -0.9/(1 + 0.81)."""
-    run = run_of(make, Colour.AR1, rho=0.9)
-    caption, alt = pit_words(run)
-    assert "residuals of CL, CD and Cm are coloured" in caption
-    assert "the band takes samples as independent, so it is too narrow" in caption
-    assert np.mean(run.pit.correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
-    assert "Lag-1 correlation of neighbours: CL -0." in alt
+    run = run_of(make, noise, **({} if rho is None else {"rho": rho}))
+    for text, parts in zip(pit_words(run), (caption, alt), strict=True):
+        assert [part for part in parts if part not in text] == [], text
+    assert ("one-step-ahead" in pit_words(run)[1]) == (noise is Colour.AR1)
+    if rho == 0.9:
+        assert np.mean(run.pit.correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
+    if rho == 0.0:
+        assert run.pit.values.shape[1] == 3
+        assert all(bars.outside == 0 for bars in run.pit.bars)
 
 
-def test_white_noise_predicts_each_sample_by_itself(make):
-    caption, alt = pit_words(run_of(make, Colour.WHITE))
-    assert "each sample by itself" in caption
-    assert "one-step-ahead" not in alt
-
-
-def test_the_figure_stands_behind_the_calibration_s_fold(make, tmp_path):
+def test_the_pit_figure_stands_behind_the_calibration_s_fold_and_needs_a_posterior(make, tmp_path):
     run = run_of(make, Colour.AR1, rho=0.0)
     path = save(pit_histogram(run), tmp_path / "pit.png")
     page = identification_page(run, {}, {"pit": path})
@@ -219,9 +198,6 @@ def test_the_figure_stands_behind_the_calibration_s_fold(make, tmp_path):
     (fold,) = (fold for fold in folds if fold.title.startswith("Calibration"))
     (picture,) = (block for block in fold.blocks if isinstance(block, Picture))
     assert (picture.caption, picture.alt) == pit_words(run)
-
-
-def test_without_a_posterior_there_is_nothing_to_draw(make):
     with pytest.raises(NotDrawn, match="no posterior"):
         pit_histogram(make(gp=False, engines=()))
 
@@ -282,9 +258,7 @@ def test_every_figure_of_a_diagnosis_draws_complete(stem, flown, tmp_path):
         assert all("[" in text and "]" in text for text in labels), labels
         assert "rad]" not in "".join(labels)
     assert any(ax.get_xlabel() for ax in figure.axes)
-    pixels = imread(save(figure, tmp_path / f"{stem}.png"))
-    assert min(pixels.shape[:2]) > 300
-    assert pixels[..., :3].std() > 0.01
+    saved(figure, tmp_path)
 
 
 @pytest.mark.parametrize("stem", ["found", "found_narrow"])
@@ -307,47 +281,35 @@ def test_the_sizes_of_a_cause_stay_within_the_figure(stem, count, flown, tmp_pat
     save(figure, tmp_path / f"{stem}.png")
 
 
-def test_figures_without_a_cause(nothing, tmp_path):
+def test_figures_table_and_sentences_without_a_cause(nothing, tmp_path):
     written, failed = draw_all(DIAGNOSIS_FIGURES, nothing, tmp_path)
     assert not failed
     assert {path.stem for path in written} == DIAGNOSIS_FIGURES.keys() - DOES_NOT_APPLY
     with pytest.raises(NotDrawn):
         DIAGNOSIS_FIGURES["gain"](nothing)
+    assert causes_table(nothing.diagnosis).frame().empty
+    assert "No significant model error" in sentences(nothing)[0]
 
 
-def test_measured_is_the_same_line_before_and_after(diagnosed):
-    figure = DIAGNOSIS_FIGURES["measured_simulated"](diagnosed.view)
-    first, second = (figure.axes[i].lines[0].get_ydata() for i in (0, 1))
-    assert np.array_equal(first, second)
-    close(figure)
-
-
-def test_shares_of_the_mean_square_error_add_up(diagnosed):
+def test_shares_of_the_mean_square_error_add_up_and_the_extension_explains_more(diagnosed):
     view = diagnosed.view
     for fitted in (view.card, view.extended):
         for numbers in fitted.composition.values():
-            shares = [numbers[f"theil_{part}"] for part in ("bias", "variance", "covariance")]
-            assert sum(shares) == pytest.approx(1.0)
+            assert sum(numbers[f"theil_{part}"] for part in ("bias", "variance", "covariance")) == pytest.approx(1.0)
             levels = [numbers["calibration"][level] for level in ("0.5", "0.9", "0.95")]
             assert levels == sorted(levels)
+    assert view.extended.composition["Cm"]["r2"] > view.card.composition["Cm"]["r2"]
+    figure = DIAGNOSIS_FIGURES["measured_simulated"](view)  # what was measured is the same line before and after
+    assert np.array_equal(*(figure.axes[i].lines[0].get_ydata() for i in (0, 1)))
+    close(figure)
 
 
-def test_the_extension_explains_more(diagnosed):
-    view = diagnosed.view
-    before, after = view.card.composition, view.extended.composition
-    assert after["Cm"]["r2"] > before["Cm"]["r2"]
-
-
-def test_candidates_are_ranked_once_each(diagnosed):
-    for ranking in diagnosed.view.rankings:
-        names = [s.effect for s in ranking.candidate_scores]
-        assert len(names) == len(set(names))
-        scores = [s.score for s in ranking.candidate_scores]
-        assert scores == sorted(scores, reverse=True)
-
-
-def test_tables_hold_every_cause_and_candidate(diagnosed):
+def test_tables_hold_every_cause_and_candidate_ranked_once_each(diagnosed):
     d, rankings = diagnosed.view.diagnosis, diagnosed.view.rankings
+    for ranking in rankings:
+        names, scores = zip(*((s.effect, s.score) for s in ranking.candidate_scores), strict=True)
+        assert len(names) == len(set(names))
+        assert list(scores) == sorted(scores, reverse=True)
     assert set(causes_table(d).frame()["cause"]) == {c.name for c in d.causes}
     assert causes_table(d).terminal().row_count == len(d.causes)
     assert len(screen_table(rankings, d).frame()) == sum(len(r.candidate_scores) for r in rankings)
@@ -377,11 +339,6 @@ def test_of_six_coefficients_a_terminal_shows_the_three_that_change_most(diagnos
     heads = [str(column.header) for column in table.terminal().columns]
     assert [h for h in heads if h.startswith("R²")] == ["R² CD", "R² CY", "R² Cn"]
     assert {f"{name}_r2_after" for name in change} <= set(table.frame())
-
-
-def test_without_a_cause_sentences_say_so(nothing):
-    assert causes_table(nothing.diagnosis).frame().empty
-    assert sentences(nothing)[0].startswith("No significant model error")
 
 
 def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
@@ -434,18 +391,10 @@ def test_sizes_as_people_read_them(given, text):
     assert size_text(*given) == text
 
 
-def test_probability_is_never_rounded_to_certainty():
+def test_probabilities_what_was_hidden_and_autocorrelation():
     assert [probability(x) for x in (1.0, 0.646)] == ["> 0.99", "0.65"]
-
-
-def test_what_was_hidden_is_revealed_with_its_size():
     (said,) = revealed({"alpha_bias": {"alpha_bias": 0.01}}, {"alpha_bias": "missed"})
-    assert "alpha_bias" in said
-    assert "0.573 deg" in said
-    assert "not found" in said
-
-
-def test_autocorrelation_of_a_period():
+    assert all(part in said for part in ("alpha_bias", "0.573 deg", "not found"))
     x = np.sin(2.0 * np.pi * np.arange(1000) / 20.0)
     lags, r = autocorrelation([x, x], 30)
     assert r[0] == 1.0

@@ -61,74 +61,56 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     assert "Cma, -0.8 corrected standard errors" in text
 
 
-def test_coloured_residuals_and_what_they_make_of_the_bound(full, make):
-    text = sentence(full, "not white")
-    assert "Cm +0.90" in text
-    assert "4 times" in text
-    assert silent(make(), "not white")
-    assert silent(make(lag1=0.9, corrected=1.05), "not white")  # coloured, but the bound does not care
+WIDER = {"width": 4.0, "corrected": 4.0, "lag1": 0.9}
+SLIGHT = {"apart": {"Cmde": -8.0}, "corrected": 4.0, "width": 4.0, "lag1": 0.9}
+SAID = [  # how the run is made (None: as `full`), words of the one sentence, what it holds; None: there is no such one
+    (None, "not white", ["Cm +0.90", "4 times"]),
+    ({}, "not white", None),
+    ({"lag1": 0.9, "corrected": 1.05}, "not white", None),  # coloured, but the bound does not care
+    ({"corrected": 3.0, "width": 3.0}, "not white", ["longer lags"]),
+    (None, "same assumption", ["within 0%"]),  # a white posterior is no second witness
+    ({}, "same assumption", None),
+    (None, "weighs the data differently", ["0.5 times the corrected"]),
+    (WIDER, "weighs the data differently", None),
+    (None, "mean function is wrong, or the residual", ["Cma (6.7)"]),  # 0.3 / hypot(0.02, 0.04)
+    (WIDER, "mean function is wrong, or the residual", None),
+    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)", "width: Cmde (21.2)"]),
+    ({"apart": {"Cmde": 3.0}}, "Fitted alone", None),
+    (SLIGHT, "Fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
+    (None, "No noise model alone explains", ["Cmde is -0.800 from flight1 and -1.400 from flight2", "lacks an effect"]),
+    (SLIGHT, "No noise model alone", None),
+    (None, "GPR correlation", ["neighbours 40 ms away"]),
+    ({}, "GPR correlation", ["does not leak significantly"]),
+    (None, "maximum likelihood correlates better", ["CD"]),
+    ({}, "correlates better", None),
+    ({}, "posterior by NUTS", None),
+]
 
 
-def test_the_white_posterior_is_no_second_witness(full, make):
-    assert "within 0%" in sentence(full, "same assumption")
-    assert silent(make(), "same assumption")
+@pytest.mark.parametrize(("made", "words", "parts"), SAID)
+def test_the_verdict_speaks_where_results_disagree_and_else_is_silent(made, words, parts, full, make):
+    run = full if made is None else make(**made)
+    if parts is None:
+        assert silent(run, words)
+    else:
+        assert all(part in sentence(run, words) for part in parts), sentence(run, words)
 
 
-def test_the_chosen_noise_model_moves_the_mean(full, make):
-    assert "0.5 times the corrected" in sentence(full, "weighs the data differently")
-    text = sentence(full, "mean function is wrong, or the residual")
-    assert "Cma (6.7)" in text  # 0.3 / hypot(0.02, 0.04)
-    assert "Cmde" not in text
-    assert "noise models disagree about Cma beyond their intervals" in headline(full)
-    wider = make(width=4.0, corrected=4.0, lag1=0.9)
-    assert "disagree" not in headline(wider)
-    assert silent(wider, "mean function is wrong, or the residual")
-    assert silent(wider, "weighs the data differently")
+def test_the_headline_names_what_noise_models_disagree_about(full, make):
+    assert "Cmde" not in sentence(full, "mean function is wrong, or the residual")
+    assert "noise models disagree about Cma" in headline(full)
+    assert "disagree" not in headline(make(**WIDER))
 
 
-def test_between_manoeuvres(full, make):
-    counts = sentence(full, "Fitted alone")
-    assert "by the Cramér-Rao bound: Cmde (42.4)" in counts
-    assert "by the corrected bound: Cmde (10.6)" in counts
-    assert "by the AR(1) posterior's width: Cmde (21.2)" in counts
-    why = sentence(full, "No noise model alone explains")
-    assert "Cmde is -0.800 from flight1 and -1.400 from flight2" in why
-    assert "lacks an effect" in why
-    assert silent(make(apart={"Cmde": 3.0}), "Fitted alone")
-
-
-def test_a_difference_that_the_corrected_bounds_explain_is_not_blamed_on_the_model(make):
-    run = make(apart={"Cmde": -8.0}, corrected=4.0, width=4.0, lag1=0.9)
-    assert "Cramér-Rao bound: Cmde (5.7); by the corrected bound: none" in sentence(run, "Fitted alone")
-    assert silent(run, "No noise model alone")
-
-
-def test_engines_that_disagree(make):
+def test_engines_and_posteriors_that_disagree_or_did_not_finish(make):
     run = make(gp=False)
     other = make(shift={"CLa": 1.0}, width=1.3, gp=False).posteriors["nuts"]
     run = replace(run, posteriors=run.posteriors | {"nuts": other})
-    text = sentence(run, "emcee and NUTS disagree")
-    assert "(CLa)" in text
-    assert "run longer" in text
-
-
-def test_unfinished_posteriors_are_named(make):
+    assert "(CLa)" in sentence(run, "emcee and NUTS disagree", "run longer")
     run = make()
     bad = replace(run.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
-    assert "divergent transitions" in sentence(
-        replace(run, posteriors=run.posteriors | {"nuts": bad}), "posterior by NUTS"
-    )
-    assert silent(run, "posterior by NUTS")
-
-
-def test_what_the_random_split_leaks(full, make):
-    text = sentence(full, "GPR correlation")
-    assert "neighbours 40 ms away" in text
-    better = sentence(full, "maximum likelihood correlates better")
-    assert "CD" in better
-    honest = make()
-    assert "does not leak significantly" in sentence(honest, "GPR correlation")
-    assert silent(honest, "correlates better")
+    run = replace(run, posteriors=run.posteriors | {"nuts": bad})
+    assert "divergent transitions" in sentence(run, "posterior by NUTS")
 
 
 def test_a_gp_whose_hyperparameters_were_not_sampled_is_named(make):
@@ -139,24 +121,17 @@ def test_a_gp_whose_hyperparameters_were_not_sampled_is_named(make):
     assert "refused: Pareto k too large" in sentence(run, "Gaussian process of CD")
 
 
-def test_a_fit_that_failed_gets_its_warning_and_no_comparison(make):
+def test_a_fit_that_failed_is_left_out_of_the_comparison(make):
     run = make(status=MleStatus.NOT_CONVERGED, corrected=4.0, lag1=0.9, gp=False)
     sentences = verdict(run)
     assert "stopped before the optimum" in sentences[0]
     assert silent(run, "not white")
     assert silent(run, "agree;")
-
-
-def test_a_manoeuvre_that_cannot_be_fitted_alone_is_left_out(make):
     run = make(apart={"Cmde": -60.0})
     run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
     assert "left out of the comparison" in sentence(run, "flight2 alone")
     assert silent(run, "Fitted alone")
     assert not silent(run, "intervals agree")
-
-
-def test_colour_at_longer_lags_is_not_passed_over(make):
-    assert "longer lags" in sentence(make(corrected=3.0, width=3.0), "not white")
 
 
 @pytest.mark.parametrize("engines", [(), ("emcee",), ("nuts", "white")])
@@ -167,44 +142,25 @@ def test_runs_that_are_not_finished_have_a_verdict_too(engines, make):
 
 
 CHANGE = ParameterChange(
-    parameter="Cm0",
-    unit="1",
-    manoeuvre="run2",
-    at=43.0,
-    interval=(42.8, 43.4),
-    lasts=True,
-    before=(0.0591, 0.0011),
-    after=(0.0651, 0.0012),
-    size=(0.0060, 0.0005),
-    share=0.62,
-    p_value=0.005,
-    gain=310.0,
-)
-
-
-def test_a_change_is_told_with_its_time_values_and_possible_reasons():
-    assert change_sentences([CHANGE]) == [
-        "Changed: Cm0 has another value at 43.0 s of run2 (95 %: 42.8 to 43.4 s): 0.0591 ± 0.0011 before, "
-        "0.0651 ± 0.0012 after, a change of 0.00600 ± 0.00050 (62% of the remaining variance). Possible reasons are a "
-        "stuck tab, another setting of trim or flaps, or a shift of the centre of gravity; the record does not "
-        "determine which."
-    ]
+    parameter="Cm0", unit="1", manoeuvre="run2", at=43.0, interval=(42.8, 43.4), lasts=True, before=(0.0591, 0.0011),
+    after=(0.0651, 0.0012), size=(0.0060, 0.0005), share=0.62, p_value=0.005, gain=310.0,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("changed", "said"),
     [
-        (replace(CHANGE, at=0.0), "another value from run2 on: "),
-        (replace(CHANGE, at=0.0, lasts=False), "another value in run2: "),
-        (replace(CHANGE, lasts=False), "0.0651 ± 0.0012 after, and the value before in later records, a change"),
-        (
-            replace(CHANGE, ambiguous_with=("Cma", "CmX")),
-            "On this record Cma and CmX would explain the data about as well.",
-        ),
+        ({}, ("Cm0", "43.0 s of run2", "42.8 to 43.4 s", "0.0591 ± 0.0011", "0.0651 ± 0.0012", "0.00600 ± 0.00050")),
+        ({}, ("62%", "trim or flaps", "centre of gravity")),
+        ({"at": 0.0}, ("from run2 on",)),
+        ({"at": 0.0, "lasts": False}, ("in run2",)),
+        ({"lasts": False}, ("the value before in later records",)),
+        ({"ambiguous_with": ("Cma", "CmX")}, ("Cma and CmX",)),
     ],
 )
-def test_where_it_holds_and_what_explains_as_much_is_told(change, said):
-    assert said in change_sentences([change])[0]
+def test_a_change_is_told_with_its_time_values_possible_reasons_and_rivals(changed, said):
+    (text,) = change_sentences([replace(CHANGE, **changed)])
+    assert [part for part in said if part not in text] == [], text
 
 
 def test_a_parameter_without_usual_reasons_gets_none():
@@ -212,14 +168,11 @@ def test_a_parameter_without_usual_reasons_gets_none():
     assert "reasons" not in said
 
 
-def test_a_change_is_no_cause_for_the_verdict():
+def test_the_verdict_names_the_parameter_and_the_record_and_a_change_is_no_cause(diagnosed):
     assert verdict_of([], [CHANGE]) is Verdict.UNEXPLAINED
-
-
-def test_the_verdict_names_the_parameter_and_the_record(diagnosed):
     d = replace(diagnosed.view.diagnosis, verdict=Verdict.UNEXPLAINED, causes=(), unknown=(), changes=(CHANGE,))
     headline, *rest = diagnosis_sentences(d)
-    assert headline.endswith("no effect of the catalogue explains it (Cm0 changes in run2).")
+    assert "Cm0 changes in run2" in headline
     assert change_sentences([CHANGE])[0] in rest
     (row,) = changes_table(d).frame().reset_index().to_dict("records")
     assert (row["parameter"], row["at_low"], row["at_high"]) == ("Cm0", 42.8, 43.4)
@@ -241,26 +194,24 @@ PARAMETERS = [p for effect in CATALOGUE.values() for p in effect.parameters]
 LATERAL = {"Lbeta": -4.0, "Lda": -6.0, "Lp": -2.0, "Nbeta": 3.0, "Ndr": -1.7, "Nr": -0.5}
 
 
-def test_an_elevator_that_raises_the_nose_is_told():
-    (said,) = sign_sentences({"Cmde": (1.25, 0.002), "CLa": (5.0, 0.1), "CL0": (-0.2, 0.01)}, PARAMETERS)
-    assert "Cmde = +1.25" in said
-    assert "sign = -1" in said
-
-
-@pytest.mark.parametrize("estimate", [(-1.25, 0.002), (0.01, 0.02)])
-def test_right_or_unsure_signs_are_not(estimate):
-    assert sign_sentences({"Cmde": estimate}, PARAMETERS) == []
-
-
-@pytest.mark.parametrize(("name", "estimate"), [("CD0", (-0.099, 0.01)), ("CLa", (591.0, 400.0)), ("Cmq", (4.0, 0.5))])
-def test_what_no_aircraft_has_is_impossible(name, estimate):
-    (said,) = sign_sentences({name: estimate}, PARAMETERS)
-    assert f"{name} = {estimate[0]:.4g} is impossible" in said
-
-
-@pytest.mark.parametrize(("name", "estimate"), [("CD0", (-0.001, 0.01)), ("CLa", (6.0, 0.1)), ("Cmq", (0.5, 1.0))])
-def test_what_may_be_chance_is_not(name, estimate):
-    assert sign_sentences({name: estimate}, PARAMETERS) == []
+@pytest.mark.parametrize(
+    ("estimates", "said"),
+    [
+        ({"Cmde": (1.25, 0.002), "CLa": (5.0, 0.1), "CL0": (-0.2, 0.01)}, ("Cmde = +1.25", "sign = -1")),
+        ({"CD0": (-0.099, 0.01)}, ("CD0 = -0.099 is impossible",)),
+        ({"CLa": (591.0, 400.0)}, ("CLa = 591 is impossible",)),
+        ({"Cmq": (4.0, 0.5)}, ("Cmq = 4 is impossible",)),
+        ({"Cmde": (-1.25, 0.002)}, ()),  # right
+        ({"Cmde": (0.01, 0.02)}, ()),  # not sure, as the next two
+        ({"CD0": (-0.001, 0.01)}, ()),
+        ({"Cmq": (0.5, 1.0)}, ()),
+        ({"CLa": (6.0, 0.1)}, ()),
+    ],
+)
+def test_signs_and_sizes_that_no_aircraft_has_are_told(estimates, said):
+    found = sign_sentences(estimates, PARAMETERS)
+    assert len(found) == bool(said)
+    assert all(part in found[0] for part in said)
 
 
 def test_an_effect_of_the_user_declares_what_its_estimate_cannot_be():

@@ -24,12 +24,9 @@ from bayes_aero.report.text.process_noise import prediction_sentences, process_n
 from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 
-def test_the_gain_is_that_of_unseen_flights(simulated):
+def test_the_gain_is_that_of_unseen_flights_and_else_nothing_is_said(simulated):
     """Both halves are 1 deg off with the card's model and 0.1 deg with the extended one."""
     assert "α from 1.0 to 0.10 deg" in simulation_gain(simulated)
-
-
-def test_without_unseen_flights_or_without_a_gain_nothing_is_said(simulated):
     fitted = tuple(p for p in simulated.paths if p.split == "fitted")
     same = tuple(replace(p, errors=simulated.paths[0].errors) for p in simulated.paths)
     for paths in (fitted, same):
@@ -45,21 +42,23 @@ def test_a_lag_is_told_with_its_size_and_what_it_stands_in_for(simulated):
     after = replace(simulated.extended, values={"tau1": 13.31}, units={"tau1": "c/V"})
     lagged = replace(simulated, extended=after, deviation={"tau1": 1.57}, lag=lag)
     (said,) = lag_sentences(lagged)
-    assert "supports separation_lag in place of tau2: tau1 13.3 ± 1.6 c/V" in said
-    assert "62 ± 16" in said
-    assert "the extended model (with separation_lag)" in simulation_gain(lagged)
-
-
-def test_a_lag_that_is_not_wanted_says_why(simulated):
-    asked = replace(simulated, lag=LagTest("separation_lag", 4.2, False, (-1.0, 2.0)))
-    assert "do not support it (fit +4.2 nats, hold-out -1.0 ± 2.0 nats)" in lag_sentences(asked)[0]
-    weak = replace(simulated, lag=LagTest("separation_lag", 1.2, False))
-    assert "do not support it (fit +1.2 nats)" in lag_sentences(weak)[0]
-    slight = replace(simulated, lag=LagTest("separation_lag", 5.4, slight=True))
-    assert "give a size that is too small to be named (fit +5.4 nats)" in lag_sentences(slight)[0]
-    lost = replace(simulated, lag=LagTest("separation_lag", float("-inf"), False))
-    assert "its fit did not converge" in lag_sentences(lost)[0]
+    assert all(part in said for part in ("separation_lag in place of tau2", "tau1 13.3 ± 1.6 c/V", "62 ± 16"))
+    assert "(with separation_lag)" in simulation_gain(lagged)
     assert lag_sentences(simulated) == []
+
+
+@pytest.mark.parametrize(
+    ("lag", "parts"),
+    [
+        ({"gain": 4.2, "unseen": (-1.0, 2.0)}, ("not support", "+4.2 nats", "-1.0 ± 2.0 nats")),
+        ({"gain": 1.2}, ("not support", "+1.2 nats")),
+        ({"gain": 5.4, "slight": True}, ("too small", "+5.4 nats")),
+        ({"gain": float("-inf")}, ("its fit did not converge",)),
+    ],
+)
+def test_a_lag_that_is_not_wanted_says_why(simulated, lag, parts):
+    (said,) = lag_sentences(replace(simulated, lag=LagTest("separation_lag", **lag)))
+    assert all(part in said for part in parts), said
 
 
 def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others(simulated):
@@ -67,27 +66,19 @@ def test_causes_that_flight_does_not_miss_are_told_and_the_weakest_of_the_others
     asked = replace(simulated, asked=Confirmation(("thrust_moment", "thrust_lift"), missed))
     assert asked.out == ("thrust_scale",)
     without, misses = cause_sentences(asked)
-    assert "Removing thrust_scale (by -4 ± 16 nats) does not significantly degrade" in without
-    assert "the simulated model omits it" in without
-    assert (
-        misses == "Removing thrust_moment and thrust_lift degrades the prediction of hold-out trajectories (least for "
-        "thrust_lift, by 91 ± 21 nats)."
-    )
+    assert "thrust_scale (by -4 ± 16 nats)" in without
+    assert "thrust_moment and thrust_lift" in misses
+    assert "thrust_lift, by 91 ± 21 nats" in misses
     (alone,) = cause_sentences(replace(simulated, asked=Confirmation(("thrust_lift",), {"thrust_lift": (91.0, 20.7)})))
-    assert alone.endswith("degrades the prediction of hold-out trajectories (by 91 ± 21 nats).")
-    assert "the extended model (without thrust_scale) changes the RMS error" in simulation_gain(asked)
+    assert "(by 91 ± 21 nats)" in alone
+    assert "(without thrust_scale)" in simulation_gain(asked)
     lagged = replace(asked, lag=LagTest("separation_lag", 25.4, True, (62.1, 15.5)))
-    both_told = "the extended model (with separation_lag and without thrust_scale) changes the RMS error"
-    assert both_told in simulation_gain(lagged)
+    assert "(with separation_lag and without thrust_scale)" in simulation_gain(lagged)
     both = replace(simulated, asked=Confirmation((), {"a": (1.0, 1.0), "b": (0.0, 2.0)}))
     (said,) = cause_sentences(both)
     assert "a (by +1.0 ± 1.0 nats) and b (by +0.0 ± 2.0 nats)" in said
-    assert "The search confirms them" in said
-    assert said.endswith("the simulated model omits them.")
+    assert "confirms" in said
     assert cause_sentences(simulated) == []
-
-
-def test_a_cause_without_which_nothing_flies_needs_no_number(simulated):
     alone = replace(simulated, asked=Confirmation(("a",), {"a": (float("inf"), 0.0)}))
     assert cause_sentences(alone) == ["Removing a degrades the prediction of hold-out trajectories."]
 
@@ -103,39 +94,28 @@ def test_a_gain_is_never_nothing_plus_or_minus_nothing(gain, sd, text):
 DEGREE = np.deg2rad(1.0)
 
 
-def test_time_outside_is_counted_over_all_manoeuvres():
-    """3 deg off for 300 samples of 400, with a tolerance of 2 deg."""
-    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 1.0 * DEGREE, "two": 3.0 * DEGREE})
-    assert outside(flown) == {"alpha": pytest.approx(0.75)}
-    (said,) = [line for line in fly_sentences(flown) if "tolerances" in line]
-    assert "α 75% of the time" in said
-    assert "diagnose" not in said, "it takes models of effects alone, and this one is linear"
+@pytest.mark.parametrize(("one", "two", "share"), [(1.0, 3.0, 0.75), (3.0, 1.0, 0.25)])
+def test_time_outside_is_counted_over_all_manoeuvres_and_told_if_it_is_most(one, two, share):
+    """100 samples of 400 off by `one` deg and 300 by `two`, with a tolerance of 2 deg."""
+    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": one * DEGREE, "two": two * DEGREE})
+    assert outside(flown) == {"alpha": pytest.approx(share)}
+    told = [line for line in fly_sentences(flown) if "tolerances" in line]
+    assert len(told) == (share > 0.5)
+    assert all("α 75% of the time" in said for said in told)
+    assert not any("diagnose" in said for said in told), "it takes models of effects alone, and this one is linear"
 
 
-def test_nothing_is_said_where_it_stays_inside_most_of_the_time():
-    """The same errors, the other way round: a quarter outside."""
-    flown = with_offsets(flight().flown, {"one": 100, "two": 300}, {"one": 3.0 * DEGREE, "two": 1.0 * DEGREE})
-    assert outside(flown) == {"alpha": pytest.approx(0.25)}
-    assert not any("tolerances" in line for line in fly_sentences(flown))
-
-
-def test_nothing_is_said_of_the_model_where_the_fit_has_not_converged():
+def test_a_fit_that_may_come_nearer_or_stands_under_feedback_is_told():
     """It may still come nearer."""
     flown = with_offsets(flight().flown, {"one": 100}, {"one": 3.0 * DEGREE})
     assert any("lacks an effect" in line for line in fly_sentences(flown))
     early = replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))
     assert not any("lacks an effect" in line for line in fly_sentences(early))
-
-
-def test_a_fit_under_feedback_alone_is_not_only_called_converged():
     flown = replace(flight().flown, following=("elevator",))
     said = "converged, but feedback and aircraft cannot be parted (elevator)"
     assert said in fly_sentences(flown)[0]
     assert said in parameter_table(flown).terminal_title
-
-
-def test_nobody_is_sent_to_a_command_that_cannot_use_the_record():
-    """A single manoeuvre of some seconds is too short for diagnose."""
+    # A single manoeuvre of some seconds is too short for diagnose.
     (said,) = disagreement_sentences([Disagreement("CLa", "1/rad", (4.3, 0.1), (3.4, 0.1), 6.4)], "too short")
     assert "diagnose" not in said
     assert "check looks for" in said
@@ -151,26 +131,19 @@ def gust_sentences(**more):
 
 
 def test_gusts_and_buffet_are_told_in_their_own_units():
-    told = gust_sentences()
-    assert "Estimated gusts, standard deviation: vertical 1.50 ± 0.10 m/s (scale length 200 ± 30 m)." in told
-    assert "No longitudinal gusts are distinguishable from noise of the states." in told
-    assert (
-        "Buffet: the lift coefficient of fully separated flow fluctuates by 0.050 ± 0.010 (standard deviation; "
-        "correlated over 3.00 ± 0.50 chords)."
-    ) in told
+    vertical, longitudinal, buffet = gust_sentences()
+    assert "vertical 1.50 ± 0.10 m/s (scale length 200 ± 30 m)" in vertical
+    assert "No longitudinal gusts" in longitudinal
+    assert all(part in buffet for part in ("Buffet", "0.050 ± 0.010", "3.00 ± 0.50 chords"))
 
 
 @pytest.mark.parametrize(("intensity", "none"), [((0.02, 0.01), True), ((0.021, 0.01), False)])
 def test_an_intensity_within_two_standard_errors_is_none(intensity, none):
-    assert ("No buffet is distinguishable from noise of the states." in gust_sentences(buffet=intensity)) is none
+    assert any("No buffet" in said for said in gust_sentences(buffet=intensity)) is none
 
 
-SHARES = (
-    Share(0.5, 0.48, 0.04, 0.6),
-    Share(0.9, 0.91, 0.02, 0.5),
-    Share(0.95, 0.93, 0.02, 0.3),
-    Share(0.99, 0.985, 0.004, 0.2),
-)
+NUMBERS = ((0.5, 0.48, 0.04, 0.6), (0.9, 0.91, 0.02, 0.5), (0.95, 0.93, 0.02, 0.3), (0.99, 0.985, 0.004, 0.2))
+SHARES = tuple(Share(*numbers) for numbers in NUMBERS)
 LINE = np.array([[-1.0, -1.1, -1.4, -0.7], [0.0, 0.1, -0.2, 0.2], [1.0, 2.0, 0.7, 1.4]])
 
 
@@ -188,44 +161,30 @@ def of(found: OneStep | None) -> ProcessNoise:
 
 def test_shares_are_told_with_their_errors():
     first, _ = prediction_sentences(predictions())
-    assert first == (
-        "One-step predictions: share of the samples inside their 95 % intervals: α 93 % (± 2) and q 93 % (± 2)."
-    )
+    assert "α 93 % (± 2) and q 93 % (± 2)" in first
     few = predictions()
     sharp = replace(SHARES[2], share=0.9512, sd=0.0031)
     found = replace(few, outputs={"q": replace(few.outputs["q"], shares=(*SHARES[:2], sharp, SHARES[3]))})
-    assert prediction_sentences(found)[0] == (
-        "One-step predictions: share of the samples inside their 95 % intervals: q 95.1 % (± 0.3)."
-    )
+    assert "q 95.1 % (± 0.3)" in prediction_sentences(found)[0]
 
 
 @pytest.mark.parametrize(
-    ("calibration", "status", "said"),
+    ("calibration", "status", "parts"),
     [
-        ({}, "calibrated", "They are calibrated: no share departs"),
-        ({"q": Calibration.UNDECIDED}, "undecided", "Whether they are calibrated is not decided"),
-        (
-            {"q": Calibration.TOO_NARROW, "together": Calibration.TOO_NARROW},
-            "not_calibrated",
-            "They are not calibrated: intervals of q and all outputs together are too narrow.",
-        ),
-        (
-            {"alpha": Calibration.NOT_NORMAL, "q": Calibration.COLOURED},
-            "not_calibrated",
-            "They are not calibrated: innovations of α are not normally distributed; innovations of q are "
-            "autocorrelated.",
-        ),
-        (
-            {"alpha": Calibration.UNDECIDED, "q": Calibration.TOO_WIDE},
-            "not_calibrated",
-            "They are not calibrated: intervals of q are too wide.",
-        ),
+        ({}, "calibrated", ("They are calibrated",)),
+        ({"q": Calibration.UNDECIDED}, "undecided", ("not decided",)),
+        (dict.fromkeys(("q", "together"), Calibration.TOO_NARROW), "not_calibrated", ("q and all", "too narrow")),
+        ({"alpha": Calibration.NOT_NORMAL}, "not_calibrated", ("α", "normally distributed")),
+        ({"q": Calibration.COLOURED}, "not_calibrated", ("q", "autocorrelated")),
+        ({"alpha": Calibration.UNDECIDED, "q": Calibration.TOO_WIDE}, "not_calibrated", ("q", "too wide")),
     ],
 )
-def test_there_is_one_status(calibration, status, said):
+def test_there_is_one_status(calibration, status, parts):
     found = predictions(**calibration)
     assert found.status == status
-    assert prediction_sentences(found)[1].startswith(said)
+    said = prediction_sentences(found)[1]
+    assert [part for part in parts if part not in said] == []
+    assert ("not calibrated" in said) == (status == "not_calibrated")
 
 
 def test_the_table_has_units_and_per_cent():
@@ -241,7 +200,7 @@ def test_the_table_has_units_and_per_cent():
     assert "…" not in captured.get()
 
 
-def test_every_output_has_a_panel_with_its_status():
+def test_every_output_has_a_panel_with_its_status_and_a_fit_is_needed():
     figure = one_step_quantiles(of(predictions(alpha=Calibration.TOO_NARROW)))
     assert [ax.get_title() for ax in figure.axes] == ["α: too narrow", "q: calibrated", "all together: calibrated"]
     for ax in figure.axes:
@@ -250,8 +209,5 @@ def test_every_output_has_a_panel_with_its_status():
     alone = predictions()
     single = one_step_quantiles(of(replace(alone, outputs={"q": alone.outputs["q"]})))
     assert [ax.get_title() for ax in single.axes] == ["q: calibrated"]
-
-
-def test_without_a_fit_nothing_is_drawn():
     with pytest.raises(NotDrawn, match="did not converge"):
         one_step_quantiles(of(None))
