@@ -227,12 +227,8 @@ def test_a_pitot_tube_ahead_of_the_cg_reads_the_speed_of_its_own_place(card):
 def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
     """A delay and a place away from the CG leave a degree a degree; a scale does not."""
     t = np.arange(N) * DT
-    channels = marks(N, DT) | {
-        "alpha": jnp.asarray(wave(t)),
-        "q": jnp.asarray(wave(t + 1.0)),
-        "airspeed": jnp.full(N, 80.0),
-    }
     names = ("alpha", "q", "airspeed")
+    channels = marks(N, DT) | dict(zip(names, (wave(t), wave(t + 1.0), jnp.full(N, 80.0)), strict=True))
     for effect, value, unit in (("vane_position", 13.0, 1.0), ("alpha_delay", 0.1, 1.0), ("alpha_scale", 0.25, 0.8)):
         scale = response_scales(Model.of([effect]), {effect: jnp.asarray(value)}, channels, card.aircraft, names)
         np.testing.assert_allclose(scale["alpha"][5:-5], unit, rtol=0.02)

@@ -136,9 +136,8 @@ def test_a_unit_that_the_flight_path_refutes_is_doubted(
         done = program("identify", record, "--no-sample", "--no-gp", "--no-figures", "--out", "id")
         assert done.code == (3 if doubted else 0), done.err
         assert (f"! other: {name} is in {meant}" in done.out) == doubted
-        assert [f["fault"] for f in json.loads((tmp_path / "id" / "results.json").read_text())["health"]][:1] == (
-            ["unit"] if doubted else []
-        )
+        health = json.loads((tmp_path / "id" / "results.json").read_text())["health"]
+        assert [f["fault"] for f in health][:1] == ["unit"] * doubted
         page = page_of(tmp_path / "id")
         assert (f"is in {meant} and not in" in page.split("<h2")[0]) == doubted  # before all sections
 

@@ -82,9 +82,8 @@ def true_flight(t):
     spin = np.array([d(x) for x in omega])
     place = np.array(PLACE)[:, None] * np.ones_like(fine)
     at_sensor = force + turn(spin, place) + turn(omega, turn(omega, place))
-    height = np.concatenate(
-        [[0.0], np.cumsum(np.diff(fine) * 0.5 * ((-(v * down).sum(0))[1:] + (-(v * down).sum(0))[:-1]))]
-    )
+    climb = -(v * down).sum(0)
+    height = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (climb[1:] + climb[:-1]))])
     found = dict(zip(("ax", "ay", "az"), at_sensor, strict=True)) | {"p": p, "q": q, "r": r}
     found |= {"phi": phi, "theta": theta, "psi": psi, "alpha": alpha, "beta": beta, "airspeed": V}
     found["altitude"] = 3000.0 + height
@@ -99,9 +98,8 @@ def flight(tmp_path_factory):
     truth = true_flight(t)
     fine, alpha = truth.pop("late")
     recorded = dict(truth)
-    at_vane = np.arctan2(
-        np.sin(alpha) - VANE * np.interp(fine, t, truth["q"]) / np.interp(fine, t, truth["airspeed"]), np.cos(alpha)
-    )
+    q, V = (np.interp(fine, t, truth[name]) for name in ("q", "airspeed"))
+    at_vane = np.arctan2(np.sin(alpha) - VANE * q / V, np.cos(alpha))
     recorded["alpha"] = (1.0 + SCALE) * np.interp(t - HIDDEN["alpha_delay"], fine, at_vane)
     recorded["beta"] = np.arctan(np.tan(truth["beta"]) + VANE * truth["r"] / truth["airspeed"])
     recorded["az"] = recorded["az"] + HIDDEN["accel_z_bias"]
@@ -110,9 +108,8 @@ def flight(tmp_path_factory):
     noisy = {name: recorded[name] + rng.normal(0.0, NOISE[name], len(t)) for name in UNITS}
     record, card = folder / "invented.csv", folder / "card.toml"
     pd.DataFrame({"time": t} | noisy).to_csv(record, index=False)
-    card.write_text(
-        CARD.replace("CHANNELS", "\n".join(f'{n} = {{ label = "{n}", unit = "{u}" }}' for n, u in UNITS.items()))
-    )
+    channels = "\n".join(f'{n} = {{ label = "{n}", unit = "{u}" }}' for n, u in UNITS.items())
+    card.write_text(CARD.replace("CHANNELS", channels))
     return card, record, truth
 
 
@@ -142,9 +139,8 @@ def test_an_airspeed_with_a_pitot_offset_is_made_true(program, flight, tmp_path)
     table["airspeed"] = np.sqrt(table["airspeed"] ** 2 + 2.0 * 300.0 / density)
     table.to_csv(tmp_path / "leak.csv", index=False)
     (tmp_path / "leak.toml").write_text(card.read_text() + f'\n[constants]\ndensity = "{density} kg/m^3"\n')
-    found = answer(program("path", "leak.csv", "--model", "leak.toml", "--out", "out", "--no-figures", "--json"))[
-        "parameters"
-    ]
+    told = answer(program("path", "leak.csv", "--model", "leak.toml", "--out", "out", "--no-figures", "--json"))
+    found = told["parameters"]
     for name, true in {"pitot_pressure_bias": 300.0, "airspeed_bias": 0.0, "airspeed_scale": 0.0}.items():
         assert abs(found[name]["estimate"] - true) < 3.5 * found[name]["sd_corrected"], name
     corrected = pd.read_csv(tmp_path / "out" / "corrected" / "leak.csv")["airspeed"].to_numpy()

@@ -152,9 +152,8 @@ def test_json_is_all_that_is_on_stdout(program, monkeypatch):
 
 def test_a_ctrl_c_that_a_library_drops_is_raised_again():
     """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
-    dropped = SimpleNamespace(
-        exc_type=KeyboardInterrupt, exc_value=KeyboardInterrupt(), exc_traceback=None, err_msg=None, object=None
-    )
+    stop = {"exc_type": KeyboardInterrupt, "exc_value": KeyboardInterrupt()}
+    dropped = SimpleNamespace(**stop, exc_traceback=None, err_msg=None, object=None)
 
     def callback():
         _heed(dropped)
@@ -283,9 +282,8 @@ def files(tmp_path_factory):
     ],
 )  # fmt: skip
 def test_nothing_heavy_is_loaded(files, code, arguments):
-    done = subprocess.run(
-        [sys.executable, "-c", LOADED, *arguments], cwd=files, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", LOADED, *arguments]
+    done = subprocess.run(command, cwd=files, capture_output=True, text=True, check=False)
     found = json.loads(done.stderr.splitlines()[-1])
     assert found == [code, []], done.stderr
 

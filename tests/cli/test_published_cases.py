@@ -124,9 +124,7 @@ def test_estimates_deviations_and_det_R_are_those_published(program, book, tmp_p
 
 
 def test_cost_and_settings_are_printed(program, book):
-    done = succeeded(
-        program("fly", BOOK / "unStabAC_sim.asc", "--model", "unstable", *FIXED, "--no-priors", "--no-figures")
-    )
+    done = succeeded(program("fly", RECORD, "--model", "unstable", *FIXED, "--no-priors", "--no-figures"))
     said = " ".join(done.out.split())
     cost = book["TC08"]["methods"]["independent_optimum"]["det_R"]
     told = float(said.split("det R is ")[1].split()[0])
@@ -225,10 +223,8 @@ def test_published_estimates_come_back(six_card, six_records, case, drag):
     effects = [e for e in six_card.effects if e not in ("profile_drag", "alpha_drag")]
     own = replace(six_card, effects=(*drag, *effects))
     model = Model.from_card(own)
-    found, reference = (
-        fit_mle(model, observe(six_records, own, model, Forming.PUBLISHED), extra_starts=0),
-        published(case),
-    )
+    found = fit_mle(model, observe(six_records, own, model, Forming.PUBLISHED), extra_starts=0)
+    reference = published(case)
     estimate = dict(zip(found.names, found.estimate, strict=True))
     sd = dict(zip(found.names, found.crb, strict=True))
     assert set(estimate) == {SIX_OURS.get(name, name) for name in reference["parameters"]}
@@ -290,9 +286,8 @@ def test_a_flight_needs_no_accelerometer_of_an_axis_but_its_motion(six_card, six
 
 def test_swapped_ailerons_are_told_by_the_roll_that_they_make(six_card, six_records):
     right, left = (six_records[1][name] for name in ("aileron_right", "aileron_left"))
-    swapped = replace(
-        six_records[1], channels={**six_records[1].channels, "aileron_right": left, "aileron_left": right}
-    )
+    channels = {**six_records[1].channels, "aileron_right": left, "aileron_left": right}
+    swapped = replace(six_records[1], channels=channels)
     assert not [f for f in channel_health(six_records, six_card) if f.fault == "sign"]
     (finding,) = [f for f in channel_health([swapped], six_card) if f.fault == "sign"]
     assert finding.channel == "aileron"

@@ -120,9 +120,8 @@ def test_doubts_about_the_records_of_a_unit_are_told(program, folder, monkeypatc
         biased = unit.shown[0].endswith("biased.csv")
         fault = {"sentence": "biased: q is in deg/s", "grave": True}
         told = json.loads((out / "results.json").read_text()) | {"health": [fault] * biased}
-        write_json(
-            told | {"consistency": {"outcome": "disagree_explained" if biased else "agree"}}, out / "results.json"
-        )
+        told |= {"consistency": {"outcome": "disagree_explained" if biased else "agree"}}
+        write_json(told, out / "results.json")
 
     monkeypatch.setattr(units, "run_task", doubtful)
     done = program("run", "study.toml")
@@ -173,9 +172,8 @@ def test_the_summary_and_the_environment(program, folder):
     program("run", "study.toml")
     out = folder / "study_results"
     table = pd.read_csv(out / "summary.csv")
-    pd.testing.assert_frame_equal(
-        table[["value", "sd"]], pd.read_parquet(out / "summary.parquet")[["value", "sd"]], check_dtype=False
-    )
+    again = pd.read_parquet(out / "summary.parquet")
+    pd.testing.assert_frame_equal(table[["value", "sd"]], again[["value", "sd"]], check_dtype=False)
     assert list(table["method"]) == ["mle", "mle_corrected"] * 2
     assert set(table["records"]) == {"flights/sound.csv", "flights/biased.csv"}
     requirements = (out / "environment" / "requirements.txt").read_text()
@@ -223,9 +221,8 @@ def test_the_study_in_the_documentation_is_one():
     assert set(table) <= set(KEYS)
     assert set(table["options"]) <= set(OPTIONS[table["task"]])
     rows = re.findall(r"^\| `(\w+)` \| (.*) \| `(.*)` \|$", text, re.M)
-    assert {task: set(re.findall(r"\w+", options)) for task, options, _ in rows} == {
-        t: set(o) for t, o in OPTIONS.items()
-    }
+    listed = {task: set(re.findall(r"\w+", options)) for task, options, _ in rows}
+    assert listed == {task: set(options) for task, options in OPTIONS.items()}
     assert {task: name for task, _, name in rows} == RESULTS
 
 

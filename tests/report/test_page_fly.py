@@ -64,12 +64,8 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
         assert prior == "0 ± 1000, default"
         assert bounds == ("-40 to 0" if name.startswith("Mde ") else "none")
         assert remark == "–"
-    assert [row[0] for row in table.rows if row[0].startswith("M")] == [
-        "M0 [rad/s²]",
-        "Malpha [1/s²]",
-        "Mq [1/s]",
-        "Mde [1/s²]",
-    ]
+    units = [row[0] for row in table.rows if row[0].startswith("M")]
+    assert units == ["M0 [rad/s²]", "Malpha [1/s²]", "Mq [1/s]", "Mde [1/s²]"]
     still = page_table(parameter_table(replace(flown, fit=replace(flown.fit, at_bound=("Mde",)))))
     assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
 
@@ -96,10 +92,8 @@ def test_errors_of_a_known_offset():
     (before, after) = flown.rms_errors["alpha"]
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
-    assert [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")] == [
-        ("± 2 deg", "0%", "100%"),
-        ("± 2 deg", "0%", "100%"),
-    ]
+    within = [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")]
+    assert within == [("± 2 deg", "0%", "100%")] * 2
     alone = page_table(error_table(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})))
     assert [row[0] for row in alone.rows] == ["α [deg]"]  # no heading above a single manoeuvre
 
@@ -107,10 +101,8 @@ def test_errors_of_a_known_offset():
 def test_without_tolerances_there_is_no_band():
     flown = with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})
     assert "tolerance" in str([b.legend for b in blocks_of(fly_page(flown, context()), "fit") if isinstance(b, Plot)])
-    free = tuple(
-        replace(p, errors={n: replace(e, tolerance=None, within=None) for n, e in p.errors.items()})
-        for p in flown.paths
-    )
+    without = {"tolerance": None, "within": None}
+    free = tuple(replace(p, errors={n: replace(e, **without) for n, e in p.errors.items()}) for p in flown.paths)
     page = fly_page(replace(flown, paths=free), context())
     assert tolerance_table(replace(flown, paths=free)) is None
     assert "tolerance" not in str([b for b in blocks_of(page, "fit") if not isinstance(b, Plot)])
@@ -144,12 +136,8 @@ def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels()
     measured = flight().flown.path("one", "start").simulated["alpha"][0]
     assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
     (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, Table))
-    assert [head.replace("\n", " ") for head in table.head[5:]] == [
-        "alpha α [deg]",
-        "pitch rate q [deg/s]",
-        "az [m/s²]",
-        "elevator [deg]",
-    ]
+    heads = [head.replace("\n", " ") for head in table.head[5:]]
+    assert heads == ["alpha α [deg]", "pitch rate q [deg/s]", "az [m/s²]", "elevator [deg]"]
 
 
 @pytest.mark.parametrize("name", ["q", "aileron_right", "flow_angle_of_the_right_wing", 40 * "long_"])
@@ -229,10 +217,10 @@ def test_modes_stand_on_the_page_and_what_motion_lacks_is_said():
         ("spiral", "neither grows nor falls beyond its error", "–"),
     ]
     assert "at 120 m/s and 4000 m" in modes.note
-    assert motion_sentences(MOTION) == [
-        "Whether the spiral grows or falls is not determined: its rate is within its error."
-    ]
-    assert motion_sentences(replace(MOTION, modes=(), why_not="no trim")) == ["Modes of motion are not given: no trim."]
+    (said,) = motion_sentences(MOTION)
+    assert "spiral" in said
+    (said,) = motion_sentences(replace(MOTION, modes=(), why_not="no trim"))
+    assert "no trim" in said
     assert motion_sentences(None) == []
 
 
@@ -256,12 +244,8 @@ def test_the_verdict_of_diagnoses_counts_verdicts_and_names_the_commonest_cause(
     verdicts = ["explained"] * 5 + ["no_effect"] * (N - 5)
     causes = ["thrust_scale"] * 4 + ["alpha_bias"]
     rows = given.results[given.results["parameter"] == "alpha_star"].iloc[:5]
-    named = replace(
-        given,
-        task="diagnose",
-        units=given.units.assign(verdict=verdicts),
-        results=rows.assign(cause=causes, parameter=causes, method="coefficients"),
-    )
+    results = rows.assign(cause=causes, parameter=causes, method="coefficients")
+    named = replace(given, task="diagnose", units=given.units.assign(verdict=verdicts), results=results)
     first, *said = study_headline(named).rstrip(".").split("; ")
     assert first == f"All {N} units are done"
     assert said[:2] == [f"5 explained and {N - 5} no effect", f"thrust_scale is named in 4 of {N}"]

@@ -68,14 +68,6 @@ def report(full, simulated, card, tmp_path_factory):
     return write_page(replace(page, sections=(*page.sections, flights)), folder / "report.html")
 
 
-@pytest.fixture(scope="module")
-def desk(browser, report):
-    """A page that is only looked at."""
-    page = opened(browser, report)
-    yield page
-    page.context.close()
-
-
 @pytest.fixture
 def fresh(browser, report):
     """A page that may be changed."""
@@ -92,9 +84,14 @@ def phone(browser, report):
     page.context.close()
 
 
-def test_it_draws_in_silence_and_zooms_with_all_axes(fresh):
+@pytest.mark.parametrize("name", ["report", "fly_report"])
+def test_it_draws_in_silence_and_zooms_with_all_axes(request, browser, name):
+    fresh = opened(browser, request.getfixturevalue(name))
     before = fresh.evaluate(RANGES)
-    assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
+    if name == "report":
+        assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
+    else:
+        assert [len(panels) for panels in before] == [4, 4]  # alpha, q, az and the elevator, for either flight
     fresh.locator("#plot-0").scroll_into_view_if_needed()
     drag(fresh, "#plot-0", 0.25, 0.5)
     after = fresh.evaluate(RANGES)
@@ -112,6 +109,7 @@ def test_it_draws_in_silence_and_zooms_with_all_axes(fresh):
     assert wider[0][1] - wider[0][0] > end - start
     assert all(panel == wider[0] for panel in wider)
     assert fresh.heard == []
+    fresh.context.close()
 
 
 def test_a_stretch_of_time_fills_its_panels(fresh):
@@ -139,17 +137,12 @@ def test_a_wheel_alone_scrolls_the_page(fresh):
     assert fresh.evaluate(RANGES) == before
 
 
-def test_everyone_can_read_it_with_units_and_words_and_hostile_names_are_only_names(desk):
-    has_a_unit_on_every_axis(desk)
-    says_in_words_what_figures_show(desk, 6 + len(DRAWN) - 1)  # a twin has the words of its picture
-    can_be_read_by_everyone(desk)
-    assert desk.get_by_role("heading", name=HOSTILE, exact=True).count() == 1
-    assert desk.evaluate("document.querySelectorAll('script').length") == 3
-    assert desk.heard == []
+def test_hostile_names_are_only_names(fresh):
+    assert fresh.get_by_role("heading", name=HOSTILE, exact=True).count() == 1
+    assert fresh.evaluate("document.querySelectorAll('script').length") == 3
 
 
-def test_a_phone_shows_all_of_it_without_sideways_scrolling(phone):
-    fits_a_phone(phone)
+def test_a_plot_on_a_phone_is_woken_by_a_tap(phone):
     wake = phone.locator(".wake").first  # until it is tapped, a swipe over the plot scrolls the page
     assert wake.is_visible()
     wake.scroll_into_view_if_needed()
@@ -158,8 +151,8 @@ def test_a_phone_shows_all_of_it_without_sideways_scrolling(phone):
     assert phone.heard == []
 
 
-def test_the_first_picture_has_a_twin_that_a_phone_shows_whole(desk, phone):
-    wide, tall = (page.locator("main > .picture img") for page in (desk, phone))
+def test_the_first_picture_has_a_twin_that_a_phone_shows_whole(fresh, phone):
+    wide, tall = (page.locator("main > .picture img") for page in (fresh, phone))
     assert wide.evaluate("i => i.naturalWidth / i.naturalHeight") > 1.2
     assert tall.evaluate("i => i.naturalWidth / i.naturalHeight") < 0.8
     assert tall.evaluate("i => i.closest('.box').scrollWidth <= i.closest('.box').clientWidth")
@@ -220,40 +213,10 @@ def fly_report(tmp_path_factory):
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 
-def test_a_fit_to_trajectories_draws_in_silence_and_zooms_with_all_axes(browser, fly_report):
-    page = opened(browser, fly_report)
-    has_a_unit_on_every_axis(page)
-    says_in_words_what_figures_show(page, 2)
-    can_be_read_by_everyone(page)
-    before = page.evaluate(RANGES)
-    assert [len(panels) for panels in before] == [4, 4]  # alpha, q, az and the elevator, for either flight
-    page.locator("#plot-0").scroll_into_view_if_needed()
-    drag(page, "#plot-0", 0.25, 0.5)
-    after = page.evaluate(RANGES)
-    assert before[0][0][0] < after[0][0][0] < after[0][0][1] < before[0][0][1]
-    assert all(panel == after[0][0] for panel in after[0])
-    assert after[1] == before[1]
-    assert page.heard == []
-    page.context.close()
-
-
-def test_a_phone_shows_all_of_a_fit_to_trajectories(browser, fly_report):
-    phone = opened(browser, fly_report, 390, is_mobile=True, has_touch=True)
-    fits_a_phone(phone)
-    assert phone.heard == []
-    phone.context.close()
-
-
-@pytest.mark.parametrize("width", [1280, 390])
-def test_it_is_silent_and_legible_on_a_desk_and_on_a_phone(browser, tmp_path, width):
-    report = write_page(study_page(study_told(tmp_path, failed=(2,))), tmp_path / "report.html")
-    page = opened(browser, report, width, is_mobile=width < 400)
-    says_in_words_what_figures_show(page, 1)
-    can_be_read_by_everyone(page)
-    if width < 400:
-        fits_a_phone(page)
-    assert page.heard == []
-    page.context.close()
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    return write_page(study_page(study_told(folder, failed=(2,))), folder / "report.html")
 
 
 @pytest.fixture(scope="module")
@@ -297,14 +260,24 @@ def test_without_a_time_columns_are_drawn_over_the_number_of_the_sample(browser,
     assert "over 499 samples" in page.locator("[role=img]").first.get_attribute("aria-label")
 
 
-@pytest.mark.parametrize("name", ["catalogue", "starter"])
-def test_it_is_legible_everywhere_and_calls_nobody(request, browser, name):
-    report = request.getfixturevalue(name)
-    page, phone = opened(browser, report), opened(browser, report, 390)
-    assert page.heard == []
+PAGES = {  # how many figures it has at least, and whether they are over time; a twin has the words of its picture
+    "report": (6 + len(DRAWN) - 1, True), "fly_report": (2, True), "study": (1, False), "catalogue": (1, False),
+    "starter": (2, True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_everyone_can_read_a_page_on_a_desk_and_a_phone_and_it_calls_nobody(request, browser, name):
+    (figures, over_time), report = PAGES[name], request.getfixturevalue(name)
+    page, phone = opened(browser, report), opened(browser, report, 390, is_mobile=True, has_touch=True)
     can_be_read_by_everyone(page)
-    assert page.locator(".box.wider").count() == 0
-    fits_a_phone(phone)
-    if name == "starter":
+    says_in_words_what_figures_show(page, figures)
+    if over_time:
         has_a_unit_on_every_axis(page)
-        assert page.locator("[data-plot]").count() == 2
+    if name in ("catalogue", "starter"):
+        assert page.locator(".box.wider").count() == 0
+        assert page.locator("[data-plot]").count() == (2 if name == "starter" else 0)
+    fits_a_phone(phone)
+    assert page.heard == phone.heard == []
+    for one in (page, phone):
+        one.context.close()

@@ -361,10 +361,8 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch, point, num
 
 def test_libraries_are_never_given_the_name_of_a_result_to_write_to():
     """What they write goes to memory, and from there to the disk at one place."""
-    package, lone = (
-        Path(durable.__file__).parent,
-        re.compile(r"to_netcdf\((?!engine)|\.to_csv\((?!index|lineterm|\))|savefig\((?!drawn)|write_bytes\("),
-    )
+    package = Path(durable.__file__).parent
+    lone = re.compile(r"to_netcdf\((?!engine)|\.to_csv\((?!index|lineterm|\))|savefig\((?!drawn)|write_bytes\(")
     source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
     assert {name for name, text in source.items() if lone.search(text)} == {"atomic_write.py"}
     assert {name for name, text in source.items() if "write_text(" in text} == {"export/fmu.py", "study/worker.py"}
