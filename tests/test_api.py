@@ -1,7 +1,5 @@
 """The public names, and what a user does with them in a few lines."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from dataclasses import replace

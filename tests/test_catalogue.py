@@ -1,7 +1,5 @@
 """Every effect of the catalogue, without naming one: what the contract promises; and signs of lateral effects."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

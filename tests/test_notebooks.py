@@ -1,7 +1,5 @@
 """The notebooks as they are committed, and executed anew on reduced settings: one of them, by `make verify` all."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

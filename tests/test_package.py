@@ -76,14 +76,11 @@ def beside(package: ModuleType, name: str, text: str, folder, monkeypatch) -> No
     monkeypatch.delitem(import_module("sys").modules, f"{package.__name__}.{name}", raising=False)
 
 
-def test_an_effect_is_one_entry(tmp_path, monkeypatch):
+def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, monkeypatch):
     beside(effects, "more_drag", ENTRY, tmp_path, monkeypatch)
     found = effects._discover()
     assert found.keys() - CATALOGUE.keys() == {"elevator_drag_again"}
     assert list(found) == sorted(found)
-
-
-def test_two_effects_of_one_name_are_refused(tmp_path, monkeypatch):
     beside(effects, "drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"), tmp_path, monkeypatch)
     with pytest.raises(InputError, match="second effect elevator_drag"):
         effects._discover()

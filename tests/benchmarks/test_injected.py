@@ -1,7 +1,5 @@
 """Effects and terms hidden in records, some of which no catalogue has: what is recorded, what is found, its size."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib import resources

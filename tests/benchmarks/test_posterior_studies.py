@@ -1,7 +1,5 @@
 """Posteriors against known truth: ranks, calibration, coverage, figures of both, and that of a trajectory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax

@@ -1,7 +1,5 @@
 """Claims and the verification that counts them, studies that go on where they stopped, qualification as stated."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor

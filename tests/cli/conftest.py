@@ -1,7 +1,5 @@
 """The program in this process, and one simulated record for all of its tests."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 

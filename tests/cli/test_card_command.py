@@ -1,7 +1,5 @@
 """Starter cards: a foreign record's names, units and signs are guessed right, and the rest is asked for."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -77,7 +75,7 @@ def test_a_foreign_record_is_read_through_its_starter_card(program, foreign, tmp
     assert "sign reversed" in checked.out
 
 
-def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_path):
+def test_an_unfilled_card_names_the_first_thing_missing_and_is_not_overwritten(program, foreign, tmp_path):
     path, _ = foreign
     program("card", path, "--out", "mine.toml")
     refused(program("check", path, "--model", "mine.toml"), "[aircraft] mass is still TODO", "[aircraft] Iy")
@@ -85,9 +83,6 @@ def test_an_unfilled_card_names_the_first_thing_missing(program, foreign, tmp_pa
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(InputError, match=r"\[aircraft\] Ix is still TODO"):
         read_card(tmp_path / "mine.toml")
-
-
-def test_a_card_is_not_overwritten(program, foreign, tmp_path):
     (tmp_path / "N123.toml").write_text("mine")
     refused(program("card", foreign[0]), "--force")
     assert program("card", foreign[0], "--force").code == 0
@@ -188,7 +183,7 @@ def test_guesses_are_told_on_a_page(program, foreign, tmp_path):
     assert "turned" in html
 
 
-def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tmp_path):
+def test_newtons_and_pounds_are_not_guessed_apart_nor_a_stall_without_alpha(program, foreign, tmp_path):
     table = pd.read_csv(foreign[0])
     table["FN"] *= 1000.0
     table.to_csv(tmp_path / "large.csv", index=False)
@@ -198,6 +193,11 @@ def test_newtons_and_pounds_of_thrust_are_not_guessed_apart(program, foreign, tm
     assert "lbf" in entry
     (tmp_path / "mine.toml").write_text(filled((tmp_path / "mine.toml").read_text()))
     refused(program("check", "large.csv", "--model", "mine.toml"), "thrust unit is still TODO")
+    pd.read_csv(foreign[0]).rename(columns={"AoA": "S1"}).to_csv("blind.csv", index=False)
+    assert program("card", "blind.csv", "--out", "blind.toml", "--no-page").code == 0
+    text = (tmp_path / "blind.toml").read_text()
+    assert "alpha was not found, so nobody knows whether a stall is in the record" in text
+    assert "alpha reaches" not in text
 
 
 def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, foreign, tmp_path):
@@ -229,14 +229,6 @@ def test_guesses_for_machines_leave_the_drag_form_of_a_stall_open(program, forei
     model = tomllib.loads((tmp_path / told["card"]).read_text())["model"]
     assert "separated_induced_drag" in model["effects"]
     assert "induced_share" not in model["fixed"]
-
-
-def test_a_record_without_alpha_is_not_said_to_hold_no_stall(program, foreign, tmp_path):
-    pd.read_csv(foreign[0]).rename(columns={"AoA": "S1"}).to_csv("blind.csv", index=False)
-    assert program("card", "blind.csv", "--out", "blind.toml", "--no-page").code == 0
-    text = (tmp_path / "blind.toml").read_text()
-    assert "alpha was not found, so nobody knows whether a stall is in the record" in text
-    assert "alpha reaches" not in text
 
 
 def test_a_column_that_is_not_taken_leaves_the_others_their_places(program, tmp_path):

@@ -4,8 +4,6 @@ The faulty records of `../shared/records`: `check` and `identify` must report ea
 there writes the records, and `run.py` has the tables and says what counts as told. They are read here, and the program
 is called in this process: forty processes would each load and compile it."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import json
@@ -71,7 +69,7 @@ def test_everything_that_is_wrong_is_told_at_once(program, flights):
     assert "Traceback" not in done.err
 
 
-def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
+def test_what_a_lost_channel_costs_is_said_and_an_empty_file_is_bad_input(program, flights, tmp_path):
     card = tmp_path / "few.toml"
     text = shipped_cards()["attas"].read_text()
     card.write_text(text.replace('az = { column = 4, label = "AZCG", unit = "m/s^2" }\n', ""))
@@ -80,9 +78,6 @@ def test_what_a_lost_channel_costs_is_said(program, flights, tmp_path):
     assert "identify: not possible, no channel az" in done.out
     assert "because a channel was not recorded (az" in " ".join(done.out.split())
     assert "'AZCG'" in done.out.split("in the file, not on the card:")[1].splitlines()[0]
-
-
-def test_a_file_that_is_no_record_is_bad_input(program, tmp_path):
     (tmp_path / "empty.csv").write_text("")
     refused(program("check", "empty.csv"), "empty.csv")
 

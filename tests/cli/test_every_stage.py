@@ -5,8 +5,6 @@ A few are fixed. `make verify` draws three at random, other ones each time, and 
 environment twenty.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

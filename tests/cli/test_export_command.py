@@ -1,7 +1,5 @@
 """`bayes-aero export`: from a finished result or a card to files, its draws, and its words for bad input."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

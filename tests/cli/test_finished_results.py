@@ -1,7 +1,5 @@
 """`bayes-aero open` and results of linear cards: opened, qualified and drawn, and a sentence for what they lack."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -55,7 +53,7 @@ def test_it_serves_until_ctrl_c_and_ends_with_zero(identified):
     assert (running.returncode, out, err) == (0, "", "")
 
 
-def test_what_is_no_result_is_one_sentence(program, identified, tmp_path):
+def test_what_is_no_result_or_has_moved_is_one_sentence(program, identified, tmp_path):
     (tmp_path / "empty").mkdir()
     refused(program("open", "empty"), "identify, fly or diagnose")
     refused(program("open", "nosuch"), "there is no result 'nosuch'")
@@ -64,9 +62,6 @@ def test_what_is_no_result_is_one_sentence(program, identified, tmp_path):
     told["mle"]["status"] = "not_converged"
     (tmp_path / "results.json").write_text(json.dumps(told))
     refused(program("open", "results.json"), "has not converged")
-
-
-def test_records_that_moved_are_one_sentence(program, identified, tmp_path):
     (tmp_path / "deep" / "results").mkdir(parents=True)
     result = tmp_path / "deep" / "results" / "results.json"
     result.write_bytes((identified / "results" / "results.json").read_bytes())

@@ -1,7 +1,5 @@
 """`bayes-aero fly`: output error, process noise, its posterior, bands of frequency; truth, files and exit codes."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 
@@ -121,7 +119,7 @@ def test_lateral_motion_is_recovered_and_told(program, tmp_path):
     assert "aileron_left" in page_of(tmp_path / "trajectories")
 
 
-def test_what_a_still_elevator_does_not_tell_is_marked(program, tmp_path):
+def test_what_a_still_elevator_does_not_tell_is_marked_and_check_says_what_can_be_flown(program, tmp_path):
     still = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, x0=(0.1, -0.1))
     still["elevator"] = np.zeros_like(still["elevator"])
     card, record = written(tmp_path, SHORT_PERIOD, still)
@@ -129,6 +127,9 @@ def test_what_a_still_elevator_does_not_tell_is_marked(program, tmp_path):
     assert {name for name, p in parameters.items() if p["held_by_prior"]} == {"Zde", "Mde"}
     assert parameters["Mde"]["crb"] is None
     assert program("fly", record, "--model", card, "--no-figures").out.count("held by its prior") == 2
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    uses = answer(program("check", record, "--model", card, "--json"))["uses"]
+    assert uses == {"fly": {"possible": True, "why_not": None}}
 
 
 def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
@@ -163,12 +164,6 @@ def test_a_model_of_effects_flies_a_stall(program, tmp_path):
     assert exported["parameters"]["Cma"]["value"] == found["parameters"]["Cma"]["estimate"]
     assert "trajectories (fly)" in exported["sources"][0]
     assert exported["draws"]["origin"].startswith("normal distribution of the estimates, covariance corrected")
-
-
-def test_check_says_that_a_linear_card_can_be_flown(program, tmp_path):
-    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
-    uses = answer(program("check", record, "--model", card, "--json"))["uses"]
-    assert uses == {"fly": {"possible": True, "why_not": None}}
 
 
 def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):

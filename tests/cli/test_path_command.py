@@ -3,8 +3,6 @@
 The flight is made of smooth attitudes and velocities; accelerations and rates follow from them by differentiation.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from unittest.mock import Mock

@@ -1,7 +1,5 @@
 """The program itself: help, exit codes, JSON, interruptions, the catalogue, what is loaded, options that are gone."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -110,11 +108,7 @@ def test_the_catalogue_is_a_page_too(program, tmp_path):
     assert "flow_separation" not in one
 
 
-def test_an_unknown_effect_is_told_with_its_neighbours(program):
-    refused(program("effects", "pitch_rat_bias"), "pitch_rate_bias")
-
-
-def test_effects_of_a_card_are_listed_with_it(program, tmp_path):
+def test_effects_of_a_card_are_listed_with_it_and_an_unknown_one_with_its_neighbours(program, tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     text = study.shipped_cards()["attas"].read_text()
     (tmp_path / "mine.toml").write_text(text.replace("[model]\n", '[model]\neffect_files = ["mine.py"]\n'))
@@ -122,6 +116,7 @@ def test_effects_of_a_card_are_listed_with_it(program, tmp_path):
     assert found[0]["claim"] == "Mine."
     assert found[0]["model"] is False
     assert program("effects", "my_moment").code == 2
+    refused(program("effects", "pitch_rat_bias"), "pitch_rate_bias")
 
 
 def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):

@@ -5,8 +5,6 @@ the data of the book. The programs stop at a relative change of det R of 1e-4. S
 the published regressors keep the bias of the gyros, which here is taken out of all that follows: offsets differ by
 derivative times bias, and are compared with this put back."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

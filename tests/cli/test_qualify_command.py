@@ -1,7 +1,5 @@
 """`bayes-aero qualify`: from a finished result to a page that is signed, and its words for bad input."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

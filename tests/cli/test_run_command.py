@@ -1,7 +1,5 @@
 """Studies: units are made once, resumed, redone where inputs changed, and never anywhere else; and of trajectories."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import json
@@ -290,7 +288,7 @@ def test_options_are_the_command_s():
     assert set(asked) - set(OPTIONS["fly"]) == {"records", "model", "out", "seed", "json"}  # a study has its own
 
 
-def test_process_noise_has_rows_of_its_own(program, fly_folder):
+def test_process_noise_has_rows_of_its_own_and_short_windows_fail_their_units(program, fly_folder):
     (fly_folder / "study.toml").write_text(FLY_STUDY.replace('"*.csv"', '"one.csv"') + BOTH)
     succeeded(program("run", "study.toml"))
     (flown,) = (fly_folder / "study_results").rglob("trajectories.json")

@@ -4,8 +4,6 @@ Each study that was disturbed and then done again is compared with one that nobo
 but for what names times and machines (unit.json's seconds and hashes, provenance).
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Synthetic records: what is hidden is in the file, nothing else is; records of three axes, flown with their states."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace
@@ -92,13 +90,7 @@ def test_bad_requests_are_one_sentence(program, tmp_path, arguments, told):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_is_there_is_kept(program, tmp_path):
-    (tmp_path / "flight.csv").write_text("precious")
-    refused(program("simulate", "--out", "flight.csv"), "--force")
-    assert (tmp_path / "flight.csv").read_text() == "precious"
-
-
-def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
+def test_a_page_shows_the_record_and_its_truth_and_a_file_that_is_there_is_kept(program, tmp_path):
     arguments = ["--manoeuvre", "slow_stall", "--duration", "20", "--effect", "thrust_lag=1", "--out", "a.csv"]
     assert program("simulate", *arguments, "--no-page").code == 0
     assert not (tmp_path / "a.csv.report.html").exists()
@@ -106,6 +98,9 @@ def test_a_page_shows_the_record_and_its_truth(program, tmp_path):
     html = (tmp_path / "a.csv.report.html").read_text()
     assert "hidden effect: thrust_lag" in html
     assert "was not made" not in html
+    (tmp_path / "flight.csv").write_text("precious")
+    refused(program("simulate", "--out", "flight.csv"), "--force")
+    assert (tmp_path / "flight.csv").read_text() == "precious"
 
 
 def test_a_size_beyond_the_plausible_is_told(program):

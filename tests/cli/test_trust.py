@@ -1,7 +1,5 @@
 """Code is run only if the user has named the card, or said so; and nothing is written outside the folder named."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is chosen on the page: handed on as shown, scored in a window, served to this machine alone."""
 
-from __future__ import annotations
-
 import http.client
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Flown again: by the result's values as `fly` wrote it, by others as the package simulates the card's model."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The live page in a real browser: by keyboard, against the package's own simulation, and without a network."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

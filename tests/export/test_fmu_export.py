@@ -1,7 +1,5 @@
 """The exported FMU by another library, fmpy: its description, and a simulation through a recorded stall."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import jax.numpy as jnp

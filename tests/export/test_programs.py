@@ -1,7 +1,5 @@
 """Traced functions as programs, and the function of an FMU, against JAX and the model itself and by hand."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from math import exp, tanh

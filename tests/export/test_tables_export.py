@@ -1,7 +1,5 @@
 """Tables of a model, interpolated by xarray: their sums are the coefficients, within the accuracy that they state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

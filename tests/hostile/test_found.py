@@ -1,7 +1,5 @@
 """What fuzzing and thinking like an attacker have found, one example each; none may come back."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time
@@ -199,18 +197,19 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
-    [("import sys\nsys.exit(0)\n", "SystemExit"), ("x = 1\n" * 300_000, "more than"), (b"\xff\xfe", "cannot be read")],
+    ("name", "source", "said"),
+    [
+        ("mine.py", b"import sys\nsys.exit(0)\n", "SystemExit"),
+        ("mine.py", b"x = 1\n" * 300_000, "more than"),
+        ("mine.py", b"\xff\xfe", "cannot be read"),
+        *((name, b"", "no such file") for name in ("/dev/zero", "nowhere.py", ".")),
+    ],
+    ids=["exits", "long", "bytes", "device", "nowhere", "folder"],
 )
-def test_effect_files_that_are_none(tmp_path, source, said):
-    (tmp_path / "mine.py").write_bytes(source if isinstance(source, bytes) else source.encode())
+def test_effect_files_that_are_none(tmp_path, name, source, said):
+    if source:
+        (tmp_path / name).write_bytes(source)
     with pytest.raises(InputError, match=said):
-        own_effects([tmp_path / "mine.py"])
-
-
-@pytest.mark.parametrize("name", ["/dev/zero", "nowhere.py", "."])
-def test_effect_files_that_are_no_files(tmp_path, name):
-    with pytest.raises(InputError, match="no such file"):
         own_effects([tmp_path / name])
 
 

@@ -1,7 +1,5 @@
 """Whatever a card or a study says, it is read or refused in one sentence, soon, without a warning."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -1,7 +1,5 @@
 """Probability of staying inside a tolerance, and what structure and flown region make of it: closed forms."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A small identification made by hand, so that every number in a table or sentence is known beforehand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

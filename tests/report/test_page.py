@@ -1,7 +1,5 @@
 """The report page: everything escaped, whole or not at all, true to its numbers, thinned without losing a peak."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The pages of a fit to trajectories and of a study: true to their numbers, whole, and never in their way."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Report pages in a real browser: they draw, zoom, print, fit a phone, are legible to all and call nobody."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

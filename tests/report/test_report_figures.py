@@ -1,7 +1,5 @@
 """Figures draw, on results of several shapes, with labels, units and no empty axes; what they and their words say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import matplotlib
@@ -76,11 +74,17 @@ def test_figures_of_lateral_coefficients_are_for_models_that_have_them(stem, ful
     check(FIGURES[stem](replace(full, gp=None, observations=replace(full.observations, coefficients=coefficients))))
 
 
-def test_the_registry_has_the_papers_nine_and_the_bayesian_ones():
+def test_the_registry_has_the_papers_nine_and_what_can_be_shown_without_posteriors_is(make, tmp_path):
     paper = [stem for stem in FIGURES if stem.startswith("fig")]
     assert [stem[:5] for stem in paper] == [f"fig{i}_" for i in range(1, 10)]
     for part in ("trace", "rank", "pair", "pit", "forest", "prior_posterior", "gp_prior_posterior", "crb_vs_credible"):
         assert any(stem.startswith(part) for stem in FIGURES)
+    written, failed = write_figures(make(engines=(), gp=False), tmp_path)
+    assert not failed
+    stems = {path.stem for path in written}
+    assert "fig3_validation_CL" in stems
+    assert "forest" in stems
+    assert stems.isdisjoint(SLOW | {"fig2_gpr_fit", "prior_posterior", "gp_prior_posterior"})
 
 
 @pytest.mark.parametrize("count", [1, 5])
@@ -88,15 +92,6 @@ def test_one_and_many_manoeuvres(count, make):
     run = make(manoeuvres=count)
     for stem in FIGURES.keys() - SLOW - OF_LATERAL - ASKED_FOR:
         check(FIGURES[stem](run))
-
-
-def test_without_posteriors_and_gp_what_can_be_shown_is(make, tmp_path):
-    written, failed = write_figures(make(engines=(), gp=False), tmp_path)
-    assert not failed
-    stems = {path.stem for path in written}
-    assert "fig3_validation_CL" in stems
-    assert "forest" in stems
-    assert stems.isdisjoint(SLOW | {"fig2_gpr_fit", "prior_posterior", "gp_prior_posterior"})
 
 
 def test_a_figure_that_fails_is_named_and_leaves_the_others(full, tmp_path, monkeypatch):
@@ -127,7 +122,7 @@ def test_neither_backend_nor_settings_nor_open_figures_of_the_user_change(full):
     assert not plt.get_fignums()
 
 
-def test_predictions_follow_the_test_points_and_lines_break_at_gaps(full):
+def test_predictions_follow_the_test_points_or_all_samples_and_lines_break_at_gaps(full, make):
     points = predicted(full, "CD")
     test = full.gp.splits["random"][0]["CD"]
     assert np.array_equal(points.index, test.test)
@@ -137,9 +132,6 @@ def test_predictions_follow_the_test_points_and_lines_break_at_gaps(full):
     t, y = broken(np.array([0.0, 0.1, 5.0]), np.array([1.0, 2.0, 3.0]))
     assert np.isnan(t[2])
     assert np.array_equal(y, [1.0, 2.0, np.nan, 3.0], equal_nan=True)
-
-
-def test_without_a_gp_the_fit_at_all_samples_is_shown(make):
     run = make(gp=False)
     points = predicted(run, "CL")
     alpha, elevator = (np.asarray(run.observations.signals[k]) for k in ("alpha", "elevator"))

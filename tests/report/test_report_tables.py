@@ -1,7 +1,5 @@
 """Tables of numbers: the same columns on a terminal, on a page, in a file and in JSON; numbers worked out by hand."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import replace
@@ -47,21 +45,17 @@ def printed(two_rows: Table, width: int = 80) -> str:
 @pytest.fixture(scope="module")
 def two_rows() -> Table:
     """Two parameters, one without an estimate; a page has the parts of the change, a terminal both in one."""
-    ends = ("estimate", "sd", "low")
+    ends, changes = ("estimate", "sd", "low"), [Change(0.25, 0.5), Change(None, 1.0 / 3.0)]
     return Table(
         [
             Column(["a", "b"], "name", "parameter", ""),
             Column([Estimate(-0.39102, 0.0159, -0.42, -0.36), None], ends, "fit", "fit"),
-            Column(
-                [Change(0.25, 0.5), Change(None, 1.0 / 3.0)], "", ("before", "after"), "change", ".0%", group="share"
-            ),
+            Column(changes, "", ("before", "after"), "change", ".0%", group="share"),
             Column([2, 3], "count"),
             Column(["only here", ""], page="remark", words=True),
         ],
-        "A title",
-        "A note",
-        terminal_title="Another",
-    )
+        "A title", "A note", terminal_title="Another",
+    )  # fmt: skip
 
 
 def test_a_page_a_terminal_a_file_and_json_have_what_is_for_them(two_rows, tmp_path):

@@ -1,7 +1,5 @@
 """What reports say of an identification and of effects: where results disagree and why, wrong signs, changes."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """What reports say of simulations, one-step predictions, gusts and a fit to trajectories, against numbers by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

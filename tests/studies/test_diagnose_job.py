@@ -1,7 +1,5 @@
 """The diagnosis as a job: what it writes follows its schema, is whole, and survives what fails late."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace

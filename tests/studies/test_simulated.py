@@ -1,7 +1,5 @@
 """Simulated records: what is hidden, and only that, is in them; truth comes back at any sampling rate."""
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np

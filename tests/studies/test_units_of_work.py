@@ -1,7 +1,5 @@
 """Work of studies: beside others, on workers, and in files that appear whole whatever happens."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -129,7 +127,7 @@ def test_what_is_compiled_is_forgotten_when_memory_runs_short(driver, monkeypatc
     assert forgot
 
 
-def test_the_cache_lies_where_the_user_says(monkeypatch, tmp_path):
+def test_a_worker_keeps_to_its_cores_and_the_cache_lies_where_the_user_says(monkeypatch, tmp_path):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "jax"))
     assert cache_folder() == tmp_path / "jax"
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
@@ -139,9 +137,6 @@ def test_the_cache_lies_where_the_user_says(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     if sys.platform == "linux":
         assert cache_folder().parent == tmp_path / "home" / "bayes_aero" / "compiled"
-
-
-def test_a_worker_keeps_to_the_cores_that_it_is_given(monkeypatch):
     monkeypatch.setenv("BAYES_AERO_CORES", "3")
     assert cores() == 3
     monkeypatch.setenv("BAYES_AERO_CORES", "")
