@@ -59,6 +59,11 @@ def refused(done, *words, gone=()):
     assert not [path for path in gone if Path(path).exists()]
 
 
+def holds(text, *parts):
+    """All of these are in it."""
+    assert [part for part in parts if part not in text] == [], text
+
+
 def validated(content, kind):
     """A JSON document, or the file that holds it, that must follow the schema of its kind."""
     content = json.loads(content.read_text()) if isinstance(content, Path) else content

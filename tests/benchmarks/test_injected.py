@@ -1,14 +1,12 @@
 """Effects and terms hidden in records, some of which no catalogue has: what is recorded, what is found, its size."""
 
-import json
 from dataclasses import replace
-from importlib import resources
 
-import jsonschema
 import numpy as np
 import pytest
 import unlisted_terms
 import wing_first
+from calling import validated
 from injection import injected
 
 from bayes_aero.diagnosis import candidate_set
@@ -130,9 +128,7 @@ def test_without_accelerometers_a_bump_is_found_in_flight_and_written(tmp_path, 
     flown = hidden_records({}, seed=501, noise=noise, seconds=90.0, beyond=beyond)
     records = [unlisted_terms.without_accelerometers(r) for r in flown]
     told = diagnose_records(records, read_card("attas"), DiagnoseOptions(), out=tmp_path)
-    content = json.loads((tmp_path / "diagnosis.json").read_text())
-    schema = resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json")
-    jsonschema.validate(content, json.loads(schema.read_text()))
+    content = validated(tmp_path / "diagnosis.json", "diagnosis")
     assert content["failures"] == []
     assert content["verdict"] == "unexplained"
     assert content["tested"]["rests_on"] == "trajectories"
@@ -157,9 +153,7 @@ def test_in_gusts_a_product_is_found_and_weighed(tmp_path, monkeypatch):
     (term,) = told.terms
     assert (term.coefficient, term.term.name) == (coefficient, name)
     assert abs(term.size[0] - values["unlisted_product"]) < 1.96 * term.size[1]
-    content = json.loads((tmp_path / "diagnosis.json").read_text())
-    schema = resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json")
-    jsonschema.validate(content, json.loads(schema.read_text()))
+    content = validated(tmp_path / "diagnosis.json", "diagnosis")
     assert [u["coefficient"] for u in content["unexplained"]] == [coefficient]
     path = tmp_path / "found.py"
     write_effects(told.terms, ["run1", "run2"], path)
@@ -184,19 +178,24 @@ def test_a_flight_that_breaks_down_after_its_record_leaves_the_record_whole():
 RECORDS = ("rudder", "stall_in_bank")
 
 
+def alone(found, name, size, most):
+    """What is told of a diagnosis whose one cause, without rivals, has this size to `most` of it."""
+    said = wing_first.told(found)
+    assert list(said["causes"]) == [name]
+    assert said["ambiguous"] == {name: []}
+    ((mean, sd),) = said["causes"][name].values()
+    assert abs(mean - size) < 1.96 * sd
+    assert sd < most * abs(size)
+    return said
+
+
 @pytest.mark.verify
 def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     """No aileron offset, centre of gravity aside, uneven engines or vane: those are candidates of the same record."""
     plane, records, size = wing_first.flown(0)
     chosen = [record for record in records if record.name in RECORDS]
     found = diagnose(chosen, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
-    said = wing_first.told(found)
-    assert list(said["causes"]) == ["wing_asymmetry"]
-    assert said["ambiguous"] == {"wing_asymmetry": []}
-    assert said["unexplained"] == []
-    ((mean, sd),) = said["causes"]["wing_asymmetry"].values()
-    assert abs(mean - size) < 1.96 * sd
-    assert sd < 0.01 * abs(size)
+    assert alone(found, "wing_asymmetry", size, 0.01)["unexplained"] == []
     rivals = {*wing_first.CAUSES, *wing_first.NAMED.values()} - {"wing_asymmetry", *wing_first.NAMED}
     assert rivals <= {e.name for e in found.aerodynamics.state.full.candidates}
 
@@ -220,12 +219,7 @@ def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvres_that_are_pr
     found = diagnose(then, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
     assert found.verdict is Verdict.EXPLAINED
     assert found.absorbed == ()
-    said = wing_first.told(found)
-    assert list(said["causes"]) == ["thrust_asymmetry"]
-    assert said["ambiguous"] == {"thrust_asymmetry": []}
-    ((mean, sd),) = said["causes"]["thrust_asymmetry"].values()
-    assert abs(mean - size) < 1.96 * sd
-    assert sd < 0.1 * abs(size)
+    alone(found, "thrust_asymmetry", size, 0.1)
 
 
 def test_the_table_counts_what_was_named(capsys):

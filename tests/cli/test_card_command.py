@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
-from calling import answer, refused, succeeded
+from calling import answer, holds, refused, succeeded
 from flight.health.flights import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -189,8 +189,7 @@ def test_newtons_and_pounds_are_not_guessed_apart_nor_a_stall_without_alpha(prog
     table.to_csv(tmp_path / "large.csv", index=False)
     assert program("card", "large.csv", "--out", "mine.toml").code == 0
     entry = next(line for line in (tmp_path / "mine.toml").read_text().splitlines() if line.startswith("thrust"))
-    assert 'unit = "TODO"' in entry
-    assert "lbf" in entry
+    holds(entry, 'unit = "TODO"', "lbf")
     (tmp_path / "mine.toml").write_text(filled((tmp_path / "mine.toml").read_text()))
     refused(program("check", "large.csv", "--model", "mine.toml"), "thrust unit is still TODO")
     pd.read_csv(foreign[0]).rename(columns={"AoA": "S1"}).to_csv("blind.csv", index=False)
@@ -354,8 +353,7 @@ def test_what_the_file_has_is_not_said_to_be_missing(tmp_path):
     thrust = np.full(751, 3000.0) + np.arange(751)
     made, text = starter_of(tmp_path, thrust_left=thrust, **{"rho [kg/m^3]": np.full(751, 830.0) + np.arange(751)})
     assert made["constants"]["thrust"] == "TODO"
-    assert "only thrust_left was" in text
-    assert 'density = "standard atmosphere" # guess; what the file has was not taken' in text
+    holds(text, "only thrust_left was", 'density = "standard atmosphere" # guess; what the file has was not taken')
     assert "ot recorded" not in text
 
 

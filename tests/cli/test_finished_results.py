@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calling import answer, called, refused
+from calling import answer, called, holds, refused
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, record_of, short_period_flight
 
 from bayes_aero.errors import InputError
@@ -23,8 +23,7 @@ from bayes_aero.flight.reading.read_record import write_record
 
 def test_help_names_the_options(program):
     text = program("open", "--help").out
-    for word in ("DIR", "--records", "--model", "--port", "--no-browser", "127.0.0.1", "Ctrl-C"):
-        assert word in text
+    holds(text, "DIR", "--records", "--model", "--port", "--no-browser", "127.0.0.1", "Ctrl-C")
 
 
 @pytest.fixture

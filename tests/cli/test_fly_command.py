@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from calling import answer, page_of, recorded, refused, succeeded, validated
+from calling import answer, holds, page_of, recorded, refused, succeeded, validated
 from linear_cards import (
     FIRST_ORDER,
     LATERAL,
@@ -188,8 +188,7 @@ def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
         assert [share["level"] for share in predicted["shares"]] == [0.5, 0.9, 0.95, 0.99]
     assert any("inside their 95 % intervals: α " in sentence for sentence in found["sentences"])
     page = page_of(tmp_path / "out")
-    assert "with process noise" in page
-    assert "inside the interval, %" in page
+    holds(page, "with process noise", "inside the interval, %")
 
 
 @pytest.mark.recovery
@@ -220,8 +219,7 @@ def test_a_posterior_is_written_and_bad_chains_are_told(program, tmp_path, monke
     table = pd.read_csv(tmp_path / "out" / "posterior.csv", index_col=0)
     assert set(table.index) == {"Zalpha", "F_alpha", "sigma_alpha"}
     page = page_of(tmp_path / "out")
-    assert "do not use the intervals" in page
-    assert "Pair plot" in page
+    holds(page, "do not use the intervals", "Pair plot")
 
 
 def test_one_step_predictions_of_two_flights_are_drawn(program, tmp_path):

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from calling import answer, page_of, refused, succeeded
+from calling import answer, holds, page_of, refused, succeeded
 
 from bayes_aero.cli import app, choices, gone_options, main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
@@ -86,8 +86,7 @@ def test_the_catalogue_is_listed_and_explained(program):
     assert set(found) == set(CATALOGUE)
     assert all(name in listed for name in CATALOGUE)
     told = program("effects", "pitch_rate_bias").out
-    for words in ("rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01"):
-        assert words in told
+    holds(told, "rad/s", "Klein and Morelli", "0.054", "normal, mean 0, deviation 0.01")
     assert found["flow_separation"]["parameters"][0]["bounds"] == [1.0, 200.0]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from calling import answer, succeeded
+from calling import answer, holds, succeeded
 
 import bayes_aero as ba
 from bayes_aero.diagnosis import candidate_set
@@ -127,8 +127,7 @@ def test_cost_and_settings_are_printed(program, book):
     cost = book["TC08"]["methods"]["independent_optimum"]["det_R"]
     told = float(said.split("det R is ")[1].split()[0])
     assert told == pytest.approx(cost, rel=1e-4)
-    assert "without priors and with initial states fixed" in said
-    assert "no priors" in said
+    holds(said, "without priors and with initial states fixed", "no priors")
 
 
 def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(book):
@@ -289,8 +288,7 @@ def test_swapped_ailerons_are_told_by_the_roll_that_they_make(six_card, six_reco
     assert not [f for f in channel_health(six_records, six_card) if f.fault == "sign"]
     (finding,) = [f for f in channel_health([swapped], six_card) if f.fault == "sign"]
     assert finding.channel == "aileron"
-    assert "rolls to the right" in finding.sentence
-    assert "aileron_right and aileron_left are swapped" in finding.sentence
+    holds(finding.sentence, "rolls to the right", "aileron_right and aileron_left are swapped")
     rudder = replace(six_records[2], channels={**six_records[2].channels, "rudder": -six_records[2]["rudder"]})
     (finding,) = [f for f in channel_health([rudder], six_card) if f.fault == "sign"]
     assert finding.channel == "rudder"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calling import answer, called, refused, validated
+from calling import answer, called, holds, refused, validated
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
@@ -75,8 +75,7 @@ def test_extrapolation_is_told_of_the_other_record(folder, found):
 def test_the_page_can_be_signed(folder, found):
     page = (folder / "qualification" / "qualification.html").read_text()
     assert "was not made" not in page
-    for words in ("signature", "accepted", "refused", "Attachment 7", "was not read", "Stated: 1 m/s"):
-        assert words in page
+    holds(page, "signature", "accepted", "refused", "Attachment 7", "was not read", "Stated: 1 m/s")
     assert ("The model does not qualify" in page) == (found["verdict"] == "fails")
     rows = (folder / "qualification" / "qualification.csv").read_text().splitlines()
     assert len(rows) == 1 + len(found["tests"])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calling import answer, refused, succeeded
+from calling import answer, holds, refused, succeeded
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 import bayes_aero
@@ -96,8 +96,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
     monkeypatch.setattr(units, "run_task", interrupted)
     done = program("run", "study.toml")
     assert done.code == 130
-    assert "1 of 2 units are done" in done.err
-    assert "same command" in done.err
+    holds(done.err, "1 of 2 units are done", "same command")
     assert len(list((folder / "study_results" / "units").iterdir())) == 1  # nothing half done
     monkeypatch.setattr(units, "run_task", quick)
     assert program("run", "study.toml").code == 0

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calling import holds
 from linear_cards import SHORT_PERIOD_TRUTH
 from PIL import Image
 from report_samples import CARD, N, flight, records, study_told, with_offsets
@@ -46,8 +47,7 @@ def test_every_part_is_made_and_nothing_else():
     assert [b.title for b in blocks_of(page, "fit") if isinstance(b, Plot)] == ["one", "two"]
     assert all(isinstance(b, Fold) for b in blocks_of(page, "provenance"))  # folded away
     html = render(page)
-    for name in SHORT_PERIOD_TRUTH:
-        assert name in html
+    holds(html, *SHORT_PERIOD_TRUTH)
 
 
 def test_parameters_stand_with_both_deviations_and_their_bounds():

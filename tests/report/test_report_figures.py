@@ -5,6 +5,7 @@ from dataclasses import replace
 import matplotlib
 import numpy as np
 import pytest
+from calling import holds
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
@@ -82,8 +83,7 @@ def test_the_registry_has_the_papers_nine_and_what_can_be_shown_without_posterio
     written, failed = write_figures(make(engines=(), gp=False), tmp_path)
     assert not failed
     stems = {path.stem for path in written}
-    assert "fig3_validation_CL" in stems
-    assert "forest" in stems
+    holds(stems, "fig3_validation_CL", "forest")
     assert stems.isdisjoint(SLOW | {"fig2_gpr_fit", "prior_posterior", "gp_prior_posterior"})
 
 

@@ -8,6 +8,7 @@ from importlib import resources
 
 import jsonschema
 import pytest
+from calling import holds
 from linear_cards import SHORT_PERIOD
 
 from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
@@ -54,9 +55,8 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     flown = dict(zip(run.mle.names, run.mle.estimate, strict=True))
     flown |= {"Cma": flown["Cma"] + 0.03, "tau1": 0.0}  # three Cramer-Rao deviations, .75 corrected; one not fitted
     text = sentence(replace(run, truth=flown), "simulated")
-    assert "of the 6 true parameters" in text
-    assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
-    assert "Cma, -0.8 corrected standard errors" in text
+    holds(text, "of the 6 true parameters", "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)")
+    holds(text, "Cma, -0.8 corrected standard errors")
 
 
 WIDER = {"width": 4.0, "corrected": 4.0, "lag1": 0.9}
@@ -262,6 +262,5 @@ def test_one_sentence_counts_every_effect_once():
     first, *counts = map(int, re.findall(r"(?:^|: |; )(\d+) ", said))
     assert first == sum(counts) == len(REASONS)
     assert counts == [3, 1, 1, 1]
-    for name in ("canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later"):
-        assert name in said
+    holds(said, "canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later")
     assert not_testable_sentences({}) == []
