@@ -1,7 +1,5 @@
 """The program called in this process: a process of its own loads and compiles everything anew."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """A fit of two short flights with known errors, and a study with known scatter, for the pages and words of reports."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache

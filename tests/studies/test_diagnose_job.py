@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -11,13 +12,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calling import page_of, validated
-from history_files import flight_of, read_histories
 from simulated_halves import halves
 
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.scores import score
 from bayes_aero.jobs import diagnose as job
@@ -31,6 +31,20 @@ from bayes_aero.jobs.steps import post_diagnosis as outlook
 from bayes_aero.jobs.steps import post_processing as follow
 from bayes_aero.report.figures import diagnosis as figures_diagnosis
 from bayes_aero.simulate.injection import hidden_records
+
+
+def read_histories(path: Path) -> Mapping[str, xr.Dataset]:
+    """All groups by name, in memory."""
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        assert tree.attrs == {"schema": "bayes_aero/histories/1"}
+        return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
+
+
+def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
+    """One manoeuvre's columns."""
+    names = np.atleast_1d(group.attrs["names"]).tolist()  # a list of one comes back as that one
+    own = group["manoeuvre"].values == names.index(plain_line(manoeuvre)) + 1
+    return {str(key): np.asarray(column.values)[own] for key, column in group.data_vars.items()}
 
 
 def run(records, card, *, out, hidden=None, points=None, fly=None, **options):
