@@ -37,15 +37,15 @@ def recorded(record, path, card):
     return path
 
 
-def succeeded(done):
-    """What a call has said that must have ended with 0."""
-    assert done.code == 0, done.out + done.err
+def succeeded(done, *codes):
+    """What a call has said that must have ended with one of these codes, 0 where none is given."""
+    assert done.code in (codes or (0,)), done.out + done.err
     return done
 
 
-def answer(done):
-    """The JSON on standard output of a call that must have ended with 0."""
-    return json.loads(succeeded(done).out)
+def answer(done, *codes):
+    """The JSON on standard output of such a call."""
+    return json.loads(succeeded(done, *codes).out)
 
 
 def refused(done, *words, gone=()):

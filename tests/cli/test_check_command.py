@@ -33,9 +33,7 @@ from bayes_aero.jobs.card.card_template import starter_card
 
 
 def test_a_gyro_bias_is_seen_without_aerodynamics(program, flights):
-    done = program("check", flights.biased, "--json")
-    assert done.code == 3, done.err  # usable, but in doubt
-    found = json.loads(done.out)
+    found = answer(program("check", flights.biased, "--json"), 3)  # usable, but in doubt
     assert found["usable"]
     assert found["consistency"]["outcome"] == "disagree_explained"
     assert found["uses"]["identify"]["possible"]
