@@ -1,7 +1,5 @@
 """A report page in a real browser, and what any of them must be there: legible to all, silent, fit for a phone."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from itertools import pairwise

@@ -1,16 +1,19 @@
 """The program called in this process: a process of its own loads and compiles everything anew."""
 
-from __future__ import annotations
-
 import contextlib
 import io
+import json
 import sys
+from importlib import resources
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
+import jsonschema
 import pytest
 
 from bayes_aero.cli import main
+from bayes_aero.flight.reading.read_record import write_record
 
 
 def called(folder, *arguments):
@@ -26,3 +29,50 @@ def called(folder, *arguments):
     ):
         main()
     return SimpleNamespace(code=stopped.value.code or 0, out=out.getvalue(), err=err.getvalue())
+
+
+def recorded(record, path, card):
+    """A file of those of the card's channels that the record has; its path."""
+    write_record(record, path, [c for c in card.channels if record.has(c.name) or c.name == "time"])
+    return path
+
+
+def succeeded(done, *codes):
+    """What a call has said that must have ended with one of these codes, 0 where none is given."""
+    assert done.code in (codes or (0,)), done.out + done.err
+    return done
+
+
+def answer(done, *codes):
+    """The JSON on standard output of such a call."""
+    return json.loads(succeeded(done, *codes).out)
+
+
+def refused(done, *words, gone=()):
+    """Bad input is one sentence, which holds these words, and nothing is written to these paths."""
+    assert (done.code, done.out) == (2, ""), done.out
+    assert done.err.startswith("error: ")
+    assert done.err.count("\n") == 1, done.err
+    assert [word for word in words if word not in done.err] == [], done.err
+    assert not [path for path in gone if Path(path).exists()]
+
+
+def holds(text, *parts):
+    """All of these are in it."""
+    assert [part for part in parts if part not in text] == [], text
+
+
+def validated(content, kind):
+    """A JSON document, or the file that holds it, that must follow the schema of its kind."""
+    content = json.loads(content.read_text()) if isinstance(content, Path) else content
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath(f"{kind}.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(content, schema)
+    return content
+
+
+def page_of(folder):
+    """The report page without its places to break long words; every part of it must have been made."""
+    page = (folder / "report.html").read_text().replace("<wbr>", "")
+    assert "was not made" not in page
+    return page

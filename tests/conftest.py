@@ -1,7 +1,6 @@
 """Fixtures that several test folders share."""
 
-from __future__ import annotations
-
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,9 +20,8 @@ from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas"
-
-
 TESTS = Path(__file__).parent
+sys.path.append(str(TESTS.parent / "benchmarks"))  # after all that is installed: one of them is called `coverage`
 FIRST = ("diagnosis", "diagnosed", "cli", "cluster", "inference")  # most work: not to be begun last, by one worker
 
 

@@ -1,7 +1,5 @@
 """How many examples a fuzz test takes: FUZZ=50 in the environment takes fifty times as many, other ones each time."""
 
-from __future__ import annotations
-
 import os
 from datetime import timedelta
 

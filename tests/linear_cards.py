@@ -1,7 +1,5 @@
 """Cards of linear systems, and their response by the matrix exponential: no integration."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

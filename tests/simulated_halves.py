@@ -1,7 +1,5 @@
 """Simulated trajectories made by hand, so that every error is known beforehand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bayes_aero.diagnosis.selection.residuals import theil_parts

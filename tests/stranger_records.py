@@ -93,18 +93,13 @@ def misread(rows: np.ndarray, errors: Mapping[str, float]) -> np.ndarray:
     alpha = np.interp(t - error("alpha_delay"), t, alpha)
     return np.array(
         (
-            t,
-            V * (1.0 + error("airspeed_scale")) + error("airspeed_bias"),
-            alpha * (1.0 + error("alpha_scale")) + error("alpha_bias"),
-            theta + error("pitch_attitude_bias"),
-            q * (1.0 + error("pitch_rate_scale")) + error("pitch_rate_bias"),
-            ax + error("accel_x_bias"),
-            az + error("accel_z_bias"),
-            h * (1.0 + error("altitude_scale")),
-            np.interp(t - error("elevator_delay"), t, elevator),
-            T / (1.0 + error("thrust_scale")),
+            t, V * (1.0 + error("airspeed_scale")) + error("airspeed_bias"),
+            alpha * (1.0 + error("alpha_scale")) + error("alpha_bias"), theta + error("pitch_attitude_bias"),
+            q * (1.0 + error("pitch_rate_scale")) + error("pitch_rate_bias"), ax + error("accel_x_bias"),
+            az + error("accel_z_bias"), h * (1.0 + error("altitude_scale")),
+            np.interp(t - error("elevator_delay"), t, elevator), T / (1.0 + error("thrust_scale")),
         )
-    )
+    )  # fmt: skip
 
 
 def write(

@@ -137,11 +137,7 @@ class Plane:
     def tensor(self) -> np.ndarray:
         """Of inertia."""
         return np.array(
-            [
-                [self.Ix, -self.Ixy, -self.Ixz],
-                [-self.Ixy, self.Iy, -self.Iyz],
-                [-self.Ixz, -self.Iyz, self.Iz],
-            ]
+            [[self.Ix, -self.Ixy, -self.Ixz], [-self.Ixy, self.Iy, -self.Iyz], [-self.Ixz, -self.Iyz, self.Iz]]
         )
 
     def rates(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """The public names, and what a user does with them in a few lines."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from dataclasses import replace
@@ -30,21 +28,15 @@ PUBLIC = {
 }  # fmt: skip
 
 
-def test_public_names_are_locked():
+def test_public_names_are_locked_documented_and_typed():
     """Adding or removing one is a decision: it changes this list."""
     assert set(ba.__all__) == PUBLIC
     assert {name for name in PUBLIC if getattr(ba, name, None) is None} == set()
-
-
-def test_public_names_are_documented_and_typed():
     for name in sorted(PUBLIC - {"CATALOGUE", "__version__"}):
         thing = getattr(ba, name)
         assert inspect.getdoc(thing), name
         if inspect.isfunction(thing):
             assert "return" in thing.__annotations__, name
-
-
-def test_an_unknown_name_is_said_to_be_one():
     with pytest.raises(AttributeError, match="no attribute 'identfy'"):
         ba.identfy  # noqa: B018
 
@@ -104,7 +96,7 @@ def test_arrays_that_are_no_numbers_are_refused_in_one_sentence(use, diagnosed, 
         use([replace(record, time=record.time[::-1])], card)
 
 
-def test_diagnosed_says_what_the_view_holds(diagnosed, card):
+def test_diagnosed_says_what_the_view_holds_and_what_is_in_doubt(diagnosed, card):
     a_view = diagnosed.view
     found = ba.Diagnosed(a_view, card)
     assert found.verdict == a_view.diagnosis.verdict.value
@@ -113,9 +105,6 @@ def test_diagnosed_says_what_the_view_holds(diagnosed, card):
     assert found.doubts == []
     assert {"name", "score", "p_value"} <= set(found.screen().columns)
     assert isinstance(ba.plot(found), matplotlib.figure.Figure)
-
-
-def test_a_record_given_twice_is_a_doubt_of_a_diagnosis(diagnosed, card):
     record = diagnosed.records[0]
     checks = RecordChecks(channel_health([record, replace(record, name="copy")], card), Consistency("not asked for"))
     found = ba.Diagnosed(diagnosed.view, card, checks)

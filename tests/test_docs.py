@@ -1,7 +1,5 @@
 """The documentation: it builds strictly, what is generated is complete, nothing is fetched, its examples run."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """The notebooks as they are committed, and executed anew on reduced settings: one of them, by `make verify` all."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -20,9 +18,7 @@ MEGABYTE = 2**20
 
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 ALWAYS = "05"  # the quickest; `make verify` executes all
-EXECUTED = [
-    path if path.name.startswith(ALWAYS) else pytest.param(path, marks=pytest.mark.verify) for path in NOTEBOOKS
-]
+EXECUTED = [p if p.name.startswith(ALWAYS) else pytest.param(p, marks=pytest.mark.verify) for p in NOTEBOOKS]
 
 
 def outputs(path: Path):
@@ -66,9 +62,8 @@ def test_every_figure_is_followed_by_what_it_does_not_show(path):
     for number, cell in enumerate(cells):
         if any("image/png" in o.get("data", {}) for o in cell.get("outputs", [])):
             words = next((c.source for c in cells[number + 1 :] if c.cell_type == "markdown"), "")
-            assert (
-                "not conclude" in " ".join(words.split()) or "before anything is believed" in cells[number - 1].source
-            )
+            said = " ".join(words.split())
+            assert "not conclude" in said or "before anything is believed" in cells[number - 1].source
 
 
 @pytest.fixture(scope="module")

@@ -43,39 +43,22 @@ def climb(size):
 
 
 RECORDED = [
-    ("alpha_bias", "alpha", bias, 0.02),
-    ("airspeed_bias", "airspeed", bias, -1.5),
-    ("pitch_rate_bias", "q", bias, 0.004),
-    ("accel_x_bias", "ax", bias, 0.1),
-    ("accel_z_bias", "az", bias, -0.2),
-    ("pitch_attitude_bias", "theta", bias, 0.01),
-    ("alpha_scale", "alpha", scale, 0.08),
-    ("airspeed_scale", "airspeed", scale, 0.03),
-    ("pitch_rate_scale", "q", scale, -0.05),
-    ("elevator_scale", "elevator", scale, 0.1),
-    ("altitude_scale", "altitude", scale, 0.02),
-    ("density_scale", "density", scale, -0.04),
-    ("alpha_delay", "alpha", delay, 0.13),
-    ("alpha_delay", "alpha", delay, -0.07),
-    ("sideslip_delay", "beta", delay, 0.06),
-    ("heading_delay", "psi", delay, 0.09),
-    ("elevator_delay", "elevator", delay, 0.08),
-    ("vertical_wind", "altitude", climb, 2.0),
-    ("accel_y_bias", "ay", bias, 0.1),
-    ("sideslip_bias", "beta", bias, 0.02),
-    ("bank_angle_bias", "phi", bias, -0.01),
-    ("roll_rate_bias", "p", bias, 0.003),
-    ("yaw_rate_bias", "r", bias, -0.002),
-    ("accel_y_scale", "ay", scale, 0.1),
-    ("sideslip_scale", "beta", scale, -0.05),
-    ("bank_angle_scale", "phi", scale, 0.04),
-    ("roll_rate_scale", "p", scale, 0.08),
-    ("yaw_rate_scale", "r", scale, -0.03),
-    ("aileron_scale", "aileron", scale, 0.1),
-    ("rudder_scale", "rudder", scale, -0.1),
-    ("aileron_delay", "aileron", delay, 0.08),
-    ("rudder_delay", "rudder", delay, -0.06),
-]
+    ("alpha_bias", "alpha", bias, 0.02), ("airspeed_bias", "airspeed", bias, -1.5),
+    ("pitch_rate_bias", "q", bias, 0.004), ("accel_x_bias", "ax", bias, 0.1), ("accel_z_bias", "az", bias, -0.2),
+    ("pitch_attitude_bias", "theta", bias, 0.01), ("alpha_scale", "alpha", scale, 0.08),
+    ("airspeed_scale", "airspeed", scale, 0.03), ("pitch_rate_scale", "q", scale, -0.05),
+    ("elevator_scale", "elevator", scale, 0.1), ("altitude_scale", "altitude", scale, 0.02),
+    ("density_scale", "density", scale, -0.04), ("alpha_delay", "alpha", delay, 0.13),
+    ("alpha_delay", "alpha", delay, -0.07), ("sideslip_delay", "beta", delay, 0.06),
+    ("heading_delay", "psi", delay, 0.09), ("elevator_delay", "elevator", delay, 0.08),
+    ("vertical_wind", "altitude", climb, 2.0), ("accel_y_bias", "ay", bias, 0.1),
+    ("sideslip_bias", "beta", bias, 0.02), ("bank_angle_bias", "phi", bias, -0.01),
+    ("roll_rate_bias", "p", bias, 0.003), ("yaw_rate_bias", "r", bias, -0.002), ("accel_y_scale", "ay", scale, 0.1),
+    ("sideslip_scale", "beta", scale, -0.05), ("bank_angle_scale", "phi", scale, 0.04),
+    ("roll_rate_scale", "p", scale, 0.08), ("yaw_rate_scale", "r", scale, -0.03),
+    ("aileron_scale", "aileron", scale, 0.1), ("rudder_scale", "rudder", scale, -0.1),
+    ("aileron_delay", "aileron", delay, 0.08), ("rudder_delay", "rudder", delay, -0.06),
+]  # fmt: skip
 BOTH = tuple(Axis)
 
 
@@ -244,23 +227,24 @@ def test_a_pitot_tube_ahead_of_the_cg_reads_the_speed_of_its_own_place(card):
 def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
     """A delay and a place away from the CG leave a degree a degree; a scale does not."""
     t = np.arange(N) * DT
-    channels = marks(N, DT) | {
-        "alpha": jnp.asarray(wave(t)),
-        "q": jnp.asarray(wave(t + 1.0)),
-        "airspeed": jnp.full(N, 80.0),
-    }
     names = ("alpha", "q", "airspeed")
+    channels = marks(N, DT) | dict(zip(names, (wave(t), wave(t + 1.0), jnp.full(N, 80.0)), strict=True))
     for effect, value, unit in (("vane_position", 13.0, 1.0), ("alpha_delay", 0.1, 1.0), ("alpha_scale", 0.25, 0.8)):
         scale = response_scales(Model.of([effect]), {effect: jnp.asarray(value)}, channels, card.aircraft, names)
         np.testing.assert_allclose(scale["alpha"][5:-5], unit, rtol=0.02)
         np.testing.assert_allclose(scale["q"], 1.0)
 
 
-def test_all_effects_see_the_record_and_none_the_others_correction(card):
+def test_corrections_see_the_record_and_not_each_other_and_count_for_either_engine(card):
     channels = marks(N, DT) | {"alpha": jnp.linspace(0.1, 0.3, N)}
     model = Model.of(["alpha_bias", "alpha_scale"])
     both = model.corrected({"alpha_bias": 0.01, "alpha_scale": 0.25}, channels, card.aircraft)["alpha"]
     np.testing.assert_allclose(both, channels["alpha"] / 1.25 - 0.01, rtol=1e-12)
+    channels = marks(1, DT) | {"thrust": [3e4], "thrust_left": [1e4], "thrust_right": [2e4]}
+    channels = {name: jnp.asarray(x) for name, x in channels.items()}
+    true = Model.of(["thrust_scale"]).corrected({"thrust_scale": 0.1}, channels, card.aircraft)
+    found = [float(true[name][0]) for name in ("thrust", "thrust_left", "thrust_right")]
+    assert found == pytest.approx([3.3e4, 1.1e4, 2.2e4])
 
 
 def test_the_aircraft_is_moved_and_weighed(card):
@@ -274,9 +258,6 @@ def test_the_aircraft_is_moved_and_weighed(card):
         old, new = getattr(a, key), getattr(true, key)
         assert new == pytest.approx((old[0] - 0.2, old[1], old[2]))
     assert (true.chord, true.Ix, true.Iz) == (a.chord, a.Ix, a.Iz)
-
-
-def test_the_lateral_cg_and_the_other_inertias_are_corrected(card):
     a = card.aircraft
     values = {"lateral_cg_shift": 0.2, "roll_inertia_scale": 0.1, "yaw_inertia_scale": -0.1, "inertia_product": 0.02}
     true = Model.of(list(values), axes=BOTH).actual_aircraft(values, a)
@@ -300,22 +281,11 @@ def steady(card, **changes):
     return float(found.Cl[0]) * pressure_area, float(found.Cn[0]) * pressure_area
 
 
-def test_an_engine_that_delivers_more_asks_for_a_yawing_moment_against_it(card):
+def test_uneven_engines_and_a_centre_of_gravity_aside_ask_for_moments(card):
     """5 % of 10 kN more left and less right, 2 m out: 2000 N m to the right, which aerodynamics must balance."""
     (roll, yaw), (_, without) = steady(card, thrust_asymmetry=0.05), steady(card)
     assert (roll, yaw, without) == pytest.approx((0.0, -2000.0, 0.0), abs=1e-9)
-
-
-def test_thrust_scale_counts_for_either_engine(card):
-    channels = marks(1, DT) | {"thrust": [3e4], "thrust_left": [1e4], "thrust_right": [2e4]}
-    channels = {name: jnp.asarray(x) for name, x in channels.items()}
-    true = Model.of(["thrust_scale"]).corrected({"thrust_scale": 0.1}, channels, card.aircraft)
-    found = [float(true[name][0]) for name in ("thrust", "thrust_left", "thrust_right")]
-    assert found == pytest.approx([3.3e4, 1.1e4, 2.2e4])
-
-
-def test_a_centre_of_gravity_to_the_right_is_held_by_a_rolling_moment_to_the_left(card):
-    """About the card's reference point, left of the CG, a lift of m g through the CG rolls to the left: -m g dy."""
+    # About the card's reference point, left of the CG, a lift of m g through the CG rolls to the left: -m g dy.
     roll, yaw = steady(card, lateral_cg_shift=0.1)
     assert steady(card) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert roll == pytest.approx(-0.1 * card.aircraft.mass * 9.81, rel=1e-9)
@@ -333,7 +303,7 @@ def test_the_aircraft_can_be_differentiated_under_jit(card):
     assert float(jax.grad(arm)(jnp.asarray(0.0))) == pytest.approx(1.0 - 10.0)
 
 
-def test_a_fixed_sensor_error_is_taken_out_of_the_record(card, model, clean_records):
+def test_fixed_errors_of_sensor_and_mass_are_taken_out(card, model, clean_records):
     clean = clean_records[0]
     wrong = {**clean.channels, "q": clean["q"] * 1.1, "alpha": clean["alpha"] + 0.01}
     record = FlightRecord.from_arrays(clean.name, clean.time, wrong)
@@ -342,9 +312,6 @@ def test_a_fixed_sensor_error_is_taken_out_of_the_record(card, model, clean_reco
     expected, found = observe([clean], card, model), observe([record], card, extended)
     np.testing.assert_allclose(found.measured, expected.measured, atol=1e-10)
     assert set(found.signals) == set(expected.signals)
-
-
-def test_a_fixed_mass_reaches_the_coefficients(card, model, clean_records):
     extended = Model.of([*card.effects, "mass_scale"], {**card.fixed, "mass_scale": 0.05})
     light, heavy = (observe(clean_records[:1], card, m) for m in (model, extended))
     assert heavy.aircraft.mass == pytest.approx(1.05 * card.aircraft.mass)

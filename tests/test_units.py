@@ -17,62 +17,24 @@ from bayes_aero.units import canonical, from_si, quantity_to_si, same_unit, si_u
 @pytest.mark.parametrize(
     ("unit", "target", "one"),
     [
-        ("deg", "rad", math.pi / 180),
-        ("°", "rad", math.pi / 180),
-        ("deg/s", "rad/s", math.pi / 180),
-        ("deg/s2", "rad/s^2", math.pi / 180),
-        ("deg/s**2", "rad/s^2", math.pi / 180),
-        ("rpm", "rad/s", 2 * math.pi / 60),
-        ("g", "m/s^2", 9.80665),
-        ("m s-2", "m/s^2", 1.0),
-        ("m/s2", "m/s^2", 1.0),
-        ("kt", "m/s", 1852 / 3600),
-        ("km/h", "m/s", 1 / 3.6),
-        ("ft", "m", 0.3048),
-        ("hPa", "Pa", 100.0),
-        ("mbar", "Pa", 100.0),
-        ("inHg", "Pa", 3386.389),
-        ("degC", "K", 274.15),
-        ("°C", "K", 274.15),
-        ("%", "1", 0.01),
-        ("-", "1", 1.0),
-        ("", "1", 1.0),
-        ("slug/ft3", "kg/m^3", 515.3788),
-        ("lbf", "N", 4.448222),
-        ("ms", "s", 1e-3),
-        # NIST SP 811 (2008), appendix B.8
-        ("SLUG/FT^3", "kg/m^3", 515.3788),
-        ("slugs per cubic foot", "kg/m^3", 515.3788),
-        ("psf", "Pa", 47.88026),
-        ("lb/ft2", "Pa", 47.88026),
-        ("PSI", "Pa", 6894.757),
-        ("in. Hg", "Pa", 3386.389),
-        ("slug-ft2", "kg m^2", 1.355818),
-        ("LBS", "N", 4.448222),
-        ("lbs", "kg", 0.4535924),
-        ("slug", "kg", 14.59390),
-        ("FT/SEC", "m/s", 0.3048),
-        ("fpm", "m/s", 5.08e-3),
-        ("ft/sec**2", "m/s^2", 0.3048),
-        ("KNOTS", "m/s", 0.5144444),
-        ("KN", "m/s", 0.5144444),
-        ("KN", "N", 1000.0),
-        ("Deg_C", "K", 274.15),
-        ("deg F", "K", 255.9278),
-        ("DEG/SEC^2", "rad/s^2", 0.01745329),
-        ("°/s/s", "rad/s^2", 0.01745329),
-        ("G", "m/s^2", 9.80665),
-        ("m/s/s", "m/s^2", 1.0),
-        ("M/S", "m/s", 1.0),
-        ("HPA", "Pa", 100.0),
-        ("mb", "Pa", 100.0),
-        ("mPa", "Pa", 1e-3),
-        ("MPa", "Pa", 1e6),
-        ("pct", "1", 0.01),
-        ("µs", "s", 1e-6),
+        ("deg", "rad", math.pi / 180), ("°", "rad", math.pi / 180), ("deg/s", "rad/s", math.pi / 180),
+        ("deg/s2", "rad/s^2", math.pi / 180), ("deg/s**2", "rad/s^2", math.pi / 180),
+        ("rpm", "rad/s", 2 * math.pi / 60), ("g", "m/s^2", 9.80665), ("m s-2", "m/s^2", 1.0), ("m/s2", "m/s^2", 1.0),
+        ("kt", "m/s", 1852 / 3600), ("km/h", "m/s", 1 / 3.6), ("ft", "m", 0.3048), ("hPa", "Pa", 100.0),
+        ("mbar", "Pa", 100.0), ("inHg", "Pa", 3386.389), ("degC", "K", 274.15), ("°C", "K", 274.15), ("%", "1", 0.01),
+        ("-", "1", 1.0), ("", "1", 1.0), ("slug/ft3", "kg/m^3", 515.3788), ("lbf", "N", 4.448222), ("ms", "s", 1e-3),
+        ("SLUG/FT^3", "kg/m^3", 515.3788), ("slugs per cubic foot", "kg/m^3", 515.3788), ("psf", "Pa", 47.88026),
+        ("lb/ft2", "Pa", 47.88026), ("PSI", "Pa", 6894.757), ("in. Hg", "Pa", 3386.389),
+        ("slug-ft2", "kg m^2", 1.355818), ("LBS", "N", 4.448222), ("lbs", "kg", 0.4535924), ("slug", "kg", 14.59390),
+        ("FT/SEC", "m/s", 0.3048), ("fpm", "m/s", 5.08e-3), ("ft/sec**2", "m/s^2", 0.3048),
+        ("KNOTS", "m/s", 0.5144444), ("KN", "m/s", 0.5144444), ("KN", "N", 1000.0), ("Deg_C", "K", 274.15),
+        ("deg F", "K", 255.9278), ("DEG/SEC^2", "rad/s^2", 0.01745329), ("°/s/s", "rad/s^2", 0.01745329),
+        ("G", "m/s^2", 9.80665), ("m/s/s", "m/s^2", 1.0), ("M/S", "m/s", 1.0), ("HPA", "Pa", 100.0),
+        ("mb", "Pa", 100.0), ("mPa", "Pa", 1e-3), ("MPa", "Pa", 1e6), ("pct", "1", 0.01), ("µs", "s", 1e-6),
     ],
-)
+)  # fmt: skip
 def test_known_factors(unit, target, one):
+    """From slugs on they are those of NIST SP 811 (2008), appendix B.8."""
     np.testing.assert_allclose(to_si([1.0], unit, "x", target), [one], rtol=1e-6)
     np.testing.assert_allclose(from_si(to_si([0.3, 7.0], unit, "x", target), unit, "x", target), [0.3, 7.0], rtol=1e-12)
 
@@ -113,14 +75,11 @@ def test_the_quantity_decides_between_two_meanings(text, si, unit):
     assert canonical(text, si) == unit
 
 
-def test_base_units_where_no_target_is_known():
+def test_base_units_where_no_target_is_known_and_the_result_is_a_copy():
     np.testing.assert_allclose(to_si([1.0, 2.0], "mm", "strain"), [1e-3, 2e-3])
     assert si_unit("deg/s") == "rad/s"
     assert si_unit("hPa") == "kg/m/s**2"
     assert si_unit("%") == "1"
-
-
-def test_the_result_is_a_copy():
     values = np.ones(3)
     assert to_si(values, "m", "x", "m") is not values
 
@@ -168,22 +127,14 @@ def test_same_unit():
 @pytest.mark.parametrize(
     ("value", "unit", "number"),
     [
-        ("17631 kg", "kg", 17631.0),
-        ("-0.02 m", "m", -0.02),
-        ("11442 kg m^2", "kg m^2", 11442.0),
-        ("0 deg", "rad", 0.0),
-        ("0.1 deg/s", "rad/s", 0.1 * math.pi / 180),
-        ("64.0m^2", "m^2", 64.0),
-        ("1e3 lb", "kg", 453.59237),
-        (7.22, "1", 7.22),
-        ("50 %", "1", 0.5),
+        ("17631 kg", "kg", 17631.0), ("-0.02 m", "m", -0.02), ("11442 kg m^2", "kg m^2", 11442.0),
+        ("0 deg", "rad", 0.0), ("0.1 deg/s", "rad/s", 0.1 * math.pi / 180), ("64.0m^2", "m^2", 64.0),
+        ("1e3 lb", "kg", 453.59237), (7.22, "1", 7.22), ("50 %", "1", 0.5),
         ("230 slug", "kg", 230 * 14.593902937206365),
-        ("25000 slug-ft^2", "kg m^2", 25000 * 14.593902937206365 * 0.3048**2),
-        ("700 sq ft", "m^2", 700 * 0.3048**2),
-        ("1000 lbs", "kg", 453.59237),
-        ("1000 lbs", "N", 453.59237 * 9.80665),
+        ("25000 slug-ft^2", "kg m^2", 25000 * 14.593902937206365 * 0.3048**2), ("700 sq ft", "m^2", 700 * 0.3048**2),
+        ("1000 lbs", "kg", 453.59237), ("1000 lbs", "N", 453.59237 * 9.80665),
     ],
-)
+)  # fmt: skip
 def test_card_constants(value, unit, number):
     assert quantity_to_si(value, unit, "card: mass") == pytest.approx(number, rel=1e-12)
 
@@ -191,17 +142,11 @@ def test_card_constants(value, unit, number):
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (5, 'without a unit; write e.g. "5 kg"'),
-        ("5", "without a unit"),
-        ("heavy", "finite number with its unit"),
-        ("1e999 kg", "finite number"),
-        (float("nan"), "finite number"),
-        ("5 m", "'m' cannot be turned into 'kg'"),
-        ("5 kgg", "'kgg' is not known"),
-        (True, "number with its unit"),
-        ([5], "number with its unit"),
+        (5, 'without a unit; write e.g. "5 kg"'), ("5", "without a unit"), ("heavy", "finite number with its unit"),
+        ("1e999 kg", "finite number"), (float("nan"), "finite number"), ("5 m", "'m' cannot be turned into 'kg'"),
+        ("5 kgg", "'kgg' is not known"), (True, "number with its unit"), ([5], "number with its unit"),
     ],
-)
+)  # fmt: skip
 def test_bad_card_constants(value, words):
     with pytest.raises(InputError, match=words) as caught:
         quantity_to_si(value, "kg", "card a.toml: [aircraft] mass")

@@ -1,12 +1,10 @@
 """The program in this process, and one simulated record for all of its tests."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 
 import pytest
-from calling import called
+from calling import called, recorded, succeeded
 
 from bayes_aero.cli import main
 
@@ -37,3 +35,13 @@ def flights(tmp_path_factory):
     for path, more in ((paths.sound, []), (paths.biased, ["--effect", "pitch_rate_bias=0.3 deg/s"])):
         assert called(folder, *common, *more, "--out", path).code == 0
     return paths
+
+
+@pytest.fixture(scope="session")
+def identified(tmp_path_factory, clean_records, card):
+    """Two simulated stalls without noise as `stall.csv` and `other.csv`, and the `results` of identify on the first."""
+    folder = tmp_path_factory.mktemp("identified")
+    for record, name in zip(clean_records, ("stall", "other"), strict=True):
+        recorded(record.window(25.0, 65.0), folder / f"{name}.csv", card)
+    succeeded(called(folder, "identify", "stall.csv", "--out", "results", "--no-sample", "--no-gp", "--no-figures"))
+    return folder

@@ -3,8 +3,6 @@
 A record called "deadly" kills the process that reads it, as one does that wants more memory than there is.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal

@@ -1,6 +1,4 @@
-"""`bayes-aero export`: from a finished result or a card to files, and its words for bad input."""
-
-from __future__ import annotations
+"""`bayes-aero export`: from a finished result or a card to files, its draws, and its words for bad input."""
 
 import hashlib
 import json
@@ -11,34 +9,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from calling import called
+from calling import answer, recorded, refused, succeeded
 
+import bayes_aero.jobs.diagnose as job
 from bayes_aero.cli.choices import ExportForm
+from bayes_aero.explore.opened import open_result
+from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.export.jsbsim_aircraft import jsbsim_files
 from bayes_aero.flight.card.card import shipped_cards
-from bayes_aero.flight.reading.read_record import write_record
 from bayes_aero.jobs.handover.export import FORMS
 from bayes_aero.jobs.handover.identified_result import read_identified
 
-QUICK = ("--no-sample", "--no-gp", "--no-figures")
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, clean_records, card):
-    """A simulated stall as a CSV file, and the result of identify on it."""
-    there = tmp_path_factory.mktemp("handover")
-    record = clean_records[0].window(25.0, 65.0)
-    write_record(record, there / "stall.csv", [c for c in card.channels if record.has(c.name) or c.name == "time"])
-    done = called(there, "identify", "stall.csv", "--out", "results", *QUICK)
-    assert done.code == 0, done.err
-    return there
-
 
 @pytest.fixture
-def here(folder, program, tmp_path):
+def here(identified, program, tmp_path):
     """A working directory of one's own with the result."""
-    shutil.copytree(folder / "results", tmp_path / "results")
+    shutil.copytree(identified / "results", tmp_path / "results")
     return program
+
+
+def drawn(stored):
+    """Standard deviations of the parameters drawn into `one`, by name, from a result's covariance.
+
+    1000 normal draws: standard deviations within 10 % (four of their errors), correlations within 0.15.
+    """
+    names = Path("one/draws.csv").read_text().splitlines()[0].split(",")
+    draws = np.loadtxt("one/draws.csv", delimiter=",", skiprows=1)
+    order = [list(stored["parameters"]).index(name) for name in names]
+    covariance = np.array(stored.get("covariance", stored.get("matrix")))[np.ix_(order, order)]
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.1)
+    np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.15)
+    return dict(zip(names, sd, strict=True))
 
 
 def told(path):
@@ -57,32 +59,15 @@ def change(path, **changes):
     path.write_text(json.dumps(content))
 
 
-def refused(done, words, *gone):
-    """One sentence, and nothing written."""
-    assert done.code == 2
-    assert done.err.startswith("error: ")
-    assert done.err.count("\n") == 1
-    assert words in done.err, done.err
-    assert not done.out
-    for path in gone:
-        assert not Path(path).exists()
-    assert not list(Path().glob(".*part*"))
-
-
-def test_the_choices_are_the_forms():
+def test_the_choices_are_the_forms_and_help_names_them(program):
     assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables"]
-
-
-def test_help_names_forms_and_draws(program):
     text = program("export", "--help").out
-    for word in ("jsbsim", "fmu", "tables", "--draws", "--seed", "--out", "--model", "--json", "MODEL"):
-        assert word in text
+    assert all(word in text for word in (*FORMS, "--draws", "--seed", "--out", "--model", "--json", "MODEL"))
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_result_becomes_files_that_say_where_they_come_from(here, form, tmp_path):
-    done = here("export", "results", "--to", form, "--draws", 3)
-    assert done.code == 0, done.err
+    done = succeeded(here("export", "results", "--to", form, "--draws", 3))
     out = tmp_path / f"attas_{form}"
     facts = told(out / "export.json")
     for name in (*facts["files"], "README.txt", "draws.csv"):
@@ -93,25 +78,16 @@ def test_a_result_becomes_files_that_say_where_they_come_from(here, form, tmp_pa
     low, high = facts["flown"]["alpha"]
     assert 0.0 < low < high < 0.5
     readme = " ".join((out / "README.txt").read_text().split())
-    for words in ("stall (sha256", "Card attas (sha256", "Flown region", "q c/2V", "normal distribution"):
-        assert words in readme
-    assert "normal distribution of the estimates, covariance corrected for coloured residuals" in done.out
+    assert all(x in readme for x in ("stall (sha256", "attas (sha256", "Flown region", "q c/2V", "normal distribution"))
+    assert "covariance corrected" in done.out
     assert np.loadtxt(out / "draws.csv", delimiter=",", skiprows=1).shape == (3, 14)
 
 
 def test_draws_of_the_estimates_have_their_covariance(here):
-    """1000 normal draws: standard deviations within 10 % (four of their errors), correlations within 0.15."""
-    assert here("export", "results", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "one").code == 0
-    names = (Path("one") / "draws.csv").read_text().splitlines()[0].split(",")
-    draws = np.loadtxt("one/draws.csv", delimiter=",", skiprows=1)
+    for out in ("one", "two"):
+        assert here("export", "results", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", out).code == 0
     mle = told(Path("results/results.json"))["mle"]
-    order = [list(mle["parameters"]).index(name) for name in names]
-    covariance = np.array(mle["covariance"])[np.ix_(order, order)]
-    sd = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(sd, [mle["parameters"][n]["crb_corrected"] for n in names], rtol=1e-9)
-    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.1)
-    np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.15)
-    assert here("export", "results", "--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "two").code == 0
+    assert drawn(mle) == pytest.approx({n: p["crb_corrected"] for n, p in mle["parameters"].items()}, rel=1e-9)
     assert Path("one/draws.csv").read_text() == Path("two/draws.csv").read_text()
 
 
@@ -121,19 +97,16 @@ def test_a_posterior_that_converged_comes_first(here):
     xr.DataTree.from_dict({"posterior": xr.Dataset(values)}).to_netcdf("results/posterior_nuts.nc", engine="h5netcdf")
     status = {"nuts": {"noise": "ar1", "status": "converged", "advice": "converged"}}
     change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
-    done = here("export", "results", "--to", "jsbsim", "--draws", 20, "--json")
-    facts = json.loads(done.out)
+    facts = answer(here("export", "results", "--to", "jsbsim", "--draws", 20, "--json"))
     assert facts["draws"] == {"count": 20, "origin": "posterior by nuts under ar1 noise"}
     draws = np.loadtxt("attas_jsbsim/draws.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(np.sort(draws[:, 1]) - 1.0, np.arange(20.0))
     assert set(draws[:, 1] - draws[:, 0]) == {1.0}  # a row is one draw of all
-    refused(
-        here("export", "results", "--to", "jsbsim", "--draws", 21, "--out", "more"), "give --draws 20 or less", "more"
-    )
+    refused(here("export", "results", "--to", "jsbsim", "--draws", 21, "--out", "more"), "--draws 20", gone=["more"])
     status["nuts"]["status"] = "not_converged"
     change(Path("results/results.json"), posterior={"noise": "ar1", "status": status})
-    done = here("export", "results", "--to", "jsbsim", "--draws", 20, "--json", "--out", "again")
-    assert json.loads(done.out)["draws"]["origin"].startswith("normal distribution")
+    facts = answer(here("export", "results", "--to", "jsbsim", "--draws", 20, "--json", "--out", "again"))
+    assert facts["draws"]["origin"].startswith("normal distribution")
 
 
 def test_a_diagnosis_gives_the_extended_model(here):
@@ -150,13 +123,12 @@ def test_a_diagnosis_gives_the_extended_model(here):
     ]
     Path("diagnosis").mkdir()
     Path("diagnosis/diagnosis.json").write_text(json.dumps(content | {"base_parameters": moves, "causes": causes}))
-    done = here("export", "diagnosis", "--to", "jsbsim", "--json")
-    facts = json.loads(done.out)
+    facts = answer(here("export", "diagnosis", "--to", "jsbsim", "--json"))
     assert {"CDb2", "tau1"} <= set(facts["parameters"])
     assert "CDde" not in facts["parameters"]
     assert facts["states"] == ["X"]
     assert [sentence.split(" ")[0] for sentence in facts["left_out"]] == ["pitch_rate_bias"]
-    refused(here("export", "diagnosis", "--to", "jsbsim", "--draws", 3, "--out", "no"), "covariance to draw from", "no")
+    refused(here("export", "diagnosis", "--to", "jsbsim", "--draws", 3, "--out", "no"), "covariance", gone=["no"])
 
 
 VALUES = "\n[parameters.%s]\nstart = %r\n"
@@ -167,11 +139,11 @@ def test_a_card_that_states_all_values_is_a_model(program):
     names = [p.name for p in _parameters("full_six")]
     body = text.split("[parameters.")[0] + "".join(VALUES % (name, 0.1 * (k + 1)) for k, name in enumerate(names))
     Path("mine.toml").write_text(body)
-    facts = json.loads(program("export", "mine.toml", "--to", "jsbsim", "--json").out)
+    facts = answer(program("export", "mine.toml", "--to", "jsbsim", "--json"))
     assert {p["value"] for p in facts["parameters"].values()} <= {0.1 * (k + 1) for k in range(len(names))}
     assert set(facts["outputs"]) == {"CL", "CD", "Cm", "CY", "Cl", "Cn"}
     assert "not stated" in facts["validity"][0]
-    refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", "t")
+    refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", gone=["t"])
 
 
 @pytest.mark.parametrize(("card", "name"), [("my aircraft 2", "my_aircraft_2"), ("737", "_737")])
@@ -179,9 +151,7 @@ def test_the_aircraft_is_named_as_xml_and_every_system_allow(program, card, name
     text = shipped_cards()["attas"].read_text()
     names = [p.name for p in _parameters("attas")]
     Path(f"{card}.toml").write_text(text.split("[parameters")[0] + "".join(VALUES % (n, 1.0) for n in names))
-    done = program("export", f"{card}.toml", "--to", "jsbsim", "--out", "out", "--json")
-    assert done.code == 0, done.err
-    facts = json.loads(done.out)
+    facts = answer(program("export", f"{card}.toml", "--to", "jsbsim", "--out", "out", "--json"))
     assert facts["name"] == name
     assert facts["parameters"]["CLa"]["value"] == 1.0
 
@@ -198,12 +168,12 @@ def test_a_result_of_another_card_is_refused(here):
     path = Path("results/results.json")
     source = shipped_cards()["attas"].read_text()
     Path("mine.toml").write_text(source + "# mine\n")
-    refused(here("export", "results", "--to", "jsbsim", "--model", "mine.toml"), "its content differs", "attas_jsbsim")
+    refused(here("export", "results", "--to", "jsbsim", "--model", "mine.toml"), "differs", gone=["attas_jsbsim"])
     change(path, provenance__card__name="mine")
     Path("results/mine.toml").write_text(source)
     assert here("export", "results", "--to", "jsbsim").code == 0
     Path("results/mine.toml").unlink()
-    refused(here("export", "results", "--to", "fmu"), "not found here unchanged; give it with --model", "mine_fmu")
+    refused(here("export", "results", "--to", "fmu"), "give it with --model", gone=["mine_fmu"])
     assert here("export", "results", "--to", "jsbsim", "--model", "attas", "--out", "given").code == 0
 
 
@@ -215,7 +185,7 @@ BAD = {
     "no result of identify, fly or diagnose": (("results", "--to", "fmu"), {"schema": "other/1"}),
     "has no value of CL0": (("results", "--to", "jsbsim"), {"mle__parameters__CL0__estimate": None}),
     "is not as bayes-aero wrote it": (("results", "--to", "jsbsim"), {"provenance": {}}),
-    "no posterior": (("results", "--to", "jsbsim", "--draws", "2"), {"mle__covariance": None}),
+    "nor a covariance": (("results", "--to", "jsbsim", "--draws", "2"), {"mle__covariance": None}),
     "flown range of": (("results", "--to", "tables"), {"records": []}),
     "give a number from 1 to": (("results", "--to", "jsbsim", "--draws", "100000"), {}),
 }
@@ -226,8 +196,7 @@ def test_bad_input_is_one_sentence(here, words):
     arguments, changes = BAD[words]
     if changes:
         change(Path("results/results.json"), **changes)
-    words = "neither a posterior that converged nor a covariance" if words == "no posterior" else words
-    refused(here("export", *arguments, "--out", "out"), words, "out")
+    refused(here("export", *arguments, "--out", "out"), words, gone=["out"])
 
 
 def test_what_is_no_result_or_in_the_way_is_refused(here, monkeypatch):
@@ -240,7 +209,7 @@ def test_what_is_no_result_or_in_the_way_is_refused(here, monkeypatch):
     refused(here("export", "results/results.json", "--to", "jsbsim"), "cannot be read")
     monkeypatch.setattr("bayes_aero.export.fmu.find_spec", lambda _: None)
     Path("results/trajectories.json").rename("results/results.json")
-    refused(here("export", "results", "--to", "fmu"), 'pip install "bayes-aero[export]"', "attas_fmu")
+    refused(here("export", "results", "--to", "fmu"), 'pip install "bayes-aero[export]"', gone=["attas_fmu"])
     for form in ("pdf", "python"):
         done = here("export", "results", "--to", form)
         assert (done.code, "is not one of" in done.err) == (2, True)
@@ -256,3 +225,46 @@ def test_axes_that_were_not_recorded_are_not_exported():
     found, _, _ = read_identified("results")
     assert found.model.coefficients == ("CL", "CD", "Cm")
     assert all("Clbe" not in text for text in jsbsim_files(found).values())
+
+
+@pytest.fixture
+def diagnosis_told(program, diagnosed, card, monkeypatch):
+    """diagnosis.json of a diagnosis already made: test_every_stage.py has the command make one."""
+    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
+    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
+    (record,) = diagnosed.records
+    recorded(record, Path("a.csv"), card)
+    succeeded(program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-test-points"))
+    return json.loads(Path("diagnosis/diagnosis.json").read_text())
+
+
+def test_the_covariance_is_as_wide_as_the_reported_errors(diagnosis_told):
+    stored = diagnosis_told["covariance"]
+    matrix, sd = np.array(stored["matrix"]), np.sqrt(np.diag(stored["matrix"]))
+    own = dict(zip(stored["parameters"], sd, strict=True))
+    causes = {n: p["sd"] for c in diagnosis_told["causes"] if c["confirmed"] for n, p in c["parameters"].items()}
+    base = {name: move["sd_after"] for name, move in diagnosis_told["base_parameters"].items()}
+    assert stored["residuals"] == "coloured"
+    assert set(base) <= set(own)
+    assert [own[name] for name in base] == pytest.approx(list(base.values()), rel=1e-9)
+    assert all(own[name] >= x * (1.0 - 1e-9) for name, x in causes.items() if name in own)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix / np.outer(sd, sd)).min() > -1e-9
+
+
+def test_draws_have_this_covariance_and_the_page_its_fan(diagnosis_told, program):
+    asked = ("--to", "jsbsim", "--draws", 1000, "--seed", 4, "--out", "one", "--json")
+    assert "covariance corrected" in answer(program("export", "diagnosis", *asked))["draws"]["origin"]
+    drawn(diagnosis_told["covariance"])
+    simulator = Simulator(open_result("diagnosis"))
+    origin, fan = simulator.fan(0)
+    assert "covariance corrected" in origin
+    assert fan["alpha"].shape == (DRAWS, len(simulator.time(0)))
+    assert np.all(np.std(fan["CL"], axis=0).max() > 0.0)
+
+
+def test_an_older_diagnosis_says_how_to_get_draws(diagnosis_told, program):
+    del diagnosis_told["covariance"]
+    Path("diagnosis/diagnosis.json").write_text(json.dumps(diagnosis_told))
+    asked = ("export", "diagnosis", "--to", "jsbsim", "--draws", 10, "--out", "no")
+    refused(program(*asked), "run the command of the result again", gone=["no"])

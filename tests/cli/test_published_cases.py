@@ -1,39 +1,45 @@
-"""Published output-error results of real and simulated flights, reproduced by the command from the shipped cards.
+"""Published results of real and simulated flights, reproduced by the command from the shipped cards.
 
-The numbers are those of the programs of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, run on the
-data of the book. The programs stop at a relative change of det R of 1e-4.
-"""
-
-from __future__ import annotations
+Output error (trajectories): the programs of Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, run on
+the data of the book. The programs stop at a relative change of det R of 1e-4. Six coefficients of ATTAS (TC23, TC24):
+the published regressors keep the bias of the gyros, which here is taken out of all that follows: offsets differ by
+derivative times bias, and are compared with this put back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
+from calling import answer, holds, succeeded
 
 import bayes_aero as ba
-from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.diagnosis import candidate_set
+from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.dynamics.output_channels import OF_AXIS
+from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.recorded_axes import on_recorded_axes
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED, ALONE = ("--initial-state", "fixed"), "--no-process-noise"
+ELEVATOR, LATERAL = (tuple(f"fAttas{kind}{k}.mat" for k in (1, 2)) for kind in ("Elv", "AilRud"))
 CASES = {
     "TC01": ("attas_lateral", ("fAttasAilRud1.asc",), "oem_gauss_newton", FIXED),
-    "TC03": ("attas_roll_yaw", ("fAttasAilRud1.mat", "fAttasAilRud2.mat"), "oem_gauss_newton", FIXED),
+    "TC03": ("attas_roll_yaw", LATERAL, "oem_gauss_newton", FIXED),
     "TC04": ("hfb320", ("hfb320_1_10.asc",), "oem_gauss_newton", (*FIXED, ALONE)),
     "TC04 free": ("hfb320", ("hfb320_1_10.asc",), "oem_initial_state_free", ("--initial-state", "free", ALONE)),
     "TC08": ("unstable", ("unStabAC_sim.asc",), "oem_gauss_newton", FIXED),
-    "TC11": ("attas_short_period", ("fAttasElv1.mat", "fAttasElv2.mat"), "oem_gauss_newton", FIXED),
-    "TC11 own": (
-        "attas_short_period",
-        ("fAttasElv1.mat", "fAttasElv2.mat"),
-        "independent_optimum_own_initial_state",
-        FIXED,
-    ),
+    "TC11": ("attas_short_period", ELEVATOR, "oem_gauss_newton", FIXED),
+    "TC11 own": ("attas_short_period", ELEVATOR, "independent_optimum_own_initial_state", FIXED),
     "TC31": ("attas_lateral", ("fAttasAilRud1.mat",), "oem_gauss_newton", FIXED),
-    "TC34": ("attas_lateral", ("fAttasAilRud1.mat", "fAttasAilRud2.mat"), "oem_gauss_newton_two_manoeuvres", FIXED),
+    "TC34": ("attas_lateral", LATERAL, "oem_gauss_newton_two_manoeuvres", FIXED),
 }
 OURS = {  # their names, where ours are others
     "Zal": "Zalpha", "Mal": "Malpha", "CDal": "CDa", "CLal": "CLa", "Cmal": "Cma", "bx_p": "L0", "bx_r": "N0",
@@ -60,7 +66,7 @@ def of_case(case: str, card: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def published():
+def book():
     """The results of the book's programs, by case."""
     path = BOOK / "references.json"
     if not path.is_file():
@@ -80,9 +86,9 @@ def record(name: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_estimates_deviations_and_det_R_are_those_published(program, published, tmp_path, case):
+def test_estimates_deviations_and_det_R_are_those_published(program, book, tmp_path, case):
     card, files, method, how = CASES[case]
-    expected = published[case.split()[0]]["methods"][method]
+    expected = book[case.split()[0]]["methods"][method]
     own = tmp_path / f"{card}.toml"
     own.write_text(of_case(case, card))
     paths = [record(name, tmp_path) for name in files]
@@ -104,55 +110,49 @@ def test_estimates_deviations_and_det_R_are_those_published(program, published, 
         assert ours["crb"] == pytest.approx(theirs["std"], rel=0.03), name
         assert ours["crb"] <= ours["sd_corrected"] < 100.0 * ours["crb"], name  # residuals are coloured in all cases
         assert ours["prior"] is None
-    for theirs, ours in zip(
-        expected.get("initial_state_per_segment", ()), found["initial_states"].values(), strict=False
-    ):
+    states = expected.get("initial_state_per_segment", ())
+    for theirs, ours in zip(states, found["initial_states"].values(), strict=False):
         for name, state in theirs.items():
             away = abs(ours[STATES.get(name, name)]["value"] - state["estimate"])
             assert away <= 0.3 * state.get("std", 0.0) + 1e-8, name
     replaced = [note for note in found["notes"] if "spikes" in note]  # the only way in which the data differ
     spikes = "2 of ay and 1 of beta" if case == "TC34" else "1 of beta"
-    said = f"Isolated spikes were replaced by the median of their neighbours: {spikes}."
-    assert replaced == ([said] if "AilRud" in files[0] else [])
+    assert len(replaced) == ("AilRud" in files[0])
+    assert all(f": {spikes}." in note for note in replaced)
 
 
-def test_cost_and_settings_are_printed(program, published):
-    done = program("fly", BOOK / "unStabAC_sim.asc", "--model", "unstable", *FIXED, "--no-priors", "--no-figures")
-    assert done.code == 0, done.err
+def test_cost_and_settings_are_printed(program, book):
+    done = succeeded(program("fly", RECORD, "--model", "unstable", *FIXED, "--no-priors", "--no-figures"))
     said = " ".join(done.out.split())
-    cost = published["TC08"]["methods"]["independent_optimum"]["det_R"]
+    cost = book["TC08"]["methods"]["independent_optimum"]["det_R"]
     told = float(said.split("det R is ")[1].split()[0])
     assert told == pytest.approx(cost, rel=1e-4)
-    assert "It was fitted without priors and with initial states fixed." in said
-    assert "no priors" in said
+    holds(said, "without priors and with initial states fixed", "no priors")
 
 
-def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(published):
+def test_equation_error_in_turbulence_agrees_with_the_published_filter_error(book):
     """HFB-320: turbulence does not bias the regression of the coefficients."""
-    filtered = published["TC04"]["methods"]["filter_error_nonlinear"]["parameters"]["CLal"]
+    filtered = book["TC04"]["methods"]["filter_error_nonlinear"]["parameters"]["CLal"]
     found = ba.fit(ba.read(BOOK / "hfb320_1_10.asc", "hfb320"), "hfb320").mle
     place = found.names.index("CLa")
     assert found.status is MleStatus.CONVERGED
-    assert abs(found.estimate[place] - filtered["estimate"]) < 1.96 * np.hypot(
-        found.crb_corrected[place], filtered["std"]
-    )
+    sd = np.hypot(found.crb_corrected[place], filtered["std"])
+    assert abs(found.estimate[place] - filtered["estimate"]) < 1.96 * sd
 
 
-def test_process_noise_finds_the_truth_of_a_simulated_flight_in_turbulence(program, published):
+def test_process_noise_finds_the_truth_of_a_simulated_flight_in_turbulence(program, book):
     """DHC-2, without noise of the sensors: the truth, from which the published filter error is up to 0.9 errors off."""
     how = (*FIXED, "--no-priors", "--process-noise", "--no-figures", "--json", "--out", "out")
-    done = program("fly", BOOK / "y13aus_da1.asc", "--model", "dhc2", *how)
-    assert done.code in (0, 3), done.err
-    found = json.loads(done.out)["process_noise"]
+    found = answer(program("fly", BOOK / "y13aus_da1.asc", "--model", "dhc2", *how), 0, 3)["process_noise"]
     assert found["converged"]
-    filtered = published["TC02"]["methods"]["filter_error_nonlinear"]["parameters"]
+    filtered = book["TC02"]["methods"]["filter_error_nonlinear"]["parameters"]
     truth = {name: p["estimate"] - p["error_vs_true"] for name, p in filtered.items() if "error_vs_true" in p}
     assert len(truth) >= 10
     for name, true in truth.items():
         assert found["estimates"][name][0] == pytest.approx(true, rel=1e-3), name
 
 
-def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_noise(program, published, monkeypatch):  # noqa: ARG001
+def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_noise(program, book, monkeypatch):  # noqa: ARG001
     """HFB-320, as if its air showed no gusts: CLa 3.4 by output error, 4.3 by the filter and by equation error. That is
     2.5 standard errors of output error (0.38, calibrated for what disturbs the flight); a disagreement is three.
 
@@ -165,3 +165,128 @@ def test_output_error_that_disagrees_with_the_coefficients_asks_for_process_nois
     first = found["sentences"][0]
     assert first.startswith("The coefficients and output error disagree on Cmq.")
     assert "With process noise Cmq still differs from the coefficients" in first
+
+
+RECORD = BOOK / "unStabAC_sim.asc"
+TRUTH = {  # the companion program of Table 9.1; Zde from the record; Mde from a one-step fit of it, printed nowhere
+    "Zw": -1.4249, "Zde": -6.2632, "Mw": 0.2163, "Mq": -3.7067, "Mde": -12.78,
+}  # fmt: skip
+WITHIN = 0.005
+
+
+@pytest.mark.skipif(not RECORD.is_file(), reason="needs ../shared/book")
+def test_the_filter_finds_the_truth(program):
+    """All within half a per cent; output error as published (`test_published_cases.py`) is 48 per cent off in Mq."""
+    how = ("--process-noise", "--no-figures", "--json", "--out", "out")
+    found = answer(program("fly", RECORD, "--model", "unstable", *how))["process_noise"]
+    assert found["converged"]
+    assert set(found["estimates"]) == set(TRUTH)
+    for name, true in TRUTH.items():
+        assert found["estimates"][name][0] == pytest.approx(true, rel=WITHIN), name
+    assert found["autocorrelation"]["w"] > 0.9  # no noise in the record: what is left is interpolation of the input
+    assert found["one_step"]["status"] == "not_calibrated"
+
+
+FILES = ("fAttasElv1.mat", "fAttasAil1.mat", "fAttasRud1.mat")
+SIX_OURS = {"CDal": "CDa", "CLal": "CLa", "Cmal": "Cma"}
+RATES = {"Cm0": {"Cmq": "pitch_rate_bias"}}
+RATES |= {f"{c}0": {f"{c}p": "roll_rate_bias", f"{c}r": "yaw_rate_bias"} for c in ("Cl", "Cn")}
+
+
+@pytest.fixture(scope="module")
+def six_card():
+    return read_card("full_six")
+
+
+@pytest.fixture(scope="module")
+def six_records(six_card):
+    if not BOOK.is_dir():
+        pytest.skip(f"the flights of the book are not in {BOOK}")
+    return [read_record(BOOK / name, six_card.channels) for name in FILES]
+
+
+def published(case: str) -> dict:
+    cases = json.loads((BOOK / "references.json").read_text(encoding="utf-8"))["cases"]
+    return cases[case]["methods"]["oem_gauss_newton"]
+
+
+@pytest.mark.parametrize(
+    ("case", "drag"), [("TC23", ("profile_drag", "alpha_drag")), ("TC24", ("profile_drag", "induced_drag"))]
+)
+def test_published_estimates_come_back(six_card, six_records, case, drag):
+    """Estimates within a tenth of the published deviations, deviations within 3 %, det R within 1 %."""
+    effects = [e for e in six_card.effects if e not in ("profile_drag", "alpha_drag")]
+    own = replace(six_card, effects=(*drag, *effects))
+    model = Model.from_card(own)
+    found = fit_mle(model, observe(six_records, own, model, Forming.PUBLISHED), extra_starts=0)
+    reference = published(case)
+    estimate = dict(zip(found.names, found.estimate, strict=True))
+    sd = dict(zip(found.names, found.crb, strict=True))
+    assert set(estimate) == {SIX_OURS.get(name, name) for name in reference["parameters"]}
+    V = np.mean(np.concatenate([record["airspeed"] for record in six_records]))
+    lengths = {"Cm": six_card.aircraft.chord, "Cl": 10.75, "Cn": 10.75}
+    for name, row in reference["parameters"].items():
+        ours = SIX_OURS.get(name, name)
+        rates = RATES.get(name, {}).items()
+        back = sum(estimate[slope] * six_card.fixed[bias] * lengths[name[:2]] / V for slope, bias in rates)
+        assert estimate[ours] - back == pytest.approx(row["estimate"], abs=0.1 * row["std"]), name
+        assert sd[ours] == pytest.approx(row["std"], rel=0.03), name
+    assert found.det_R == pytest.approx(reference["det_R"], rel=0.01)
+
+
+def test_each_manoeuvre_is_fitted_alone_in_six_coefficients(six_card, six_records):
+    model = Model.from_card(six_card)
+    observations = observe(six_records, six_card, model, Forming.PUBLISHED)
+    alone = fit_mle(model, observations.only(1), extra_starts=0)
+    assert tuple(alone.fit) == observations.thinned().coefficients == ("CL", "CD", "Cm", "CY", "Cl", "Cn")
+    estimate = dict(zip(alone.names, alone.estimate, strict=True))
+    assert estimate["Clda"] == pytest.approx(published("TC23")["parameters"]["Clda"]["estimate"], rel=0.03)
+
+
+def test_the_lateral_axis_alone_gives_the_published_derivatives(six_records):
+    """Within two standard errors that count the colour; the model has three derivatives more."""
+    lateral = read_card("basic_lateral")
+    model = Model.from_card(lateral)
+    found = fit_mle(model, observe(six_records[1:], lateral, model), extra_starts=0)
+    assert tuple(found.fit) == ("CY", "Cl", "Cn")
+    estimate, error = (dict(zip(found.names, x, strict=True)) for x in (found.estimate, found.crb_corrected))
+    for name in ("CYbe", "Clp", "Clr", "Clda", "Cnbe", "Cnr", "Cndr"):
+        value = published("TC23")["parameters"][name]["estimate"]
+        assert estimate[name] == pytest.approx(value, abs=2.0 * error[name]), name
+
+
+def test_a_missing_channel_leaves_its_axis_out_and_says_so(six_card, six_records, monkeypatch):
+    channels = {name: x for name, x in six_records[1].channels.items() if name != "ay"}
+    fewer = [six_records[0], replace(six_records[1], channels=channels), six_records[2]]
+    own, said = on_recorded_axes(six_card, fewer)
+    assert own.axes == ("longitudinal",)
+    assert len(said) == 1
+    assert all(part in said[0] for part in ("CY, Cl, Cn", "fAttasAil1", "channel ay"))
+    assert Model.from_card(own).coefficients == ("CL", "CD", "Cm")
+    monkeypatch.setattr(candidate_set, "CATALOGUE", {})  # what a diagnosis finds is not asked here
+    assert diagnose(fewer[:2], six_card, gains_wanted=False, process_noise=False).notes[0] == said[0]
+
+
+def test_a_flight_needs_no_accelerometer_of_an_axis_but_its_motion(six_card, six_records):
+    def without(name):
+        channels = {key: x for key, x in six_records[1].channels.items() if key != name}
+        return replace(six_records[1], channels=channels)
+
+    plain = replace(six_card, effects=tuple(e for e in six_card.effects if e != "accel_y_bias"))
+    assert on_recorded_axes(plain, [without("ay")], OF_AXIS) == (plain, ())
+    own, (said,) = on_recorded_axes(plain, [without("beta")], OF_AXIS)
+    assert own.axes == ("longitudinal",)
+    assert "has no channel beta" in said
+
+
+def test_swapped_ailerons_are_told_by_the_roll_that_they_make(six_card, six_records):
+    right, left = (six_records[1][name] for name in ("aileron_right", "aileron_left"))
+    channels = {**six_records[1].channels, "aileron_right": left, "aileron_left": right}
+    swapped = replace(six_records[1], channels=channels)
+    assert not [f for f in channel_health(six_records, six_card) if f.fault == "sign"]
+    (finding,) = [f for f in channel_health([swapped], six_card) if f.fault == "sign"]
+    assert finding.channel == "aileron"
+    holds(finding.sentence, "rolls to the right", "aileron_right and aileron_left are swapped")
+    rudder = replace(six_records[2], channels={**six_records[2].channels, "rudder": -six_records[2]["rudder"]})
+    (finding,) = [f for f in channel_health([rudder], six_card) if f.fault == "sign"]
+    assert finding.channel == "rudder"

@@ -1,45 +1,34 @@
 """`bayes-aero qualify`: from a finished result to a page that is signed, and its words for bad input."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
-from importlib import resources
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
-from calling import called
+from calling import answer, called, holds, refused, validated
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
-from bayes_aero.flight.reading.read_record import read_records, write_record
+from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.handover.fitted_records import fitted_records
 from bayes_aero.jobs.handover.identified_card import card_of
 from bayes_aero.jobs.options import FlyOptions
 from bayes_aero.jobs.provenance.provenance import as_json, provenance
 
-QUICK = ("--no-sample", "--no-gp", "--no-figures")
 FEW = ("--draws", "100")
-SCHEMA = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("qualification.schema.json").read_text())
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, clean_records, card):
-    """Two simulated stalls without noise as CSV files, the result of identify on one, and its qualification."""
+def folder(tmp_path_factory, identified):
+    """Two simulated stalls without noise, the result of identify on one, and its qualification."""
     there = tmp_path_factory.mktemp("qualified")
-    for record, name in zip(clean_records, ("fitted", "other"), strict=False):
-        part = record.window(25.0, 65.0)
-        write_record(part, there / f"{name}.csv", [c for c in card.channels if part.has(c.name) or c.name == "time"])
-    done = called(there, "identify", "fitted.csv", "--out", "results", *QUICK)
-    assert done.code == 0, done.err
-    done = called(there, "qualify", "results", "other.csv", "--gusts", 1, *FEW, "--json")
-    assert done.code == 0, done.err
-    assert json.loads(done.out) == json.loads((there / "qualification" / "qualification.json").read_text())
+    shutil.copytree(identified, there, dirs_exist_ok=True)
+    told = answer(called(there, "qualify", "results", "other.csv", "--gusts", 1, *FEW, "--json"))
+    assert told == json.loads((there / "qualification" / "qualification.json").read_text())
     return there
 
 
@@ -47,7 +36,7 @@ def folder(tmp_path_factory, clean_records, card):
 def here(folder, program, tmp_path):
     """A working directory of one's own with result and records."""
     shutil.copytree(folder / "results", tmp_path / "results")
-    for name in ("fitted", "other"):
+    for name in ("stall", "other"):
         shutil.copy(folder / f"{name}.csv", tmp_path)
     return program
 
@@ -57,25 +46,12 @@ def found(folder):
     return json.loads((folder / "qualification" / "qualification.json").read_text())
 
 
-def refused(done, words):
-    """One sentence, and nothing written."""
-    assert done.code == 2
-    assert done.err.startswith("error: ")
-    assert done.err.count("\n") == 1
-    assert words in done.err, done.err
-    assert not Path("qualification").exists()
-
-
-def test_the_numbers_follow_the_schema(found):
-    jsonschema.Draft202012Validator.check_schema(SCHEMA)
-    jsonschema.validate(found, SCHEMA)
+def test_the_numbers_follow_the_schema_and_every_thing_counted_makes_a_test_harder(found):
+    validated(found, "qualification")
     assert not found["failures"]
     assert {t["kind"] for t in found["tests"]} == {"again", "test"}
     assert list(found["tolerances"]) == ["airspeed", "alpha", "theta", "q", "az"]
-
-
-def test_every_thing_counted_makes_a_test_harder(found):
-    """Draws are shared, so a test that fails by parameters fails with structure and gusts but for single draws."""
+    # Draws are shared, so a test that fails by parameters fails with structure and gusts but for single draws.
     for test in found["tests"]:
         chances = [test["counted"][name]["value"] for name in ("parameters", "structure", "gusts")]
         assert chances[1] <= chances[0] + 0.05
@@ -86,10 +62,10 @@ def test_every_thing_counted_makes_a_test_harder(found):
 
 def test_extrapolation_is_told_of_the_other_record(folder, found):
     """Beside the hull of the fitted record the other one is outside where single channels already are."""
-    fitted, other = (np.genfromtxt(folder / f"{n}.csv", delimiter=",", names=True) for n in ("fitted", "other"))
+    fitted, other = (np.genfromtxt(folder / f"{n}.csv", delimiter=",", names=True) for n in ("stall", "other"))
     alpha, low, high = other["ALCG"], fitted["ALCG"].min(), fitted["ALCG"].max()
     told = {one["manoeuvre"]: one for one in found["outside"] if one["motion"] == "recorded"}
-    assert "fitted" not in told
+    assert "stall" not in told
     assert found["flown_region"] == {"channels": ["alpha", "beta", "mach", "p", "q", "r"], "not_recorded": []}
     clearly = 0.1 * (high - low) / 2.0  # a hull lies within the ranges of its channels
     assert told["other"]["share"] >= np.mean((alpha > high + clearly) | (alpha < low - clearly)) - 0.01
@@ -99,8 +75,7 @@ def test_extrapolation_is_told_of_the_other_record(folder, found):
 def test_the_page_can_be_signed(folder, found):
     page = (folder / "qualification" / "qualification.html").read_text()
     assert "was not made" not in page
-    for words in ("signature", "accepted", "refused", "Attachment 7", "was not read", "Stated: 1 m/s"):
-        assert words in page
+    holds(page, "signature", "accepted", "refused", "Attachment 7", "was not read", "Stated: 1 m/s")
     assert ("The model does not qualify" in page) == (found["verdict"] == "fails")
     rows = (folder / "qualification" / "qualification.csv").read_text().splitlines()
     assert len(rows) == 1 + len(found["tests"])
@@ -112,36 +87,34 @@ def test_the_page_can_be_signed(folder, found):
         (("attas",), "a card has no uncertainty"),
         (("nowhere",), "there is no result 'nowhere'"),
         (("results", "nosuch.csv"), "no such file"),
-        (("results", "fitted.csv"), "was fitted, so it is tested anyway"),
+        (("results", "stall.csv"), "was fitted, so it is tested anyway"),
         (("results", "--draws", "3"), "--draws is 3; give a number from 100"),
         (("results", "--gusts", "99"), "--gusts is 99 m/s"),
     ],
 )
 def test_bad_input_is_one_sentence(here, arguments, words):
-    refused(here("qualify", *arguments), words)
+    refused(here("qualify", *arguments), words, gone=["qualification"])
 
 
 def test_records_that_changed_are_refused(here):
-    table = pd.read_csv("fitted.csv")
-    table.assign(ALCG=table["ALCG"] + 1e-6).to_csv("fitted.csv", index=False)
-    refused(here("qualify", "results", *FEW), "record fitted.csv has changed since results/results.json was made")
-    Path("fitted.csv").unlink()
-    refused(
-        here("qualify", "results", *FEW), "is not where it was, nor beside the result, nor here; give it with --fitted"
-    )
+    table = pd.read_csv("stall.csv")
+    table.assign(ALCG=table["ALCG"] + 1e-6).to_csv("stall.csv", index=False)
+    refused(here("qualify", "results", *FEW), "stall.csv has changed since results/results.json")
+    Path("stall.csv").unlink()
+    refused(here("qualify", "results", *FEW), "stall.csv", "--fitted")
 
 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        (lambda t: t[[*reversed(t.columns)]], "is the same record as fitted"),
-        (lambda t: t.round(4), "is the same record as fitted"),
-        (lambda t: t.iloc[300:700], "is part of the same record as fitted"),
-        (lambda t: t.assign(T=t["T"] + 1000.0).iloc[::2], "is the same record as fitted"),
+        (lambda t: t[[*reversed(t.columns)]], "is the same record as stall"),
+        (lambda t: t.round(4), "is the same record as stall"),
+        (lambda t: t.iloc[300:700], "is part of the same record as stall"),
+        (lambda t: t.assign(T=t["T"] + 1000.0).iloc[::2], "is the same record as stall"),
     ],
 )
 def test_a_copy_of_a_fitted_record_is_no_new_one(here, changed, words):
-    changed(pd.read_csv("fitted.csv")).to_csv("new.csv", index=False)
+    changed(pd.read_csv("stall.csv")).to_csv("new.csv", index=False)
     refused(here("qualify", "results", "new.csv", *FEW), f"new {words}")
 
 
@@ -149,10 +122,7 @@ def test_faults_of_a_new_record_are_told_first(here):
     """In knots no flight can be simulated; an altitude in feet costs nothing that is compared."""
     table = pd.read_csv("other.csv")
     table.assign(VTASCG=table["VTASCG"] * 3600.0 / 1852.0).to_csv("knots.csv", index=False)
-    done = here("qualify", "results", "knots.csv", *FEW)
-    assert done.code == 2
-    assert done.err.startswith("error: knots: airspeed is in kt and not in m/s")
-    assert "leave this record out" in done.err
+    refused(here("qualify", "results", "knots.csv", *FEW), "knots: airspeed is in kt", "leave this record out")
     table.assign(HQNH=table["HQNH"] / 0.3048).to_csv("feet.csv", index=False)
     done = here("qualify", "results", "feet.csv", *FEW)
     assert done.code == 3, done.err
@@ -176,30 +146,30 @@ def reread(tmp_path, card, monkeypatch):
 
 
 def test_records_are_read_again_as_they_were_whatever_the_command_said(folder, card, reread):
-    shutil.copy(folder / "fitted.csv", "fitted.csv")
-    (part,) = read_records(["fitted.csv@30:60"], card.channels, resample=0.1)
-    cut = read_records(["fitted.csv"], card.channels)[0].window(40.0, 50.0)
+    shutil.copy(folder / "stall.csv", "stall.csv")
+    (part,) = read_records(["stall.csv@30:60"], card.channels, resample=0.1)
+    cut = read_records(["stall.csv"], card.channels)[0].window(40.0, 50.0)
     found, source = reread([part, cut])
     assert [r.content for r in found] == [part.content, cut.content]
-    assert [r.name for r in found] == ["fitted_30-60", cut.name]
+    assert [r.name for r in found] == ["stall_30-60", cut.name]
     assert source["inputs"][0]["read"] == {
-        "path": "fitted.csv", "part": "30:60", "resample": 0.1, "windows": [], "split": False,
+        "path": "stall.csv", "part": "30:60", "resample": 0.1, "windows": [], "split": False,
     }  # fmt: skip
     assert source["options"]["windows"] == 12.0
 
 
 def test_records_are_found_by_their_content_and_not_by_their_name(folder, card, reread):
-    shutil.copy(folder / "fitted.csv", "fitted.csv")
-    made = read_records(["fitted.csv"], card.channels)
-    table = pd.read_csv("fitted.csv", dtype=str)
+    shutil.copy(folder / "stall.csv", "stall.csv")
+    made = read_records(["stall.csv"], card.channels)
+    table = pd.read_csv("stall.csv", dtype=str)
     table[[*reversed(table.columns)]].to_csv("moved.csv", index=False)
-    Path("fitted.csv").unlink()
-    with pytest.raises(InputError, match=r"record fitted\.csv of .* is not where it was"):
+    Path("stall.csv").unlink()
+    with pytest.raises(InputError, match=r"record stall\.csv of .* is not where it was"):
         reread(made)
-    with pytest.raises(InputError, match=r"record fitted\.csv of .* is not where it was"):
+    with pytest.raises(InputError, match=r"record stall\.csv of .* is not where it was"):
         reread(made, folder / "other.csv")
     ((found,), _) = reread(made, folder / "other.csv", Path("moved.csv"))
-    assert (found.name, found.content) == ("fitted", made[0].content)
+    assert (found.name, found.content) == ("stall", made[0].content)
     with pytest.raises(InputError, match="was made in memory"):
         reread([FlightRecord.from_arrays("mine", made[0].time, made[0].channels)])
 

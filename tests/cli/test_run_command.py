@@ -1,19 +1,23 @@
-"""Studies: units are made once, resumed, redone where inputs changed, and never anywhere else."""
-
-from __future__ import annotations
+"""Studies: units are made once, resumed, redone where inputs changed, and never anywhere else; and of trajectories."""
 
 import hashlib
+import inspect
 import json
 import re
 import shutil
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
+from calling import answer, holds, refused, succeeded
+from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 import bayes_aero
+from bayes_aero.cli.fly import fly
 from bayes_aero.errors import InputError
+from bayes_aero.flight.reading.read_record import write_record
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.provenance.provenance import write_json
 from bayes_aero.study import case as units
@@ -56,7 +60,7 @@ def calls(monkeypatch):
 
 
 def states(program, *more):
-    told = json.loads(program("run", "study.toml", *more, "--json").out)
+    told = answer(program("run", "study.toml", *more, "--json"))
     return {row["name"].split("-")[0]: row for row in told["units"]}
 
 
@@ -92,8 +96,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(program, folder, calls, m
     monkeypatch.setattr(units, "run_task", interrupted)
     done = program("run", "study.toml")
     assert done.code == 130
-    assert "1 of 2 units are done" in done.err
-    assert "same command" in done.err
+    holds(done.err, "1 of 2 units are done", "same command")
     assert len(list((folder / "study_results" / "units").iterdir())) == 1  # nothing half done
     monkeypatch.setattr(units, "run_task", quick)
     assert program("run", "study.toml").code == 0
@@ -114,9 +117,8 @@ def test_doubts_about_the_records_of_a_unit_are_told(program, folder, monkeypatc
         biased = unit.shown[0].endswith("biased.csv")
         fault = {"sentence": "biased: q is in deg/s", "grave": True}
         told = json.loads((out / "results.json").read_text()) | {"health": [fault] * biased}
-        write_json(
-            told | {"consistency": {"outcome": "disagree_explained" if biased else "agree"}}, out / "results.json"
-        )
+        told |= {"consistency": {"outcome": "disagree_explained" if biased else "agree"}}
+        write_json(told, out / "results.json")
 
     monkeypatch.setattr(units, "run_task", doubtful)
     done = program("run", "study.toml")
@@ -167,9 +169,8 @@ def test_the_summary_and_the_environment(program, folder):
     program("run", "study.toml")
     out = folder / "study_results"
     table = pd.read_csv(out / "summary.csv")
-    pd.testing.assert_frame_equal(
-        table[["value", "sd"]], pd.read_parquet(out / "summary.parquet")[["value", "sd"]], check_dtype=False
-    )
+    again = pd.read_parquet(out / "summary.parquet")
+    pd.testing.assert_frame_equal(table[["value", "sd"]], again[["value", "sd"]], check_dtype=False)
     assert list(table["method"]) == ["mle", "mle_corrected"] * 2
     assert set(table["records"]) == {"flights/sound.csv", "flights/biased.csv"}
     requirements = (out / "environment" / "requirements.txt").read_text()
@@ -184,8 +185,7 @@ def test_units_are_real_work(program, folder, monkeypatch):
     """The runner around `identify`, maximum likelihood alone, so that it is quick."""
     monkeypatch.setattr(job, "_plan", lambda _: [])
     (folder / "study.toml").write_text(STUDY.replace("flights/*.csv", "flights/sound.csv"))
-    done = program("run", "study.toml", "--json")
-    assert done.code == 0, done.err
+    succeeded(program("run", "study.toml", "--json"))
     (unit,) = (folder / "study_results" / "units").iterdir()
     made = json.loads((unit / "provenance.json").read_text())
     record = folder / "flights" / "sound.csv"
@@ -218,9 +218,8 @@ def test_the_study_in_the_documentation_is_one():
     assert set(table) <= set(KEYS)
     assert set(table["options"]) <= set(OPTIONS[table["task"]])
     rows = re.findall(r"^\| `(\w+)` \| (.*) \| `(.*)` \|$", text, re.M)
-    assert {task: set(re.findall(r"\w+", options)) for task, options, _ in rows} == {
-        t: set(o) for t, o in OPTIONS.items()
-    }
+    listed = {task: set(re.findall(r"\w+", options)) for task, options, _ in rows}
+    assert listed == {task: set(options) for task, options in OPTIONS.items()}
     assert {task: name for task, _, name in rows} == RESULTS
 
 
@@ -236,29 +235,116 @@ def test_the_units_are_the_product_of_all_lists(folder):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("title", "titel"), "did you mean 'title'"),
-        (("flights/*.csv", "flights/none.csv"), "flights/none.csv"),
+        (("title", "titel"), "did you mean 'title'"), (("flights/*.csv", "flights/none.csv"), "flights/none.csv"),
         (("flights/*.csv", "flights/*.mat"), "no record matches"),
-        (("flights/*.csv", "/nowhere/*.csv"), "no record matches"),
-        (('["white"]', '["pink"]'), "'pink'"),
-        (('["white"]', '"white"'), "list"),
-        (("options.gp", "options.gpr"), "did you mean 'gp'"),
-        (("gp = false", "gp = 1"), "true or false"),
-        (("one_by_one = true", 'cards = ["nobody"]'), "nobody"),
-        (("one_by_one = true", "seeds = [-1]"), "-1"),
-        (("one_by_one = true", "seeds = [1, 1]"), "twice"),
+        (("flights/*.csv", "/nowhere/*.csv"), "no record matches"), (('["white"]', '["pink"]'), "'pink'"),
+        (('["white"]', '"white"'), "list"), (("options.gp", "options.gpr"), "did you mean 'gp'"),
+        (("gp = false", "gp = 1"), "true or false"), (("one_by_one = true", 'cards = ["nobody"]'), "nobody"),
+        (("one_by_one = true", "seeds = [-1]"), "-1"), (("one_by_one = true", "seeds = [1, 1]"), "twice"),
         (("one_by_one = true", 'effects = [["thrust_leg"]]'), "thrust_lag"),
         (("one_by_one = true", 'effects = ["thrust_lag"]'), "lists"),
         (("one_by_one = true", 'task = "guess"'), "identify, diagnose"),
         (("one_by_one = true", 'task = "diagnose"'), "noise is of no use"),
         (("one_by_one = true", "one_by_one = tru"), "TOML"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_study_is_one_sentence(program, folder, change, told):
     assert change[0] in STUDY
     (folder / "study.toml").write_text(STUDY.replace(*change))
+    refused(program("run", "study.toml"), told, gone=["study_results"])
+
+
+NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
+FLY_STUDY = """
+task = "fly"
+records = ["*.csv"]
+one_by_one = true
+cards = ["short_period.toml"]
+options.windows = 20
+options.priors = false
+options.outputs = "q,alpha,az"
+options.figures = false
+"""
+BOTH = "options.process_noise = true\noptions.frequency = [0.2, 2]\n"
+
+
+@pytest.fixture
+def fly_folder(tmp_path):
+    """Two short flights of a linear system, its card and a study of both."""
+    (tmp_path / "short_period.toml").write_text(SHORT_PERIOD)
+    channels = card_of(SHORT_PERIOD).channels
+    for seed, name in enumerate(("one", "two")):
+        flight = short_period_flight(SHORT_PERIOD_TRUTH, n=300, x0=(0.04, 0.02 * seed))
+        noisy = record_of(flight, noise=NOISE, rng=np.random.default_rng(seed), name=name)
+        write_record(noisy, tmp_path / f"{name}.csv", channels)
+    (tmp_path / "study.toml").write_text(FLY_STUDY)
+    return tmp_path
+
+
+def test_options_are_the_command_s():
+    asked = inspect.signature(fly).parameters
+    assert set(OPTIONS["fly"]) <= set(asked)
+    assert set(asked) - set(OPTIONS["fly"]) == {"records", "model", "out", "seed", "json"}  # a study has its own
+
+
+def test_process_noise_has_rows_of_its_own_and_short_windows_fail_their_units(program, fly_folder):
+    (fly_folder / "study.toml").write_text(FLY_STUDY.replace('"*.csv"', '"one.csv"') + BOTH)
+    succeeded(program("run", "study.toml"))
+    (flown,) = (fly_folder / "study_results").rglob("trajectories.json")
+    assert json.loads(flown.read_text())["frequency"]
+    table = pd.read_csv(fly_folder / "study_results" / "summary.csv")
+    rows = table[table["method"] == "process_noise"].set_index("parameter")
+    assert set(rows.index) == set(SHORT_PERIOD_TRUTH)
+    assert all(abs(rows["value"] - pd.Series(SHORT_PERIOD_TRUTH)) < 4.0 * rows["sd"])
+
+
+def test_linear_cards_fly_and_are_verified(program, fly_folder):
+    succeeded(program("run", "study.toml"))
+    out = fly_folder / "study_results"
+    units = pd.read_csv(out / "units.csv")
+    assert list(units["verdict"]) == ["converged"] * 2
+    assert set(units["task"]) == {"fly"}
+    table = pd.read_csv(out / "summary.csv")
+    assert len(table) == 2 * 2 * len(SHORT_PERIOD_TRUTH)  # records, deviations, parameters
+    for _, row in table.iterrows():
+        found = json.loads((out / "units" / row["unit"] / "trajectories.json").read_text())
+        known = found["parameters"][row["parameter"]]
+        assert abs(row["value"] - SHORT_PERIOD_TRUTH[row["parameter"]]) < 4.0 * known["sd_corrected"], row["parameter"]
+        key = {"output_error": "crb", "output_error_corrected": "sd_corrected"}[row["method"]]
+        assert (row["value"], row["sd"], row["unit_of_value"]) == (known["estimate"], known[key], known["unit"])
+        assert row["high95"] - row["low95"] == pytest.approx(2.0 * 1.96 * row["sd"])
+        assert row["status"] == "converged"
+    first = out / "units" / units["unit"][0]
+    assert found["windows"] == 20.0
+    assert found["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
+    assert found["fitted_outputs"] == ["q", "alpha", "az"]
+    assert (first / "report.html").is_file()
+    assert not (first / "figures").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("options.windows", "options.window"), "did you mean 'windows'"),
+        (("options.windows", "options.gp"), "unknown option of the task fly"),
+        (("windows = 20", "windows = true"), "write a number"),
+        (("windows = 20", 'initial_state = "known"'), "use one of free, fixed"),
+        (('outputs = "q,alpha,az"', "outputs = 3"), "write names in quotes"),
+        (("windows = 20", "windows = 0"), "must be positive"),
+        (("windows = 20", "frequency = 1.5"), "two frequencies"),
+        (("one_by_one = true", 'noise = ["white"]'), "noise is of no use"),
+        (("one_by_one = true", 'effects = [[], ["thrust_lag"]]'), "a linear system, which has no effects"),
+        ((FLY_STUDY, 'task = "diagnose"\nrecords = ["*.csv"]\ncards = ["short_period.toml"]'), "a linear system"),
+    ],
+)
+def test_a_bad_study_of_trajectories_is_one_sentence(program, fly_folder, change, told):
+    assert change[0] in FLY_STUDY
+    (fly_folder / "study.toml").write_text(FLY_STUDY.replace(*change))
+    refused(program("run", "study.toml"), told, gone=["study_results"])
+
+
+def test_windows_too_short_to_fly_fail_their_units(program, fly_folder):
+    (fly_folder / "study.toml").write_text(FLY_STUDY.replace("windows = 20", "windows = 0.2"))
     done = program("run", "study.toml")
-    assert done.code == 2
-    assert told in done.err
-    assert done.err.count("\n") == 1
-    assert not (folder / "study_results").exists()
+    assert done.code == 1
+    assert done.out.count("at least 1 s") == 2

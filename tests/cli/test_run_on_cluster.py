@@ -4,8 +4,6 @@ Each study that was disturbed and then done again is compared with one that nobo
 but for what names times and machines (unit.json's seconds and hashes, provenance).
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -25,7 +23,7 @@ import dask
 import distributed  # noqa: F401  (its defaults come with it: set before, they would go with what a test has set)
 import psutil
 import pytest
-from calling import called
+from calling import called, refused, succeeded
 
 from bayes_aero.study import case as units
 
@@ -76,8 +74,7 @@ def undisturbed(tmp_path_factory, flights, cluster):
     place = tmp_path_factory.mktemp("undisturbed")
     shutil.copytree(flights.folder, place / "flights", ignore=shutil.ignore_patterns("*.json"))
     (place / "study.toml").write_text(STUDY)
-    done = run(place, "--scheduler", cluster.address)
-    assert done.code == 0, done.err
+    done = succeeded(run(place, "--scheduler", cluster.address))
     assert f"{UNITS} done now" in done.out
     return place
 
@@ -219,8 +216,7 @@ def test_a_killed_driver_costs_what_was_in_work(folder, cluster, undisturbed):
         driver.kill()
     kept = {path: path.stat().st_mtime_ns for path in finished(folder)}
     assert len(kept) < UNITS
-    done = done_again(folder, cluster)
-    assert done.code == 0, done.err
+    succeeded(done_again(folder, cluster))
     assert {path: path.stat().st_mtime_ns for path in kept} == kept  # nothing was done twice
     same(folder, undisturbed)
 
@@ -315,7 +311,7 @@ def test_a_full_disk_is_told_and_costs_what_was_in_work(folder, cluster, undistu
 def small_disk(place, size):
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", place]
     if sys.platform != "linux" or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk cannot be mounted here; test_durable.py limits the size of files instead")
+        pytest.skip("a small disk cannot be mounted; test_units_of_work.py limits the size of files instead")
     try:
         yield
     finally:
@@ -360,11 +356,7 @@ def test_an_address_that_does_not_answer_is_one_sentence(program, folder, monkey
 )
 def test_options_that_do_not_go_together_are_one_sentence(program, folder, monkeypatch, options, told):
     monkeypatch.chdir(folder)
-    done = program("run", "study.toml", *options.split())
-    assert done.code == 2
-    assert told in done.err
-    assert done.err.count("\n") == 1
-    assert not (folder / "study_results").exists()
+    refused(program("run", "study.toml", *options.split()), told, gone=["study_results"])
 
 
 def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
@@ -372,8 +364,4 @@ def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
     monkeypatch.delitem(sys.modules, "bayes_aero.study.cluster", raising=False)
     monkeypatch.delattr("bayes_aero.study.cluster", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    done = program("run", "study.toml", "--workers", "2")
-    assert done.code == 2
-    assert done.err == (
-        'error: --workers and --scheduler need distributed; install it with: pip install "bayes-aero[cluster]"\n'
-    )
+    refused(program("run", "study.toml", "--workers", "2"), "--workers", 'pip install "bayes-aero[cluster]"')

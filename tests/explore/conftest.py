@@ -1,7 +1,5 @@
 """One short simulated stall, and the results of fly and identify on it."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import shutil

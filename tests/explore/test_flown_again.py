@@ -1,7 +1,5 @@
 """Flown again: by the result's values as `fly` wrote it, by others as the package simulates the card's model."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 
@@ -37,14 +35,14 @@ def test_the_result_is_the_one_that_fly_wrote(results, simulator):
         np.testing.assert_allclose(now.simulated[name], y, rtol=1e-6, atol=1e-6 * np.ptp(y), err_msg=name)
 
 
-def test_other_values_fly_as_the_package_does(packaged, simulator, model):
+def test_other_values_and_effects_fly_as_the_package_does(packaged, simulator, model, card):
     agree(simulator.fly(0, Choice({"CLa": 3.9, "Cmde": -1.1})).simulated, packaged(model, CLa=3.9, Cmde=-1.1))
-
-
-def test_an_effect_that_is_off_is_the_model_without_it(packaged, simulator, card):
     kept = tuple(e for e in card.effects if e != "separated_moment")
     without = Model.of(kept, card.fixed)
     agree(simulator.fly(0, Choice(off=frozenset({"separated_moment"}))).simulated, packaged(without))
+    wider = model.extended("mass_scale")
+    heavy = simulator.fly(0, Choice({"mass_scale": 1.04}, added=("mass_scale",)))
+    agree(heavy.simulated, packaged(wider, mass_scale=1.04))
 
 
 def test_a_lag_can_be_added_and_switched_off(packaged, simulator, card):
@@ -57,21 +55,18 @@ def test_a_lag_can_be_added_and_switched_off(packaged, simulator, card):
     agree(off, simulator.fly(0, Choice()).simulated)
 
 
-def test_a_catalogue_effect_can_be_added(packaged, simulator, model):
-    wider = model.extended("mass_scale")
-    agree(
-        simulator.fly(0, Choice({"mass_scale": 1.04}, added=("mass_scale",))).simulated,
-        packaged(wider, mass_scale=1.04),
-    )
-
-
-def test_effects_are_those_with_parameters_that_act(simulator, model):
+def test_effects_are_those_with_parameters_that_act_and_what_is_not_flown_is_said(simulator, model):
     shown = {e.name for e in shown_effects(model)}
     assert "attached_lift" in shown
     assert shown.isdisjoint({"kirchhoff_lift", "separation_lag"})  # without parameters; fixed at neutral by the card
     more = {e.name for e in addable(model, tuple(simulator.flights.channels))}
     assert {"separation_lag", "mass_scale"} <= more
     assert more.isdisjoint({"attached_lift", "vertical_gusts", "longitudinal_gusts"})
+    opened = simulator.opened
+    assert opened.limits == ()
+    noisy = {"converged": True, "gain": 5.0}
+    (said,) = replace(opened, told={**opened.told, "process_noise": noisy}).limits
+    assert "gusts and the noise of its states are not flown here" in said
 
 
 def test_coefficients_are_those_of_the_record_and_the_model(results, simulator, card, model):
@@ -135,11 +130,3 @@ def test_every_manoeuvre_of_identify_flies_from_its_measured_state(results, card
         agree(now.simulated, path.simulated)
         np.testing.assert_array_equal(simulator.time(k), path.time)
         assert {len(y) for y in (*now.coefficients.values(), *now.formed.values())} == {len(path.time)}
-
-
-def test_what_of_process_noise_is_not_flown_is_said(simulator):
-    opened = simulator.opened
-    assert opened.limits == ()
-    noisy = {"converged": True, "gain": 5.0}
-    (said,) = replace(opened, told={**opened.told, "process_noise": noisy}).limits
-    assert "gusts and the noise of its states are not flown here" in said

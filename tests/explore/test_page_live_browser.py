@@ -1,7 +1,5 @@
 """The live page in a real browser: by keyboard, against the package's own simulation, and without a network."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -87,7 +85,7 @@ def test_a_slider_moved_by_keyboard_flies_the_manoeuvre_again(page, served, pack
     assert page.heard == []
 
 
-def test_an_effect_that_is_switched_off_is_the_model_without_it(page, packaged, card):
+def test_effects_are_switched_off_added_and_removed(page, packaged, card):
     page.get_by_role("checkbox", name="separated_moment").focus()
     answered(page, lambda: page.keyboard.press("Space"))
     agree(page, packaged(Model.of([e for e in card.effects if e != "separated_moment"], card.fixed)))

@@ -1,7 +1,5 @@
 """Models that are exported, and what they give by the package itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax.numpy as jnp

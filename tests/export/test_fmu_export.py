@@ -1,7 +1,5 @@
 """The exported FMU by another library, fmpy: its description, and a simulation through a recorded stall."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -38,9 +36,8 @@ def exported(tmp_path_factory):
     signals["time"] = time
     for name in names:
         signals[name] = flight[name]
-    told = fmpy.simulate_fmu(
-        str(path), stop_time=float(time[-1]), output_interval=STEP, step_size=STEP, input=signals, validate=True
-    )
+    steps = {"output_interval": STEP, "step_size": STEP}
+    told = fmpy.simulate_fmu(str(path), stop_time=float(time[-1]), input=signals, validate=True, **steps)
     return SimpleNamespace(found=found, path=path, time=time, flight=flight, told=told)
 
 
@@ -77,17 +74,14 @@ def test_it_follows_the_packages_flight(exported, name):
     assert error.max() <= LARGEST * np.ptp(expected)
 
 
-def test_parameters_can_be_set(exported):
+def test_parameters_can_be_set_and_it_runs_from_rest(exported):
     signals = {"airspeed": 90.0, "alpha": 0.1, "mach": 0.3}
-    told = fmpy.simulate_fmu(
-        str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals | {"parameter.CL0": 0.55}
+    usual, told = (
+        fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals | more)
+        for more in ({}, {"parameter.CL0": 0.55})
     )
-    usual = fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals)
     assert told["CL"][-1] - usual["CL"][-1] == pytest.approx(0.55 - 0.15, abs=1e-12)
-
-
-def test_it_runs_from_rest(exported):
-    """Cm = Cm0 + Cma alpha + Cmq q c/V with V = 1 m/s, attached flow."""
+    # Cm = Cm0 + Cma alpha + Cmq q c/V with V = 1 m/s, attached flow.
     rest = {"airspeed": 0.0, "alpha": 0.02, "mach": 0.0, "q": 0.1, "elevator": 0.0, "alpha_dot": 0.0}
     start = {n: x for n, x in rest.items() if n in exported.found.program.inputs_of("signal")}
     told = fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=start)

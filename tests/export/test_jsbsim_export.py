@@ -1,7 +1,5 @@
 """JSBSim with an exported model against the model itself: coefficients, forces in its units, and whole flights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax.numpy as jnp

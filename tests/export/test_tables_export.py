@@ -1,7 +1,5 @@
 """Tables of a model, interpolated by xarray: their sums are the coefficients, within the accuracy that they state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -92,14 +90,11 @@ def test_files_state_units_bounds_and_the_same_numbers(tmp_path):
     np.testing.assert_allclose(frame["Cm [1]"], by_hand, rtol=1e-9)
 
 
-def test_draws_have_tables_of_their_own(tmp_path):
+def test_draws_have_tables_of_their_own_and_unknown_ranges_none(tmp_path):
     drawn = Draws(("Cmq",), np.array([[-4.0], [-16.0]]), "a test")
     _, tables, _ = written(stall(flown=FLOWN, draws=drawn), tmp_path)
     table = tables["Cm_airspeed_q"]
     np.testing.assert_allclose(table["draws"].sel(draw=0), 0.5 * table["value"], rtol=1e-12)
     np.testing.assert_allclose(table["draws"].sel(draw=1), 2.0 * table["value"], rtol=1e-12)
-
-
-def test_without_flown_ranges_there_are_no_bounds(tmp_path):
     with pytest.raises(InputError, match="flown range of airspeed is not known"):
         write_tables(stall(), tmp_path)

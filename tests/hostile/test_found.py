@@ -1,7 +1,5 @@
 """What fuzzing and thinking like an attacker have found, one example each; none may come back."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time
@@ -148,10 +146,20 @@ def test_text_that_is_no_table(tmp_path, suffix, content, said):
         read_record(path, CHANNELS)
 
 
-def test_thousands_of_columns(tmp_path):
+def test_tables_far_beyond_any_record_are_refused(tmp_path):
     (tmp_path / "wide.csv").write_text("\n".join(",".join(f"{k}{i}" for i in range(25_000)) for k in ("c", "1", "2")))
     with pytest.raises(InputError, match="25000 columns, more than"):
         read_record(tmp_path / "wide.csv", CHANNELS)
+    write_record(sound(60), tmp_path / "sound.csv", CHANNELS)
+    with pytest.raises(InputError, match="makes more than"):
+        read_record(tmp_path / "sound.csv", CHANNELS, resample=1e-12)
+    text_of = shipped_cards()["attas"].read_text()
+    assert "column = 1," in text_of
+    (tmp_path / "far.toml").write_text(text_of.replace("column = 1,", "column = 1000000000000,", 1))
+    with pytest.raises(InputError, match="no file has more than"):
+        read_card(tmp_path / "far.toml")
+    assert text.MOST_LINES > 20 * 200_000
+    assert text.LONGEST_LINE > 2000 * 25
 
 
 def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
@@ -169,20 +177,6 @@ def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
     assert found["c7"].values is not None
     assert found["c700"].values is None
     assert len(calls) < 1100  # twice the words at most
-
-
-def test_a_grid_of_a_trillion_samples_is_refused(tmp_path):
-    write_record(sound(60), tmp_path / "sound.csv", CHANNELS)
-    with pytest.raises(InputError, match="makes more than"):
-        read_record(tmp_path / "sound.csv", CHANNELS, resample=1e-12)
-
-
-def test_a_column_far_out_is_refused(tmp_path):
-    text_of = shipped_cards()["attas"].read_text()
-    assert "column = 1," in text_of
-    (tmp_path / "far.toml").write_text(text_of.replace("column = 1,", "column = 1000000000000,", 1))
-    with pytest.raises(InputError, match="no file has more than"):
-        read_card(tmp_path / "far.toml")
 
 
 @pytest.mark.parametrize("content", [NESTED, "[]", "null", '{"id": []}', "\xff"])
@@ -203,24 +197,20 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
-    [("import sys\nsys.exit(0)\n", "SystemExit"), ("x = 1\n" * 300_000, "more than"), (b"\xff\xfe", "cannot be read")],
+    ("name", "source", "said"),
+    [
+        ("mine.py", b"import sys\nsys.exit(0)\n", "SystemExit"),
+        ("mine.py", b"x = 1\n" * 300_000, "more than"),
+        ("mine.py", b"\xff\xfe", "cannot be read"),
+        *((name, b"", "no such file") for name in ("/dev/zero", "nowhere.py", ".")),
+    ],
+    ids=["exits", "long", "bytes", "device", "nowhere", "folder"],
 )
-def test_effect_files_that_are_none(tmp_path, source, said):
-    (tmp_path / "mine.py").write_bytes(source if isinstance(source, bytes) else source.encode())
+def test_effect_files_that_are_none(tmp_path, name, source, said):
+    if source:
+        (tmp_path / name).write_bytes(source)
     with pytest.raises(InputError, match=said):
-        own_effects([tmp_path / "mine.py"])
-
-
-@pytest.mark.parametrize("name", ["/dev/zero", "nowhere.py", "."])
-def test_effect_files_that_are_no_files(tmp_path, name):
-    with pytest.raises(InputError, match="no such file"):
         own_effects([tmp_path / name])
-
-
-def test_text_limits_are_beyond_any_record():
-    assert text.MOST_LINES > 20 * 200_000
-    assert text.LONGEST_LINE > 2000 * 25
 
 
 @pytest.mark.parametrize("name", ["con.x.csv", "NUL.csv", "..csv.csv", ".hidden.csv", "-rf.csv", "a" * 200 + ".csv"])

@@ -1,7 +1,5 @@
 """A small identification made by hand, so that every number in a table or sentence is known beforehand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -39,12 +37,8 @@ def observations(model: Model, manoeuvres: int) -> Observations:
     t = np.tile(0.04 * np.arange(N), manoeuvres)
     number = np.repeat(np.arange(manoeuvres), N)
     start = np.tile(np.arange(N) == 0, manoeuvres)
-    signals = {
-        "alpha": 0.1 + 0.05 * np.sin(2.0 * t + number),
-        "alpha_dot": 0.1 * np.cos(2.0 * t + number),
-        "elevator": 0.05 * np.sin(3.0 * t),
-        "dt": np.full(t.size, 0.04),
-    }
+    signals = {"alpha": 0.1 + 0.05 * np.sin(2.0 * t + number), "alpha_dot": 0.1 * np.cos(2.0 * t + number)}
+    signals |= {"elevator": 0.05 * np.sin(3.0 * t), "dt": np.full(t.size, 0.04)}
     signals = {k: jnp.asarray(v) for k, v in signals.items()}
     aircraft = read_card("attas").aircraft
     theta = jnp.asarray([TRUTH[n] for n in model.names])

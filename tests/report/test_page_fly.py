@@ -1,15 +1,14 @@
-"""The page of a fit to trajectories: true to its numbers, whole for every card, and never in their way."""
-
-from __future__ import annotations
+"""The pages of a fit to trajectories and of a study: true to their numbers, whole, and never in their way."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown_samples import CARD, flight, records, with_offsets
+from calling import holds
 from linear_cards import SHORT_PERIOD_TRUTH
 from PIL import Image
+from report_samples import CARD, N, flight, records, study_told, with_offsets
 
 from bayes_aero.diagnosis.selection.residuals import TheilParts
 from bayes_aero.diagnosis.trajectories.motion.results import FlownMode, Motion
@@ -18,18 +17,20 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import RESULTS
 from bayes_aero.jobs.provenance.provenance import provenance
 from bayes_aero.report.figures.trajectories import stem_of
-from bayes_aero.report.html.page import Fold, Picture, Plot, Table, render
+from bayes_aero.report.html.page import Fold, Picture, Plot, Table, put_page, render
 from bayes_aero.report.html.page_table import page_table
 from bayes_aero.report.html.parts import at_a_glance
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.motion.text import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages.study import MOST_UNITS, study_headline, study_page
+from bayes_aero.report.tables.across_cases import estimates
 from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
 
 DEGREE = np.deg2rad(1.0)
 
 
-def told(said=("The fit converged.", "A finding."), notes=("A note.",)):
+def context(said=("The fit converged.", "A finding."), notes=("A note.",)):
     return FlyContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), said, notes)
 
 
@@ -38,7 +39,7 @@ def blocks_of(page, key):
 
 
 def test_every_part_is_made_and_nothing_else():
-    page = fly_page(flight().flown, told())
+    page = fly_page(flight().flown, context())
     assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
     assert [s.key for s in page.sections] == ["findings", "records", "fit", "errors", "parameters", "provenance"]
     assert page.verdict == "The fit converged."
@@ -46,8 +47,7 @@ def test_every_part_is_made_and_nothing_else():
     assert [b.title for b in blocks_of(page, "fit") if isinstance(b, Plot)] == ["one", "two"]
     assert all(isinstance(b, Fold) for b in blocks_of(page, "provenance"))  # folded away
     html = render(page)
-    for name in SHORT_PERIOD_TRUTH:
-        assert name in html
+    holds(html, *SHORT_PERIOD_TRUTH)
 
 
 def test_parameters_stand_with_both_deviations_and_their_bounds():
@@ -62,12 +62,8 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
         assert prior == "0 ± 1000, default"
         assert bounds == ("-40 to 0" if name.startswith("Mde ") else "none")
         assert remark == "–"
-    assert [row[0] for row in table.rows if row[0].startswith("M")] == [
-        "M0 [rad/s²]",
-        "Malpha [1/s²]",
-        "Mq [1/s]",
-        "Mde [1/s²]",
-    ]
+    units = [row[0] for row in table.rows if row[0].startswith("M")]
+    assert units == ["M0 [rad/s²]", "Malpha [1/s²]", "Mq [1/s]", "Mde [1/s²]"]
     still = page_table(parameter_table(replace(flown, fit=replace(flown.fit, at_bound=("Mde",)))))
     assert [row[0] for row in still.rows if row[-1] == "at its bound"] == ["Mde [1/s²]"]
 
@@ -75,12 +71,12 @@ def test_parameters_stand_with_both_deviations_and_their_bounds():
 def test_numbers_of_a_fit_that_failed_are_warned_of_first():
     flown = flight().flown
     failed = replace(flown.fit, status=OutputErrorStatus.LEFT_ENVELOPE, covariance=1e40 * flown.fit.covariance)
-    page = fly_page(replace(flown, fit=failed), told(("The fit failed: it left.",)))
+    page = fly_page(replace(flown, fit=failed), context(("The fit failed: it left.",)))
     assert [block.tone for block in page.lead] == ["warning"]
     assert "Do not use the numbers" in page.lead[0].text
     estimates = [row[2] for row in blocks_of(page, "parameters")[0].rows]
     assert all(float(text) == pytest.approx(x, rel=0.01) for text, x in zip(estimates, failed.estimate, strict=True))
-    assert fly_page(flown, told()).lead[0].tone == "lead"
+    assert fly_page(flown, context()).lead[0].tone == "lead"
 
 
 def test_errors_of_a_known_offset():
@@ -94,22 +90,18 @@ def test_errors_of_a_known_offset():
     (before, after) = flown.rms_errors["alpha"]
     assert after / DEGREE == pytest.approx(np.sqrt((100 * 2.0**2 + 300 * 1.5**2) / 400))
     assert before == pytest.approx(2.0 * after)
-    assert [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")] == [
-        ("± 2 deg", "0%", "100%"),
-        ("± 2 deg", "0%", "100%"),
-    ]
+    within = [row[1:] for row in page_table(tolerance_table(flown)).rows if row[0].startswith("α")]
+    assert within == [("± 2 deg", "0%", "100%")] * 2
     alone = page_table(error_table(with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})))
     assert [row[0] for row in alone.rows] == ["α [deg]"]  # no heading above a single manoeuvre
 
 
 def test_without_tolerances_there_is_no_band():
     flown = with_offsets(flight().flown, {"one": 200}, {"one": DEGREE})
-    assert "tolerance" in str([b.legend for b in blocks_of(fly_page(flown, told()), "fit") if isinstance(b, Plot)])
-    free = tuple(
-        replace(p, errors={n: replace(e, tolerance=None, within=None) for n, e in p.errors.items()})
-        for p in flown.paths
-    )
-    page = fly_page(replace(flown, paths=free), told())
+    assert "tolerance" in str([b.legend for b in blocks_of(fly_page(flown, context()), "fit") if isinstance(b, Plot)])
+    without = {"tolerance": None, "within": None}
+    free = tuple(replace(p, errors={n: replace(e, **without) for n, e in p.errors.items()}) for p in flown.paths)
+    page = fly_page(replace(flown, paths=free), context())
     assert tolerance_table(replace(flown, paths=free)) is None
     assert "tolerance" not in str([b for b in blocks_of(page, "fit") if not isinstance(b, Plot)])
     assert "tolerance" not in str([b.legend for b in blocks_of(page, "fit") if isinstance(b, Plot)])
@@ -129,28 +121,21 @@ def test_a_simulation_that_is_lost_leaves_the_page_whole():
     )
     lost = replace(flown, paths=paths)
     assert page_table(error_table(lost)).rows[0][1:] == ("–",) * 7
-    page = fly_page(lost, told())
+    page = fly_page(lost, context())
     assert not [b for s in page.sections for b in s.blocks if "was not made" in getattr(b, "text", "")]
     assert "first values → fit: α\u00a0–" in page.lead[0].text
 
 
-def test_the_state_at_the_first_sample_is_the_flown_one():
+def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels():
     rows = {row[0]: row[1:] for row in page_table(initial_table(flight().flown)).rows[:3]}
     assert list(rows) == ["one", "α [deg]", "q [deg/s]"]
     assert float(rows["α [deg]"][0]) * DEGREE == pytest.approx(0.04, abs=0.002)
     assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)
     measured = flight().flown.path("one", "start").simulated["alpha"][0]
     assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
-
-
-def test_a_linear_card_s_records_show_its_own_channels():
     (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, Table))
-    assert [head.replace("\n", " ") for head in table.head[5:]] == [
-        "alpha α [deg]",
-        "pitch rate q [deg/s]",
-        "az [m/s²]",
-        "elevator [deg]",
-    ]
+    heads = [head.replace("\n", " ") for head in table.head[5:]]
+    assert heads == ["alpha α [deg]", "pitch rate q [deg/s]", "az [m/s²]", "elevator [deg]"]
 
 
 @pytest.mark.parametrize("name", ["q", "aileron_right", "flow_angle_of_the_right_wing", 40 * "long_"])
@@ -199,7 +184,7 @@ def test_the_first_picture_is_of_the_output_that_is_followed_least(tmp_path):
     for name in names:
         drawn[stem_of(name)] = tmp_path / f"{stem_of(name)}.png"
         Image.new("RGB", (300, 200), "white").save(drawn[stem_of(name)])
-    (picture,) = (b for b in fly_page(flown, replace(told(), figures=drawn)).lead if isinstance(b, Picture))
+    (picture,) = (b for b in fly_page(flown, replace(context(), figures=drawn)).lead if isinstance(b, Picture))
     paths = [flown.path(name, "fitted") for name in flown.manoeuvres]
 
     def missed(name):
@@ -220,8 +205,8 @@ MODES = (
 MOTION = Motion(120.0, 4000.0, MODES)
 
 
-def test_modes_stand_on_the_page_as_people_read_them():
-    page = fly_page(flight().flown, replace(told(), motion=MOTION))
+def test_modes_stand_on_the_page_and_what_motion_lacks_is_said():
+    page = fly_page(flight().flown, replace(context(), motion=MOTION))
     (modes,) = blocks_of(page, "motion")
     assert [row[:3] for row in modes.rows] == [
         ("Dutch roll", "period, s", "3.831(14)"),
@@ -230,11 +215,67 @@ def test_modes_stand_on_the_page_as_people_read_them():
         ("spiral", "neither grows nor falls beyond its error", "–"),
     ]
     assert "at 120 m/s and 4000 m" in modes.note
-
-
-def test_what_motion_lacks_is_said_in_a_sentence_each():
-    assert motion_sentences(MOTION) == [
-        "Whether the spiral grows or falls is not determined: its rate is within its error."
-    ]
-    assert motion_sentences(replace(MOTION, modes=(), why_not="no trim")) == ["Modes of motion are not given: no trim."]
+    (said,) = motion_sentences(MOTION)
+    assert "spiral" in said
+    (said,) = motion_sentences(replace(MOTION, modes=(), why_not="no trim"))
+    assert "no trim" in said
     assert motion_sentences(None) == []
+
+
+def test_scatter_and_claims_are_those_of_the_values(tmp_path):
+    given = study_told(tmp_path, n=40)
+    CLa, alpha_star = estimates(given.units, given.results)
+    mine = given.results[given.results["parameter"] == "CLa"]["value"]
+    assert CLa.scatter == pytest.approx(mine.std())
+    assert CLa.claimed == pytest.approx(0.1)
+    assert list(CLa.unit) == list(range(1, 41))
+    text = render(study_page(given))
+    assert f"CLa ({CLa.scatter / 0.1:.1f} times)" in text
+    assert alpha_star.scatter < 1.5 * alpha_star.claimed
+    assert "alpha_star (" not in text
+    ratio = f"{CLa.scatter / 0.1:.1f} times its intervals"
+    assert study_headline(given) == f"All 40 units are done; all converged; CLa differs between units by {ratio}."
+
+
+def test_the_verdict_of_diagnoses_counts_verdicts_and_names_the_commonest_cause(tmp_path):
+    given = study_told(tmp_path)
+    verdicts = ["explained"] * 5 + ["no_effect"] * (N - 5)
+    causes = ["thrust_scale"] * 4 + ["alpha_bias"]
+    rows = given.results[given.results["parameter"] == "alpha_star"].iloc[:5]
+    results = rows.assign(cause=causes, parameter=causes, method="coefficients")
+    named = replace(given, task="diagnose", units=given.units.assign(verdict=verdicts), results=results)
+    first, *said = study_headline(named).rstrip(".").split("; ")
+    assert first == f"All {N} units are done"
+    assert said[:2] == [f"5 explained and {N - 5} no effect", f"thrust_scale is named in 4 of {N}"]
+
+
+def test_units_that_failed_or_are_in_doubt_are_named_with_their_reason(tmp_path):
+    page = study_page(study_told(tmp_path, failed=(4,)))
+    assert page.verdict.startswith(f"{N - 1} of {N} units are done (1 failed); all converged; ")
+    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    assert units.rows[0][:3] == ("flight5-<b>", "5", "failed")
+    assert units.rows[0][-1] == "no samples"
+    assert [row[1] for row in units.rows[1:]] == [str(k) for k in (1, 2, 3, 4, 6, 7)]
+    page = study_page(study_told(tmp_path))
+    assert "Records are in doubt in 1 of 7 units: flight2-&lt;b&gt;: the sensors disagree." in render(page)
+
+
+def test_a_unit_leads_to_its_own_page_and_nothing_else_to_anywhere(tmp_path):
+    (tmp_path / "units" / "flight2-<b>").mkdir(parents=True)
+    (tmp_path / "units" / "flight2-<b>" / "report.html").write_text("x")
+    text = render(study_page(study_told(tmp_path)))
+    assert text.count('href="units/') == 1
+    assert 'href="units/flight2-%3Cb%3E/report.html"' in text
+    assert "<b>" not in text
+
+
+def test_a_study_in_which_nothing_was_done_has_a_page_and_a_large_one_says_what_it_leaves_out(tmp_path):
+    page = study_page(study_told(tmp_path, failed=range(N)))
+    assert page.verdict == f"0 of {N} units are done ({N} failed)."
+    assert page.lead == ()
+    assert put_page(lambda: page, tmp_path) == ()
+    page = study_page(study_told(tmp_path, n=MOST_UNITS + 30))
+    (units,) = next(s.blocks for s in page.sections if s.key == "units")
+    assert len(units.rows) == MOST_UNITS
+    assert "30 more" in units.note
+    assert len(render(page)) < 1_000_000

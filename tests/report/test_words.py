@@ -1,19 +1,35 @@
-"""The verdict speaks where results disagree and why, and says that they agree where they do."""
+"""What reports say of an identification and of effects: where results disagree and why, wrong signs, changes."""
 
-from __future__ import annotations
-
+import json
+import re
+import tomllib
 from dataclasses import replace
+from importlib import resources
 
+import jsonschema
 import pytest
+from calling import holds
+from linear_cards import SHORT_PERIOD
 
+from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import parse_card, read_card
 from bayes_aero.inference.likelihood.mle_result import MleStatus
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.jobs.io.diagnosis_json import change_results
 from bayes_aero.model.noise import Colour
+from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report.pages.identification import headline
+from bayes_aero.report.tables.diagnosis_tables import changes_table
+from bayes_aero.report.text.changes import change_sentences
+from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.identification import verdict
+from bayes_aero.report.text.phrases import not_testable_sentences
+from bayes_aero.report.text.restraints import sign_sentences
 
 
-def said(run, *words: str) -> str:
+def sentence(run, *words: str) -> str:
     """The one sentence with all of `words`."""
     found = [s for s in verdict(run) if all(w in s for w in words)]
     assert len(found) == 1, (words, verdict(run))
@@ -38,78 +54,61 @@ def test_what_was_flown_stands_beside_what_was_found(make):
     assert silent(run, "simulated")
     flown = dict(zip(run.mle.names, run.mle.estimate, strict=True))
     flown |= {"Cma": flown["Cma"] + 0.03, "tau1": 0.0}  # three Cramer-Rao deviations, .75 corrected; one not fitted
-    text = said(replace(run, truth=flown), "simulated")
-    assert "of the 6 true parameters" in text
-    assert "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)" in text
-    assert "Cma, -0.8 corrected standard errors" in text
+    text = sentence(replace(run, truth=flown), "simulated")
+    holds(text, "of the 6 true parameters", "5 (ML, Cramér-Rao bound), 6 (ML, corrected bound)")
+    holds(text, "Cma, -0.8 corrected standard errors")
 
 
-def test_coloured_residuals_and_what_they_make_of_the_bound(full, make):
-    text = said(full, "not white")
-    assert "Cm +0.90" in text
-    assert "4 times" in text
-    assert silent(make(), "not white")
-    assert silent(make(lag1=0.9, corrected=1.05), "not white")  # coloured, but the bound does not care
+WIDER = {"width": 4.0, "corrected": 4.0, "lag1": 0.9}
+SLIGHT = {"apart": {"Cmde": -8.0}, "corrected": 4.0, "width": 4.0, "lag1": 0.9}
+SAID = [  # how the run is made (None: as `full`), words of the one sentence, what it holds; None: there is no such one
+    (None, "not white", ["Cm +0.90", "4 times"]),
+    ({}, "not white", None),
+    ({"lag1": 0.9, "corrected": 1.05}, "not white", None),  # coloured, but the bound does not care
+    ({"corrected": 3.0, "width": 3.0}, "not white", ["longer lags"]),
+    (None, "same assumption", ["within 0%"]),  # a white posterior is no second witness
+    ({}, "same assumption", None),
+    (None, "weighs the data differently", ["0.5 times the corrected"]),
+    (WIDER, "weighs the data differently", None),
+    (None, "mean function is wrong, or the residual", ["Cma (6.7)"]),  # 0.3 / hypot(0.02, 0.04)
+    (WIDER, "mean function is wrong, or the residual", None),
+    (None, "Fitted alone", ["Cramér-Rao bound: Cmde (42.4)", "corrected bound: Cmde (10.6)", "width: Cmde (21.2)"]),
+    ({"apart": {"Cmde": 3.0}}, "Fitted alone", None),
+    (SLIGHT, "Fitted alone", ["Cramér-Rao bound: Cmde (5.7); by the corrected bound: none"]),
+    (None, "No noise model alone explains", ["Cmde is -0.800 from flight1 and -1.400 from flight2", "lacks an effect"]),
+    (SLIGHT, "No noise model alone", None),
+    (None, "GPR correlation", ["neighbours 40 ms away"]),
+    ({}, "GPR correlation", ["does not leak significantly"]),
+    (None, "maximum likelihood correlates better", ["CD"]),
+    ({}, "correlates better", None),
+    ({}, "posterior by NUTS", None),
+]
 
 
-def test_the_white_posterior_is_no_second_witness(full, make):
-    assert "within 0%" in said(full, "same assumption")
-    assert silent(make(), "same assumption")
+@pytest.mark.parametrize(("made", "words", "parts"), SAID)
+def test_the_verdict_speaks_where_results_disagree_and_else_is_silent(made, words, parts, full, make):
+    run = full if made is None else make(**made)
+    if parts is None:
+        assert silent(run, words)
+    else:
+        assert all(part in sentence(run, words) for part in parts), sentence(run, words)
 
 
-def test_the_chosen_noise_model_moves_the_mean(full, make):
-    assert "0.5 times the corrected" in said(full, "weighs the data differently")
-    text = said(full, "mean function is wrong, or the residual")
-    assert "Cma (6.7)" in text  # 0.3 / hypot(0.02, 0.04)
-    assert "Cmde" not in text
-    assert "noise models disagree about Cma beyond their intervals" in headline(full)
-    wider = make(width=4.0, corrected=4.0, lag1=0.9)
-    assert "disagree" not in headline(wider)
-    assert silent(wider, "mean function is wrong, or the residual")
-    assert silent(wider, "weighs the data differently")
+def test_the_headline_names_what_noise_models_disagree_about(full, make):
+    assert "Cmde" not in sentence(full, "mean function is wrong, or the residual")
+    assert "noise models disagree about Cma" in headline(full)
+    assert "disagree" not in headline(make(**WIDER))
 
 
-def test_between_manoeuvres(full, make):
-    counts = said(full, "Fitted alone")
-    assert "by the Cramér-Rao bound: Cmde (42.4)" in counts
-    assert "by the corrected bound: Cmde (10.6)" in counts
-    assert "by the AR(1) posterior's width: Cmde (21.2)" in counts
-    why = said(full, "No noise model alone explains")
-    assert "Cmde is -0.800 from flight1 and -1.400 from flight2" in why
-    assert "lacks an effect" in why
-    assert silent(make(apart={"Cmde": 3.0}), "Fitted alone")
-
-
-def test_a_difference_that_the_corrected_bounds_explain_is_not_blamed_on_the_model(make):
-    run = make(apart={"Cmde": -8.0}, corrected=4.0, width=4.0, lag1=0.9)
-    assert "Cramér-Rao bound: Cmde (5.7); by the corrected bound: none" in said(run, "Fitted alone")
-    assert silent(run, "No noise model alone")
-
-
-def test_engines_that_disagree(make):
+def test_engines_and_posteriors_that_disagree_or_did_not_finish(make):
     run = make(gp=False)
     other = make(shift={"CLa": 1.0}, width=1.3, gp=False).posteriors["nuts"]
     run = replace(run, posteriors=run.posteriors | {"nuts": other})
-    text = said(run, "emcee and NUTS disagree")
-    assert "(CLa)" in text
-    assert "run longer" in text
-
-
-def test_unfinished_posteriors_are_named(make):
+    assert "(CLa)" in sentence(run, "emcee and NUTS disagree", "run longer")
     run = make()
     bad = replace(run.posteriors["nuts"], status=PosteriorStatus.DIVERGENT)
-    assert "divergent transitions" in said(replace(run, posteriors=run.posteriors | {"nuts": bad}), "posterior by NUTS")
-    assert silent(run, "posterior by NUTS")
-
-
-def test_what_the_random_split_leaks(full, make):
-    text = said(full, "GPR correlation")
-    assert "neighbours 40 ms away" in text
-    better = said(full, "maximum likelihood correlates better")
-    assert "CD" in better
-    honest = make()
-    assert "does not leak significantly" in said(honest, "GPR correlation")
-    assert silent(honest, "correlates better")
+    run = replace(run, posteriors=run.posteriors | {"nuts": bad})
+    assert "divergent transitions" in sentence(run, "posterior by NUTS")
 
 
 def test_a_gp_whose_hyperparameters_were_not_sampled_is_named(make):
@@ -117,27 +116,20 @@ def test_a_gp_whose_hyperparameters_were_not_sampled_is_named(make):
     object.__setattr__(run.gp.fits["CD"], "posterior", None)
     first = run.gp.splits["random"][0]
     first["CD"] = replace(first["CD"], status="refused: Pareto k too large.", k_hat=None)
-    assert "refused: Pareto k too large" in said(run, "Gaussian process of CD")
+    assert "refused: Pareto k too large" in sentence(run, "Gaussian process of CD")
 
 
-def test_a_fit_that_failed_gets_its_warning_and_no_comparison(make):
+def test_a_fit_that_failed_is_left_out_of_the_comparison(make):
     run = make(status=MleStatus.NOT_CONVERGED, corrected=4.0, lag1=0.9, gp=False)
     sentences = verdict(run)
     assert "stopped before the optimum" in sentences[0]
     assert silent(run, "not white")
     assert silent(run, "agree;")
-
-
-def test_a_manoeuvre_that_cannot_be_fitted_alone_is_left_out(make):
     run = make(apart={"Cmde": -60.0})
     run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
-    assert "left out of the comparison" in said(run, "flight2 alone")
+    assert "left out of the comparison" in sentence(run, "flight2 alone")
     assert silent(run, "Fitted alone")
     assert not silent(run, "intervals agree")
-
-
-def test_colour_at_longer_lags_is_not_passed_over(make):
-    assert "longer lags" in said(make(corrected=3.0, width=3.0), "not white")
 
 
 @pytest.mark.parametrize("engines", [(), ("emcee",), ("nuts", "white")])
@@ -145,3 +137,130 @@ def test_runs_that_are_not_finished_have_a_verdict_too(engines, make):
     for manoeuvres in (1, 2):
         assert verdict(make(manoeuvres=manoeuvres, engines=engines, gp=False))
     assert verdict(make(noise=Colour.WHITE, engines=engines, corrected=3.0, lag1=0.5))
+
+
+CHANGE = ParameterChange(
+    parameter="Cm0", unit="1", manoeuvre="run2", at=43.0, interval=(42.8, 43.4), lasts=True, before=(0.0591, 0.0011),
+    after=(0.0651, 0.0012), size=(0.0060, 0.0005), share=0.62, p_value=0.005, gain=310.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, ("Cm0", "43.0 s of run2", "42.8 to 43.4 s", "0.0591 ± 0.0011", "0.0651 ± 0.0012", "0.00600 ± 0.00050")),
+        ({}, ("62%", "trim or flaps", "centre of gravity")),
+        ({"at": 0.0}, ("from run2 on",)),
+        ({"at": 0.0, "lasts": False}, ("in run2",)),
+        ({"lasts": False}, ("the value before in later records",)),
+        ({"ambiguous_with": ("Cma", "CmX")}, ("Cma and CmX",)),
+    ],
+)
+def test_a_change_is_told_with_its_time_values_possible_reasons_and_rivals(changed, said):
+    (text,) = change_sentences([replace(CHANGE, **changed)])
+    assert [part for part in said if part not in text] == [], text
+
+
+def test_a_parameter_without_usual_reasons_gets_none():
+    (said,) = change_sentences([replace(CHANGE, parameter="tau2", unit="c/V")])
+    assert "reasons" not in said
+
+
+def test_the_verdict_names_the_parameter_and_the_record_and_a_change_is_no_cause(diagnosed):
+    assert verdict_of([], [CHANGE]) is Verdict.UNEXPLAINED
+    d = replace(diagnosed.view.diagnosis, verdict=Verdict.UNEXPLAINED, causes=(), unknown=(), changes=(CHANGE,))
+    headline, *rest = diagnosis_sentences(d)
+    assert "Cm0 changes in run2" in headline
+    assert change_sentences([CHANGE])[0] in rest
+    (row,) = changes_table(d).frame().reset_index().to_dict("records")
+    assert (row["parameter"], row["at_low"], row["at_high"]) == ("Cm0", 42.8, 43.4)
+    assert (row["size"], row["size_sd"]) == (0.0060, 0.0005)
+
+
+def test_what_is_written_follows_the_schema():
+    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    one = schema["properties"]["changes"] | {"$defs": schema["$defs"]}
+    written = change_results(CHANGE)
+    jsonschema.validate([written], one)
+    assert written["size"] == {"mean": 0.0060, "sd": 0.0005}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate([written | {"at": -1.0}], one)
+
+
+PARAMETERS = [p for effect in CATALOGUE.values() for p in effect.parameters]
+
+LATERAL = {"Lbeta": -4.0, "Lda": -6.0, "Lp": -2.0, "Nbeta": 3.0, "Ndr": -1.7, "Nr": -0.5}
+
+
+@pytest.mark.parametrize(
+    ("estimates", "said"),
+    [
+        ({"Cmde": (1.25, 0.002), "CLa": (5.0, 0.1), "CL0": (-0.2, 0.01)}, ("Cmde = +1.25", "sign = -1")),
+        ({"CD0": (-0.099, 0.01)}, ("CD0 = -0.099 is impossible",)),
+        ({"CLa": (591.0, 400.0)}, ("CLa = 591 is impossible",)),
+        ({"Cmq": (4.0, 0.5)}, ("Cmq = 4 is impossible",)),
+        ({"Cmde": (-1.25, 0.002)}, ()),  # right
+        ({"Cmde": (0.01, 0.02)}, ()),  # not sure, as the next two
+        ({"CD0": (-0.001, 0.01)}, ()),
+        ({"Cmq": (0.5, 1.0)}, ()),
+        ({"CLa": (6.0, 0.1)}, ()),
+    ],
+)
+def test_signs_and_sizes_that_no_aircraft_has_are_told(estimates, said):
+    found = sign_sentences(estimates, PARAMETERS)
+    assert len(found) == bool(said)
+    assert all(part in found[0] for part in said)
+
+
+def test_an_effect_of_the_user_declares_what_its_estimate_cannot_be():
+    stick = Parameter(
+        "Cm_stick", "1/rad", 0.0, 0.4, "moment per stick", Prior("normal", 0.4, 1.0),
+        sign=Sign(1, "stick", "pulling would push the nose down"), limits=Limits(-5.0, 3.0, "no tail is so large"),
+    )  # fmt: skip
+    (wrong,) = sign_sentences({"Cm_stick": (-0.4, 0.01)}, [stick])
+    assert wrong.startswith("Cm_stick = -0.4 has the wrong sign: pulling would push the nose down.")
+    assert "sign of stick is reversed" in wrong
+    (large,) = sign_sentences({"Cm_stick": (9.0, 0.1), "Cmde": (1.0, 0.01)}, [stick])
+    assert "Cm_stick = 9 is impossible: no tail is so large" in large
+    assert sign_sentences({"Cm_stick": (0.4, 0.01)}, [stick]) == []
+
+
+def test_linear_derivatives_have_the_signs_of_their_counterparts():
+    """`fly` of a linear card asks as `identify` does; -1 times a channel turns the side round.
+
+    The card has half of right less left aileron; the published fit of its records has these signs.
+    """
+    free = {p.name: p for p in linear_dynamics(read_card("short_period")).free}
+    wrong = sign_sentences({"Mde": (42.3, 2.3), "Mq": (33.0, 1.9), "Malpha": (3.0, 0.1)}, free.values())
+    assert [said.split(" = ")[0] for said in wrong] == ["Mde", "Mq"]
+    assert "sign = -1" in wrong[0]
+    fed = sign_sentences({"Mde": (42.3, 2.3), "Mq": (33.0, 1.9)}, free.values(), ("elevator",))
+    assert not any("sign" in said for said in fed), "a surface that only follows the outputs says nothing of signs"
+    assert sign_sentences({"Mde": (-4.0, 0.1), "Mq": (-1.2, 0.1)}, free.values()) == []
+    lateral = {p.name: p for p in linear_dynamics(read_card("attas_lateral")).free}
+    right, wrong = ({n: (side * x, 0.1) for n, x in LATERAL.items()} for side in (1.0, -1.0))
+    assert sign_sentences(right, lateral.values()) == []
+    assert sorted(said.split(" = ")[0] for said in sign_sentences(wrong, lateral.values())) == sorted(LATERAL)
+    text = SHORT_PERIOD.replace('Mde = "elevator"', "Mde = { elevator = -1.0 }")
+    turned = {p.name: p for p in linear_dynamics(parse_card(tomllib.loads(text), "turned", "turned.toml")).free}
+    assert [said.split(" = ")[0] for said in sign_sentences({"Mde": (-4.0, 0.1)}, turned.values())] == ["Mde"]
+    assert sign_sentences({"Mde": (4.0, 0.1)}, turned.values()) == []
+
+
+REASONS = {
+    "canard_drag": "channel canard was not recorded",
+    "canard_lift": "channel canard was not recorded",
+    "dlc_lift": "channel dlc_left, dlc_right was not recorded",
+    "sideslip_drag": "channel beta does not move in this record",
+    "drag_offset": "the model has no e",
+    "separation_lag": "a lag is a state of its own, {tried} later",
+}
+
+
+def test_one_sentence_counts_every_effect_once():
+    (said,) = not_testable_sentences(REASONS)
+    first, *counts = map(int, re.findall(r"(?:^|: |; )(\d+) ", said))
+    assert first == sum(counts) == len(REASONS)
+    assert counts == [3, 1, 1, 1]
+    holds(said, "canard, dlc_left and dlc_right", "(beta)", "(e)", "{tried} later")
+    assert not_testable_sentences({}) == []

@@ -1,6 +1,0 @@
-"""The benchmarks' own modules can be imported, after all that is installed: one of them is called `coverage`."""
-
-import sys
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))

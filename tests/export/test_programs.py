@@ -1,0 +1,190 @@
+"""Traced functions as programs, and the function of an FMU, against JAX and the model itself and by hand."""
+
+import ast
+from dataclasses import replace
+from math import exp, tanh
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exported_models import everything, modelled, random_signals, six, stall
+
+from bayes_aero.effect import Disturbance, Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
+from bayes_aero.export.fmu import _slave
+from bayes_aero.export.identified import Identified
+from bayes_aero.export.program import Builder, terms
+from bayes_aero.export.python_source import python_source
+from bayes_aero.export.text import about
+from bayes_aero.export.translate import translated
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.model import Model
+
+FUNCTIONS = {
+    "powers": lambda x, y: x**2 + x**3 - x**4 + x**7 + jnp.abs(y) ** x + jnp.cbrt(y) + jax.lax.rsqrt(1.0 + y * y),
+    "exponentials": lambda x, y: jnp.exp(x) * jnp.log(2.0 + y) + jnp.expm1(x) - jnp.log1p(y) + jax.nn.sigmoid(9.0 * y),
+    "angles": lambda x, y: jnp.sin(x) * jnp.cos(y) + jnp.tan(y) + jnp.arctan2(y, x) + jnp.arcsin(y) - jnp.arccos(y),
+    "hyperbolic": lambda x, y: jnp.sinh(x) - jnp.cosh(y) * jnp.tanh(x - y) + jnp.arctan(y),
+    "breaks": lambda x, y: jnp.where((x > 0.6) & ~(y < 0.1), x, -y) + jnp.clip(y, -0.2, 0.3) + jnp.sign(y) * x,
+    "steps": lambda x, y: jnp.floor(3.0 * x) - jnp.ceil(3.0 * y) + jnp.maximum(x, y) * jnp.minimum(x, 0.5),
+    "calls": lambda x, y: jax.jit(lambda z: jnp.square(z) / 3.0)(x) + jax.checkpoint(jnp.sin)(y) + jnp.hypot(x, y),
+    "slopes": lambda x, y: jax.jvp(lambda z: jax.nn.sigmoid(z * y) * jnp.sqrt(z), (x,), (jnp.ones_like(x),))[1],
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_program_gives_what_the_traced_function_gives(name):
+    function = FUNCTIONS[name]
+    program = translated(lambda given: {"z": function(given["x"], given["y"])}, {"x": 0.7, "y": 0.2})
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0.1, 1.0, 50), rng.uniform(-0.9, 0.9, 50)
+    expected = [float(function(jnp.asarray(a), jnp.asarray(b))) for a, b in zip(x, y, strict=True)]
+    np.testing.assert_allclose(program.evaluated({"x": x, "y": y})["z"], expected, rtol=1e-13, atol=1e-14)
+
+
+def test_programs_by_hand():
+    program = translated(lambda given: {"z": jax.nn.sigmoid(2.0 * given["x"]) - 1.0}, {"x": 0.0})
+    assert program.evaluated({"x": 0.3})["z"] == pytest.approx((1.0 + tanh(0.3)) / 2.0 - 1.0, abs=1e-16)
+    assert program.evaluated({"x": -400.0})["z"] == -1.0
+    program = translated(lambda given: {"z": jnp.exp(-given["x"]) / (1.0 + given["x"])}, {"x": 0.0})
+    assert program.evaluated({"x": 2.0})["z"] == exp(-2.0) / 3.0
+    build = Builder()
+    assert build.apply("add", "x", 0.0) == build.apply("mul", 1.0, "x") == build.apply("div", "x", 1.0) == "x"
+    assert build.apply("mul", 0.0, "x") == 0.0
+    assert build.apply("add", 1.0, build.apply("sub", "y", 1.0)) == "y"
+    assert build.apply("sin", "x") == build.apply("sin", "x")
+    assert build.apply("sub", 3.0, 1.0) == 2.0
+    program = translated(lambda g: {"z": g["a"] - (g["b"] - 2.0 * g["c"])}, {"a": 1.0, "b": 1.0, "c": 1.0})
+    inputs = {"a": 3.0, "b": 5.0, "c": 7.0}
+    parts = program.giving({str(i): x for i, (_, x) in enumerate(terms(program, "z"))})
+    signs = [sign for sign, _ in terms(program, "z")]
+    found = parts.evaluated(inputs)
+    assert sorted(s * found[str(i)] for i, s in enumerate(signs)) == [-5.0, 3.0, 14.0]
+
+
+def changed(increments):
+    """The stall model with a user's own drag."""
+    own = replace(CATALOGUE["separated_drag"], name="my_drag", increments=increments)
+    model = stall().model
+    effects = tuple(own if e.name == "separated_drag" else e for e in model.effects)
+    return replace(stall(), model=replace(model, effects=effects))
+
+
+@pytest.mark.parametrize(
+    ("increments", "words"),
+    [
+        (lambda v, *_: {"CD": jnp.sum(jnp.arange(3.0) * v["CDX"])}, "several numbers at once"),
+        (lambda v, s, *_: {"CD": v["CDX"] * s["dt"]}, "KeyError: 'dt'"),
+        (lambda *given: {"CD": 0.1 if given[3]["X"] > 0.5 else 0.2}, "fails with TracerBoolConversionError"),
+        (lambda *given: {"CD": jax.scipy.special.gammaln(given[3]["X"])}, "it uses lgamma"),
+    ],
+)
+def test_an_effect_that_cannot_be_exported_is_named(increments, words):
+    with pytest.raises(InputError, match="effect my_drag cannot be exported") as told:
+        _ = changed(increments).program
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def loaded(found):
+    """The file's names, from its text alone."""
+    names: dict = {}
+    exec(compile(python_source(found), "exported.py", "exec"), names)
+    return names
+
+
+def called(names, found, signals, points, k, **more):
+    given = {n: float(signals[n][k]) for n in found.program.inputs_of("signal")}
+    return names["aerodynamics"](**given, **{n: float(x[k]) for n, x in points.items()}, **more)
+
+
+@pytest.mark.parametrize("make", [stall, lambda: stall(5.0), six, everything, lambda: everything(0.0)])
+def test_the_function_is_the_model(make):
+    found = make()
+    names, signals = loaded(found), random_signals(found, 60)
+    points = {n: np.random.default_rng(2).uniform(0.0, 1.0, 60) for n in found.points} if found.lagged else {}
+    expected = modelled(found, signals, points or None)
+    for k in range(60):
+        told = called(names, found, signals, points, k)
+        for name, x in expected.items():
+            assert told[name] == pytest.approx(x[k], rel=1e-12, abs=1e-12), name
+
+
+@pytest.mark.parametrize("make", [lambda: stall(5.0), six, everything])
+def test_at_rest_the_coefficients_are_finite(make):
+    """Below 1 m/s they are those of 1 m/s; a lag is tau1 chords at it."""
+    found = make()
+    names, signals = loaded(found), random_signals(found, 3)
+    points = {n: np.full(3, 0.5) for n in found.points}
+    there = [called(names, found, signals | {"airspeed": np.full(3, V)}, points, 0) for V in (0.0, 0.4, 1.0)]
+    assert there[0] == there[1] == there[2]
+    assert np.all(np.isfinite([*there[0].values()]))
+    assert there[0]["lag"] == pytest.approx(found.values["tau1"] * found.aircraft.chord)
+    assert any("airspeed below 1 m/s" in sentence for sentence in about(found))
+
+
+@pytest.mark.parametrize("name", [e.name for e in CATALOGUE.values() if e.stage > Stage.INFLOW and not e.disturbance])
+def test_every_effect_is_exported_alone(name):
+    """Without the others, so that nothing hides it; its parameters at their own sizes."""
+    whole = everything()
+    effect = CATALOGUE[name]
+    owners = [e for e in CATALOGUE.values() if {p.name for p in e.parameters} & set(effect.uses)]
+    model = Model.of(dict.fromkeys([*owners, effect]), None, whole.model.axes)
+    values = {p.name: whole.values[p.name] for p in model.parameters}
+    found = Identified(name, name, model, whole.aircraft, values, ())
+    names, signals = loaded(found), random_signals(found, 5)
+    points = {n: np.linspace(0.1, 0.9, 5) for n in found.points} if found.lagged else {}
+    expected = modelled(found, signals, points or None)
+    for k in range(5):
+        told = called(names, found, signals, points, k)
+        for c, x in expected.items():
+            assert told[c] == pytest.approx(x[k], rel=1e-12, abs=1e-12)
+
+
+def test_the_state_follows_its_static_value():
+    """dX/dt = (X_static - X)/lag, lag = tau1 c/V, by hand; where alpha rises X_static has no hysteresis."""
+    found = stall(5.0)
+    flow = {"airspeed": 80.0, "alpha": 0.3, "alpha_dot": 0.02, "elevator": 0.0, "mach": 0.25, "q": 0.0}
+    told = loaded(found)["aerodynamics"](**flow, X=0.9)
+    static = (1.0 - np.tanh(25.0 * (0.3 - 0.27))) / 2.0
+    assert told["X_static"] == pytest.approx(static, rel=1e-12)
+    assert told["lag"] == pytest.approx(5.0 * 3.159 / 80.0, rel=1e-12)
+
+
+def test_the_file_needs_nothing_but_math_and_words_of_a_card_are_no_code():
+    tree = ast.parse(python_source(six()))
+    imported = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    assert [alias.name for node in imported for alias in node.names] == ["math"]
+    # A title and a source that would end a string.
+    title = 'x"""\nraise SystemExit("run")\n"""\\'
+    found = replace(stall(), title=title, sources=(title,))
+    tree = ast.parse(_slave(found, "stall", "stall_function"))
+    assert "raise SystemExit" in ast.unparse(tree)
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+
+
+def test_errors_of_the_record_and_random_air_are_left_out_and_said():
+    card = read_card("attas")
+    model = Model.from_card(card).extended("pitch_rate_bias", "thrust_scale", "vertical_gust", "buffet", "cg_shift")
+    values = stall().values | {p.name: 0.01 for p in model.parameters if p.name not in stall().values}
+    found = Identified("gusty", "t", model, card.aircraft, values, ())
+    named = {sentence.split(" ")[0] for sentence in found.left_out}
+    assert named == {"pitch_rate_bias", "thrust_scale", "vertical_gust", "buffet"}
+    assert isinstance(CATALOGUE["buffet"].disturbance, Disturbance)
+    assert set(found.left_out) <= set(about(found))
+    assert found.actual_aircraft.reference_point[0] == pytest.approx(-0.02 - 0.01)  # the shift moves all else aft
+
+
+def test_a_channel_that_is_no_name_of_python_is_refused():
+    own = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
+    card = read_card("attas")
+    model = Model.from_card(card).extended(own)
+    found = Identified("odd", "t", model, card.aircraft, stall().values | {p.name: 0.1 for p in own.parameters}, ())
+    with pytest.raises(InputError, match="2nd surface cannot be an argument in Python"):
+        python_source(found)
+
+
+def _second(v, s, *_):
+    return {"CD": v["CDde"] * s["2nd surface"]}

@@ -1,0 +1,257 @@
+"""Probability of staying inside a tolerance, and what structure and flown region make of it: closed forms."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from linear_cards import record_of
+from scipy.optimize import linprog
+from scipy.stats import norm
+
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.joined_channels import join
+from bayes_aero.qualification.qualify import Uncertain, qualify
+from bayes_aero.qualification.refits import HoldOut
+from bayes_aero.qualification.region import Region, nearest
+from bayes_aero.qualification.result import Chance, Kind, Qualification, Recorded, Test, Verdict
+from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
+
+FREE = {"az0": -9.8, "azde": 1.0}
+SD, COUNT, N = 0.5, 1000, 60
+ERROR = 4.0 * np.sqrt(0.25 / COUNT)  # four standard errors of a probability, at most
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """az is a constant and an elevator that stands still: whatever differs, differs by a constant."""
+    still = np.zeros(N)
+    channels = {"alpha": still, "q": still, "elevator": still, "az": np.full(N, -9.8)}
+    shipped = read_card("short_period")
+    held = tuple((n, {"Zalpha": -1.0, "Mq": -1.0}.get(n, 0.0)) for n in shipped.linear.parameters if n not in FREE)
+    card = replace(shipped, linear=replace(shipped.linear, fixed=held))
+    records = [record_of(channels, dt=0.2, name=name) for name in ("one", "two")]
+    flights = join(records, card, card.linear.inputs)
+    dynamics = linear_dynamics(card, flights.lengths)
+    return segments(flights, dynamics, outputs=("az",))
+
+
+def unknown(flown, rng, sd=SD, **more):
+    names = flown.dynamics.names
+    estimate = np.array([FREE[name] for name in names])
+    draws = np.tile(estimate, (COUNT, 1))
+    draws[:, names.index("az0")] += sd * rng.standard_normal(COUNT)
+    return Uncertain(estimate, draws, **more)
+
+
+def chance(tests, kind=Kind.AGAIN):
+    return next(t for t in tests if t.kind is kind)
+
+
+@pytest.mark.parametrize("band", [0.2, 0.5, 1.0, 2.0])
+def test_a_constant_error_of_normal_distribution(flown, band):
+    """It stays inside +-b with probability 2 Phi(b / sd) - 1, however long the flight."""
+    tests = qualify(flown, None, unknown(flown, np.random.default_rng(1)), {"az": band}).tests
+    found = chance(tests)
+    exact = 2.0 * norm.cdf(band / SD) - 1.0
+    assert found.chance.value == pytest.approx(exact, abs=ERROR)
+    assert found.chances["structure"] == found.chances["parameters"]  # the record has no error
+    assert found.recorded.passed
+    assert found.recorded.largest < 1e-9
+    assert found.within == pytest.approx(exact, abs=ERROR)
+
+
+def test_white_errors_of_the_structure(flown):
+    """White errors of standard deviation s: inside all n samples with the n-th power of 2 Phi(b / s) - 1.
+
+    Means over 0.2 s are single samples here, so all that was left out is in the autoregression.
+    """
+    rng = np.random.default_rng(2)
+    errors = 0.3 * rng.standard_normal((2, N, 1))
+    size = float(np.sqrt(np.mean(errors**2)))
+    given = unknown(flown, rng, sd=0.0, hold_out=HoldOut(errors, np.zeros(1)))
+    band = 0.9
+    tests = qualify(flown, None, given, {"az": band}).tests
+    assert chance(tests).chance.value == 1.0  # flown again: the records have no error
+    sizes = size / np.sqrt(rng.chisquare(6, 100_000) / 6)  # two manoeuvres show six sizes
+    averaged = float(np.mean((2.0 * norm.cdf(band / sizes) - 1.0) ** N))
+    assert chance(tests, Kind.NEXT).chance.value == pytest.approx(averaged, abs=ERROR + 0.03)
+
+
+def test_the_next_flight_has_its_own_parameters(flown):
+    """Scatter between manoeuvres adds to the estimate's: sqrt(sd^2 + tau^2)."""
+    rng = np.random.default_rng(3)
+    given, wider = unknown(flown, rng), unknown(flown, rng, sd=1.3)
+    tests = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0}).tests
+    assert chance(tests, Kind.NEXT).chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
+    assert chance(tests, Kind.NEXT).recorded is None
+
+
+def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
+    """Left out, flights missed by 0.1; parameters that miss by 1.3 are the prior's."""
+    rng = np.random.default_rng(5)
+    given, wider = unknown(flown, rng, sd=0.0), unknown(flown, rng, sd=1.3)
+    for error, used in ((0.1, False), (2.0, True)):
+        left_out = HoldOut(error * rng.standard_normal((2, N, 1)), np.zeros(1))
+        found = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws, left_out), {"az": 1.0})
+        assert found.scattered is used
+    assert qualify(flown, None, given, {"az": 1.0}).scattered is None
+
+
+def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flown):
+    given = unknown(flown, np.random.default_rng(4), hold_out=HoldOut(np.ones((2, N, 1)), np.zeros(1)))
+    few = Uncertain(given.estimate, given.draws[:100], given.draws[:100], given.hold_out)
+    one, two, other = (qualify(flown, None, few, {"az": 1.0}, seed=seed).tests for seed in (1, 1, 2))
+    assert one == two
+    assert one != other
+    found = Chance.of(300, 400)
+    assert found.value == 0.75
+    assert found.error == pytest.approx(np.sqrt(0.75 * 0.25 / 400), rel=0.01)
+    assert Chance.of(400, 400).error > 0.0
+
+
+def test_verdicts_need_the_monte_carlo_error_and_the_record():
+    def one(passed, within=1.0):
+        record = Recorded(1.0, within)
+        return Test(Kind.AGAIN, "m", "az", 1.0, {"parameters": Chance.of(passed, 400)}, 1.0, record)
+
+    def verdict(*tests):
+        return Qualification(tests, (), (), (), (), {"az": (1.0, "")}, 400).whole
+
+    assert one(380).chance.verdict is Verdict.UNDECIDED  # 0.95, not known to two standard errors
+    assert verdict(one(400)) is Verdict.PASSES
+    assert verdict(one(400), one(380)) is Verdict.UNDECIDED
+    assert verdict(one(400, within=0.99)) is Verdict.UNDECIDED  # the record was outside
+    assert verdict(one(400), one(2)) is Verdict.FAILS
+    assert one(20).chance.verdict is Verdict.UNDECIDED
+
+
+DT, PHI = BLOCK_SECONDS, 0.9
+CERTAIN = 10**9
+
+
+def from_zero(rng, count, n, phi=PHI):
+    """Autoregressions of unit innovations that begin at zero, (count, n, 1)."""
+    x, rows = np.zeros(count), []
+    for _ in range(n):
+        x = phi * x + rng.standard_normal(count)
+        rows.append(x)
+    return np.stack(rows, axis=1)[:, :, None]
+
+
+def structure(errors, separated=None, explained=0.0):
+    w, n, _ = errors.shape
+    separated = np.zeros((w, n)) if separated is None else separated
+    return Structure.of(errors, separated, np.ones((w, n), bool), np.full(w, DT), np.full(errors.shape[2], explained))
+
+
+def test_draws_have_the_size_and_the_memory_of_the_errors():
+    """The variance from zero is (1 - phi^2t) / (1 - phi^2); 200 series of 300 samples, 3 % of it by their number."""
+    errors = from_zero(np.random.default_rng(1), 200, 300)
+    found = replace(structure(errors), sizes=CERTAIN)
+    drawn = found.draws(4000, np.zeros(300), DT, np.random.default_rng(2))[:, :, 0]
+    steady = 1.0 / (1.0 - PHI**2)
+    early = sum(PHI ** (2 * k) for k in range(3))  # after three innovations
+    spread = 4.0 * np.sqrt(2.0 / 4000)  # four standard errors of a variance
+    assert np.var(drawn[:, 2]) == pytest.approx(early, rel=spread + 0.03)
+    assert np.var(drawn[:, 200]) == pytest.approx(steady, rel=spread + 0.03)
+    assert np.corrcoef(drawn[:, 200], drawn[:, 205])[0, 1] == pytest.approx(PHI**5, abs=4.0 / np.sqrt(4000) + 0.01)
+
+
+def test_what_is_explained_is_left_out_and_errors_grow_with_separation():
+    """Half of the mean square explained: half is left."""
+    errors = from_zero(np.random.default_rng(3), 200, 300)
+    whole, half = structure(errors), structure(errors, explained=0.5 * float(np.mean(errors**2)))
+    assert half.innovation**2 == pytest.approx(0.5 * whole.innovation**2, rel=1e-6)
+    assert structure(errors, explained=2.0 * float(np.mean(errors**2))).innovation == 0.0
+    # Three times as large in separated flow: a growth of 2.
+    rng = np.random.default_rng(4)
+    separated = np.repeat((np.arange(300) > 200).astype(float)[None], 100, axis=0)
+    errors = rng.standard_normal((100, 300, 1)) * (1.0 + 2.0 * separated[:, :, None])
+    found = structure(errors, separated)
+    assert found.growth == pytest.approx(2.0, abs=0.1)
+    drawn = replace(found, sizes=CERTAIN).draws(2000, separated[0], DT, rng)[:, :, 0]
+    assert np.var(drawn[:, 250]) / np.var(drawn[:, 100]) == pytest.approx(9.0, rel=0.3)
+
+
+def white(sizes=CERTAIN, left=1.0, innovation=1.0):
+    """White errors of standard deviation `innovation`."""
+    return Structure(np.zeros((1, 3)), np.array([innovation]), np.zeros(1), np.zeros(1), sizes, np.array([left]))
+
+
+def test_few_sizes_widen_the_tails_and_a_part_of_an_error_repeats():
+    """Of nu independent values the size is that of nu over a chi-square: Student's t, of variance nu/(nu-2)."""
+    rng = np.random.default_rng(5)
+    wide, narrow = (white(sizes).draws(40_000, np.zeros(1), DT, rng)[:, 0, 0] for sizes in (8, CERTAIN))
+    assert np.var(narrow) == pytest.approx(1.0, rel=0.03)
+    assert np.var(wide) == pytest.approx(8.0 / 6.0, rel=0.06)
+    assert structure(np.ones((5, 40, 1))).sizes == 3 * 5
+    # Of a constant error b a share w of the square repeats, w uniform: the mean is b E sqrt(w) = 2 b / 3, the mean
+    # square b^2 / 2, beside half of that of the random errors.
+    own = np.full((40, 1), 5.0)
+    drawn = white().draws(40_000, np.zeros(40), DT, np.random.default_rng(6), own)[:, 10, 0]
+    assert np.mean(drawn) == pytest.approx(5.0 * 2.0 / 3.0, rel=0.01)
+    assert np.mean(drawn**2) == pytest.approx(25.0 / 2.0 + 0.5, rel=0.02)
+    none = white(left=0.0, innovation=0.0).draws(10, np.zeros(40), DT, np.random.default_rng(7), own)
+    assert not none.any()
+
+
+def box(k):
+    """The corners of [-1, 1]^k."""
+    return np.array(list(itertools.product((-1.0, 1.0), repeat=k)))
+
+
+@pytest.mark.parametrize("k", [1, 2, 4, 6])
+def test_the_nearest_point_of_a_box_is_the_clipped_sample(k):
+    rng = np.random.default_rng(0)
+    for sample in 3.0 * rng.standard_normal((20, k)):
+        assert nearest(box(k), sample) == pytest.approx(np.clip(sample, -1.0, 1.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("k", [2, 3, 6])
+def test_the_nearest_point_of_a_simplex(k):
+    """Of the standard simplex, corners e_i, to the origin: all components 1/k, distance 1/sqrt(k)."""
+    found = nearest(np.eye(k), np.zeros(k))
+    assert found == pytest.approx(np.full(k, 1.0 / k), abs=1e-9)
+    assert np.linalg.norm(found) == pytest.approx(1.0 / np.sqrt(k), rel=1e-9)
+
+
+def test_a_hull_without_volume_and_linear_programming():
+    """A segment in the plane, a single point, and a far sample."""
+    assert nearest(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0])) == pytest.approx([0.5, 0.5])
+    assert nearest(np.array([[2.0, 3.0]]), np.array([-1.0, 5.0])) == pytest.approx([2.0, 3.0])
+    assert nearest(box(3), np.array([1e3, 0.5, -1e3])) == pytest.approx([1.0, 0.5, -1.0], abs=1e-6)
+    # A sample is inside if some convex combination of the points is the sample.
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((60, 4))
+    for sample in 1.2 * rng.standard_normal((40, 4)):
+        weights = linprog(np.zeros(60), A_eq=np.vstack([points.T, np.ones(60)]), b_eq=np.append(sample, 1.0))
+        distance = np.linalg.norm(nearest(points, sample) - sample)
+        assert (distance < 1e-7) == (weights.status == 0)
+
+
+def channels(**given):
+    return {name: np.asarray(x, float) for name, x in given.items()}
+
+
+def test_a_region_tells_share_distance_time_and_channels():
+    """Flown: alpha 0 to 0.2, Mach 0.2 to 0.4, q -0.1 to 0.1. A ramp of alpha leaves it at 0.2 and ends at 0.4."""
+    alpha, mach, q = box(3).T
+    region = Region.of(channels(alpha=0.1 + 0.1 * alpha, mach=0.3 + 0.1 * mach, q=0.1 * q, elevator=q))
+    assert region.channels == ("alpha", "mach", "q")
+    n = 101
+    ramp = channels(alpha=np.linspace(0.0, 0.4, n), mach=np.full(n, 0.3), q=np.zeros(n))
+    found = region.outside("ramp", "recorded", 0.1 * np.arange(n), ramp)
+    assert found.distance == pytest.approx(2.0)  # 0.2 rad beyond, of half a range of 0.1 rad
+    assert found.time == pytest.approx(10.0)
+    assert found.excess == pytest.approx({"alpha": 0.2, "mach": 0.0, "q": 0.0}, abs=1e-9)
+    assert found.share == pytest.approx(np.mean(ramp["alpha"] > 0.21), abs=1e-9)  # beyond a tenth of the scale
+    within = channels(alpha=np.full(n, 0.15), mach=np.full(n, 0.25), q=np.full(n, 0.05))
+    assert region.outside("within", "recorded", 0.1 * np.arange(n), within) is None
+    # Sideslip was always zero: two degrees of it are two least scales of a degree outside.
+    region = Region.of(channels(alpha=[0.0, 0.2], beta=[0.0, 0.0], airspeed=[80.0, 100.0]))
+    assert region.channels == ("alpha", "beta", "airspeed")
+    slipping = channels(alpha=[0.1], beta=[np.radians(2.0)], airspeed=[90.0])
+    assert region.outside("slip", "recorded", np.zeros(1), slipping).distance == pytest.approx(2.0)

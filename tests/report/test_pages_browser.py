@@ -1,0 +1,281 @@
+"""Report pages in a real browser: they draw, zoom, print, fit a phone, are legible to all and call nobody."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browsing import (
+    HEIGHTS,
+    LABELS,
+    RANGES,
+    SEEN,
+    can_be_read_by_everyone,
+    drag,
+    fits_a_phone,
+    has_a_unit_on_every_axis,
+    needed,
+    opened,
+    says_in_words_what_figures_show,
+)
+from report_samples import CARD, flight, records, study_told
+
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.jobs.catalogue.catalogue_page import write_effects
+from bayes_aero.jobs.catalogue.known_effects import effect_facts, known_effects
+from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.report.figures import comparison as figures_comparison
+from bayes_aero.report.figures import stall as figures_stall
+from bayes_aero.report.figures.every_figure import draw_all
+from bayes_aero.report.html.page import section, write_page
+from bayes_aero.report.pages.card import Rest, StarterView, Taken, card_page
+from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.pages.study import study_page
+from bayes_aero.report.pages.trajectories import trajectories
+
+pytestmark = needed
+
+HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
+DRAWN = {
+    "stall": figures_stall.stall,
+    "stall_narrow": figures_stall.stall_narrow,
+    "separation": figures_stall.separation,
+    "forest": figures_comparison.forest,
+    "crb_vs_credible": figures_comparison.crb_vs_credible,
+}
+
+
+@pytest.fixture(scope="module")
+def report(full, simulated, card, tmp_path_factory):
+    """A page with everything that can be on one, its names hostile."""
+    names = (HOSTILE, "plain")
+    run = replace(
+        full,
+        observations=replace(full.observations, names=names),
+        records=tuple(replace(record, name=name) for record, name in zip(full.records, names, strict=True)),
+        alone=dict(zip(names, full.alone.values(), strict=True)),
+    )
+    folder = tmp_path_factory.mktemp("page")
+    drawn, failed = draw_all(DRAWN, run, folder / "figures")
+    assert not failed
+    source = provenance(run.card, run.records, 0, {"noise": "ar1"})
+    given = [path for path in simulated.paths if (path.model, path.split) == ("card", "hold_out")]
+    page = identification_page(run, source, {path.stem: path for path in drawn}, given)
+    flights = section("trajectories", "Trajectories", lambda: trajectories(simulated, card))
+    return write_page(replace(page, sections=(*page.sections, flights)), folder / "report.html")
+
+
+@pytest.fixture
+def fresh(browser, report):
+    """A page that may be changed."""
+    page = opened(browser, report)
+    yield page
+    page.context.close()
+
+
+@pytest.fixture
+def phone(browser, report):
+    """The same on a phone."""
+    page = opened(browser, report, 390, is_mobile=True, has_touch=True)
+    yield page
+    page.context.close()
+
+
+@pytest.mark.parametrize("name", ["report", "fly_report"])
+def test_it_draws_in_silence_and_zooms_with_all_axes(request, browser, name):
+    fresh = opened(browser, request.getfixturevalue(name))
+    before = fresh.evaluate(RANGES)
+    if name == "report":
+        assert len(before) >= 6  # two manoeuvres, two halves as identified, two flown unseen
+    else:
+        assert [len(panels) for panels in before] == [4, 4]  # alpha, q, az and the elevator, for either flight
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    drag(fresh, "#plot-0", 0.25, 0.5)
+    after = fresh.evaluate(RANGES)
+    (start, end) = after[0][0]
+    (left, right) = before[0][0]
+    assert left < start < end < right
+    assert (end - start) / (right - left) == pytest.approx(0.25, abs=0.03)
+    assert all(panel == [start, end] for panel in after[0])  # linked
+    assert after[1:] == before[1:]  # the other manoeuvre is not
+    fresh.keyboard.down("Control")
+    fresh.mouse.wheel(0, 300)
+    fresh.keyboard.up("Control")
+    fresh.wait_for_timeout(300)
+    wider = fresh.evaluate(RANGES)[0]
+    assert wider[0][1] - wider[0][0] > end - start
+    assert all(panel == wider[0] for panel in wider)
+    assert fresh.heard == []
+    fresh.context.close()
+
+
+def test_a_stretch_of_time_fills_its_panels(fresh):
+    whole = fresh.evaluate(HEIGHTS)
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    drag(fresh, "#plot-0", 0.8, 0.9)
+    # Bokeh redraws when the browser has time for it.
+    closer = f"whole => ({HEIGHTS})().some(([bottom, top], i) => top - bottom < 0.5 * (whole[i][1] - whole[i][0]))"
+    fresh.wait_for_function(closer, arg=whole)
+    heights, seen = fresh.evaluate(HEIGHTS), fresh.evaluate(SEEN)
+    for (bottom, top), (a, b), (low, high) in zip(heights, whole, seen, strict=True):
+        assert bottom <= low <= high <= top
+        assert b - a > 0.999 * (top - bottom)
+    fresh.locator("#plot-0").locator(".bk-tool-icon-reset").first.click()
+    fresh.wait_for_function(f"whole => JSON.stringify(({HEIGHTS})()) === JSON.stringify(whole)", arg=whole)
+
+
+def test_a_wheel_alone_scrolls_the_page(fresh):
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    box, before = fresh.locator("#plot-0").bounding_box(), fresh.evaluate(RANGES)
+    fresh.mouse.move(box["x"] + 300.0, box["y"] + 100.0)
+    y = fresh.evaluate("scrollY")
+    fresh.mouse.wheel(0, 200)
+    fresh.wait_for_function(f"scrollY > {y + 50}")
+    assert fresh.evaluate(RANGES) == before
+
+
+def test_hostile_names_are_only_names(fresh):
+    assert fresh.get_by_role("heading", name=HOSTILE, exact=True).count() == 1
+    assert fresh.evaluate("document.querySelectorAll('script').length") == 3
+
+
+def test_a_plot_on_a_phone_is_woken_by_a_tap(phone):
+    wake = phone.locator(".wake").first  # until it is tapped, a swipe over the plot scrolls the page
+    assert wake.is_visible()
+    wake.scroll_into_view_if_needed()
+    wake.tap()
+    assert not wake.is_visible()
+    assert phone.heard == []
+
+
+def test_the_first_picture_has_a_twin_that_a_phone_shows_whole(fresh, phone):
+    wide, tall = (page.locator("main > .picture img") for page in (fresh, phone))
+    assert wide.evaluate("i => i.naturalWidth / i.naturalHeight") > 1.2
+    assert tall.evaluate("i => i.naturalWidth / i.naturalHeight") < 0.8
+    assert tall.evaluate("i => i.closest('.box').scrollWidth <= i.closest('.box').clientWidth")
+    assert tall.evaluate("i => i.width") >= 340
+
+
+def test_it_prints_with_everything_open_and_the_plots_as_drawn(fresh):
+    fresh.locator("#plot-0").scroll_into_view_if_needed()
+    drag(fresh, "#plot-0", 0.25, 0.5)
+    closed = fresh.evaluate("document.querySelectorAll('details:not([open])').length")
+    assert closed >= 3
+    fresh.evaluate(
+        "addEventListener('beforeprint', () => { "
+        "window.closed = document.querySelectorAll('details:not([open])').length })"
+    )
+    high = "Bokeh.documents.map((d) => d.roots()[0].children.map(([f]) => f.inner_height))"
+    heights = fresh.evaluate(high)
+    pdf = fresh.pdf(prefer_css_page_size=True)
+    assert pdf.startswith(b"%PDF")
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 3
+    assert fresh.evaluate("window.closed") == 0
+    assert fresh.evaluate("document.querySelectorAll('details:not([open])').length") == closed
+    assert fresh.evaluate(high) == heights
+    fresh.emulate_media(media="print")
+    sizes = fresh.evaluate("[...document.querySelectorAll('.still')].map((c) => [c.width, c.height, c.clientHeight])")
+    assert len(sizes) == fresh.evaluate("document.querySelectorAll('[data-plot]').length")
+    assert all(min(size) > 150 for size in sizes)
+    assert all(height < 0.65 * width for width, height, _ in sizes)  # two of them share a sheet
+    ink = fresh.evaluate(
+        "(() => { const c = document.querySelector('.still'); const d = c.getContext('2d').getImageData(0, 0, c.width, "
+        "c.height).data; let n = 0; for (let i = 0; i < d.length; i += 4) "
+        "n += d[i + 3] > 0 && d[i] < 128; return n })()"
+    )
+    assert ink > 2000
+    assert not fresh.locator(".bk-Toolbar, .wake").first.is_visible()
+    assert fresh.heard == []
+
+
+def test_no_table_is_broader_than_the_sheet(fresh):
+    fresh.set_viewport_size({"width": 703, "height": 1047})  # A4 between its margins
+    fresh.emulate_media(media="print")
+    fresh.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+    ends = fresh.evaluate(
+        "[...document.querySelectorAll('.table:not(.broad) table')].map((t) => t.getBoundingClientRect().right)"
+    )
+    assert len(ends) >= 5
+    assert max(ends) <= 704
+    slim = "[...document.querySelectorAll('.slim:has(+ .slim), .slim + .slim')]"
+    tops = fresh.evaluate(slim + ".map((table) => table.offsetTop)")
+    assert len(set(tops)) < len(tops)  # some stand side by side
+
+
+@pytest.fixture(scope="module")
+def fly_report(tmp_path_factory):
+    found = flight()
+    source = provenance(CARD, records(), 0, {"windows": 12.0})
+    page = fly_page(found.flown, FlyContext(CARD, records(), source, found.sentences, ("A note.",)))
+    return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    return write_page(study_page(study_told(folder, failed=(2,))), folder / "report.html")
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory):
+    card = read_card("attas")
+    found = [effect_facts(effect, card) for effect in known_effects(card).values()]
+    out = tmp_path_factory.mktemp("catalogue")
+    assert write_effects(found, "effects", card, out) == ()
+    return out / "report.html"
+
+
+@pytest.fixture(scope="module")
+def starter(tmp_path_factory):
+    time = np.arange(0.0, 40.0, 0.04)
+    taken = [
+        Taken("time", "'Time_s'", "s", 1, "the heading", time),
+        Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", 5.0 + np.sin(time)),
+        Taken("az", "'A_COLUMN_WITH_A_LONG_NAME_<i>'", "g", -1, "its median is 0.999", 1.0 + 0.1 * np.sin(time)),
+        Taken("thrust", "'FN'", None, 1, "the heading; " * 9, 900.0 + time, "1 to 9 N is beyond any flight"),
+    ]
+    view = StarterView("N1.csv", "N1.toml", time, taken, [Rest("'XYZZY'", None, time)], [("mass", "of the flight")])
+    return write_page(card_page(view, provenance(None, [], None, {})), tmp_path_factory.mktemp("card") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def untimed(tmp_path_factory):
+    """No time was recognised, and one column is shorter than the others."""
+    values = np.sin(np.arange(500) / 20.0)
+    taken = [Taken("alpha", "'AOA_deg'", "deg", 1, "the heading", values)]
+    view = StarterView("N1.csv", "N1.toml", None, taken, [Rest("'T'", None, values[:9])], [("time", "not found")])
+    path = tmp_path_factory.mktemp("untimed") / "report.html"
+    return write_page(card_page(view, provenance(None, [], None, {})), path)
+
+
+def test_without_a_time_columns_are_drawn_over_the_number_of_the_sample(browser, untimed):
+    page = opened(browser, untimed)
+    assert page.heard == []
+    named, rest = page.evaluate(LABELS)
+    assert named == [["alpha [deg]", "number of the sample [-]"]]
+    assert rest[0][1] == "number of the sample [-]"
+    assert "over 499 samples" in page.locator("[role=img]").first.get_attribute("aria-label")
+
+
+PAGES = {  # how many figures it has at least, and whether they are over time; a twin has the words of its picture
+    "report": (6 + len(DRAWN) - 1, True), "fly_report": (2, True), "study": (1, False), "catalogue": (1, False),
+    "starter": (2, True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_everyone_can_read_a_page_on_a_desk_and_a_phone_and_it_calls_nobody(request, browser, name):
+    (figures, over_time), report = PAGES[name], request.getfixturevalue(name)
+    page, phone = opened(browser, report), opened(browser, report, 390, is_mobile=True, has_touch=True)
+    can_be_read_by_everyone(page)
+    says_in_words_what_figures_show(page, figures)
+    if over_time:
+        has_a_unit_on_every_axis(page)
+    if name in ("catalogue", "starter"):
+        assert page.locator(".box.wider").count() == 0
+        assert page.locator("[data-plot]").count() == (2 if name == "starter" else 0)
+    fits_a_phone(phone)
+    assert page.heard == phone.heard == []
+    for one in (page, phone):
+        one.context.close()

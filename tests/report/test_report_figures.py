@@ -1,0 +1,394 @@
+"""Figures draw, on results of several shapes, with labels, units and no empty axes; what they and their words say."""
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from calling import holds
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
+from bayes_aero.diagnosis.screening.accuracy import sizes
+from bayes_aero.diagnosis.view.models import with_stalls
+from bayes_aero.inference.posterior.pit import pit_of
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.model.noise import Colour
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.report.figures import every_figure as figures
+from bayes_aero.report.figures.diagnosis import autocorrelation
+from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all, write_figures
+from bayes_aero.report.figures.found import telling
+from bayes_aero.report.figures.pit import pit_histogram, pit_words
+from bayes_aero.report.html.page import Fold, Picture
+from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.pages.captions import diagnosis_alternatives
+from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.style import NotDrawn, close, save
+from bayes_aero.report.tables.diagnosis_tables import causes_table, probability, screen_table
+from bayes_aero.report.tables.predictions import broken, predicted
+from bayes_aero.report.text.diagnosis import revealed, sentences
+from bayes_aero.report.text.phrases import size_text
+
+SLOW = {"trace_emcee", "trace_nuts", "rank_emcee", "rank_nuts", "pair", "pit"}
+UNITLESS = {"density"}
+
+OF_LATERAL = {f"{kind}_{name}" for kind in ("validation", "correlation") for name in ("CY", "Cl", "Cn")}
+ASKED_FOR = {"next_flight"}  # drawn in test_report_tables.py
+
+
+def check(figure: Figure) -> None:
+    """No empty axes; labels on the outer ones, with a unit in brackets."""
+    assert figure.axes
+    for ax in figure.axes:
+        assert ax.has_data(), "empty axes"
+        labels = [ax.get_xlabel(), ax.get_ylabel()]
+        assert all("[" in text and "]" in text for text in labels if text and text not in UNITLESS), labels
+        place = ax.get_subplotspec()
+        if place is not None and place.is_last_row():
+            assert ax.get_xlabel(), "no x label"
+        if place is not None and place.is_first_col():
+            named = ax.get_ylabel() or any(t.get_text().strip() for t in ax.get_yticklabels())
+            assert named, "no y label"
+
+
+def saved(figure: Figure, folder) -> None:
+    """As a picture that shows something."""
+    pixels = imread(save(figure, folder / "figure.png"))
+    assert min(pixels.shape[:2]) > 300
+    assert pixels[..., :3].std() > 0.01
+
+
+@pytest.mark.parametrize("stem", [stem for stem in FIGURES if stem not in OF_LATERAL | ASKED_FOR])
+def test_every_figure_draws_complete(stem, full, tmp_path):
+    figure = FIGURES[stem](full)
+    check(figure)
+    saved(figure, tmp_path)
+
+
+@pytest.mark.parametrize("stem", sorted(OF_LATERAL))
+def test_figures_of_lateral_coefficients_are_for_models_that_have_them(stem, full):
+    with pytest.raises(NotDrawn, match="the model has no C"):
+        FIGURES[stem](full)
+    coefficients = ("CL", "CD", stem[-2:])  # the third one by another name
+    check(FIGURES[stem](replace(full, gp=None, observations=replace(full.observations, coefficients=coefficients))))
+
+
+def test_the_registry_has_the_papers_nine_and_what_can_be_shown_without_posteriors_is(make, tmp_path):
+    paper = [stem for stem in FIGURES if stem.startswith("fig")]
+    assert [stem[:5] for stem in paper] == [f"fig{i}_" for i in range(1, 10)]
+    for part in ("trace", "rank", "pair", "pit", "forest", "prior_posterior", "gp_prior_posterior", "crb_vs_credible"):
+        assert any(stem.startswith(part) for stem in FIGURES)
+    written, failed = write_figures(make(engines=(), gp=False), tmp_path)
+    assert not failed
+    stems = {path.stem for path in written}
+    holds(stems, "fig3_validation_CL", "forest")
+    assert stems.isdisjoint(SLOW | {"fig2_gpr_fit", "prior_posterior", "gp_prior_posterior"})
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_one_and_many_manoeuvres(count, make):
+    run = make(manoeuvres=count)
+    for stem in FIGURES.keys() - SLOW - OF_LATERAL - ASKED_FOR:
+        check(FIGURES[stem](run))
+
+
+def test_a_figure_that_fails_is_named_and_leaves_the_others(full, tmp_path, monkeypatch):
+    def bad(_):
+        raise ValueError("no such luck")
+
+    def empty(_):
+        raise NotDrawn("nothing there")
+
+    few = {"first": FIGURES["fig1_time_history"], "bad": bad, "empty": empty, "last": FIGURES["forest"]}
+    monkeypatch.setattr(figures, "FIGURES", few)
+    heard = []
+    written, failed = write_figures(full, tmp_path / "new", progress=lambda text, share: heard.append((text, share)))
+    assert [path.name for path in written] == ["first.png", "last.png"]
+    assert [one.partition(". This")[0] for one in failed] == ["Figure bad was not drawn: ValueError: no such luck"]
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["first.png", "last.png"]
+    assert heard[-1] == ("figures", 1.0)
+
+
+def test_neither_backend_nor_settings_nor_open_figures_of_the_user_change(full):
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    before = dict(matplotlib.rcParams)
+    figure = FIGURES["trace_nuts"](full)
+    close(figure)
+    assert dict(matplotlib.rcParams) == before
+    assert not plt.get_fignums()
+
+
+def test_predictions_follow_the_test_points_or_all_samples_and_lines_break_at_gaps(full, make):
+    points = predicted(full, "CD")
+    test = full.gp.splits["random"][0]["CD"]
+    assert np.array_equal(points.index, test.test)
+    assert np.array_equal(points.gp, test.gp)
+    second = points.of(full.observations.manoeuvre == 1)
+    assert set(full.observations.manoeuvre[second.index]) == {1}
+    t, y = broken(np.array([0.0, 0.1, 5.0]), np.array([1.0, 2.0, 3.0]))
+    assert np.isnan(t[2])
+    assert np.array_equal(y, [1.0, 2.0, np.nan, 3.0], equal_nan=True)
+    run = make(gp=False)
+    points = predicted(run, "CL")
+    alpha, elevator = (np.asarray(run.observations.signals[k]) for k in ("alpha", "elevator"))
+    chord, arm = run.card.aircraft.chord, run.card.aircraft.tail_arm
+    assert points.gp is None
+    assert np.allclose(points.mle, 0.2 + 4.0 * alpha + 0.8 * chord / arm * elevator)
+
+
+SIGMA = 0.005  # of the noise of the sample runs, which is white
+
+
+def certain(posterior: Posterior, **values: float) -> Posterior:
+    """Draws that all have these values."""
+    tree = posterior.tree.copy()
+    group = tree["posterior"].to_dataset()
+    for name in posterior.names:
+        key = name.split("_")[0]
+        if key in values:
+            group[name] = 0.0 * group[name] + values[key]
+    tree["posterior"] = type(tree["posterior"])(group)
+    return replace(posterior, tree=tree)
+
+
+def run_of(make, noise: Colour, **values: float):
+    run = make(manoeuvres=2, gp=False, noise=noise, engines=("emcee",), width=1e-3)
+    run = replace(run, posteriors={"emcee": certain(run.posteriors["emcee"], sigma=SIGMA, **values)})
+    return replace(run, pit=pit_of(run))
+
+
+@pytest.mark.parametrize(
+    ("noise", "rho", "caption", "alt"),
+    [
+        (Colour.AR1, 0.0, ("innovation", "near enough to independence"), ("one-step-ahead",)),
+        (Colour.AR1, 0.9, ("residuals of CL, CD and Cm", "too narrow"), ("CL -0.",)),
+        (Colour.WHITE, None, ("each sample by itself",), ()),
+    ],
+)
+def test_the_words_say_which_distribution_is_asked_and_what_the_band_does_not_know(make, noise, rho, caption, alt):
+    """A correlation of 0.9 taken out of white samples leaves neighbours tied by -0.9/(1 + 0.81)."""
+    run = run_of(make, noise, **({} if rho is None else {"rho": rho}))
+    for text, parts in zip(pit_words(run), (caption, alt), strict=True):
+        assert [part for part in parts if part not in text] == [], text
+    assert ("one-step-ahead" in pit_words(run)[1]) == (noise is Colour.AR1)
+    if rho == 0.9:
+        assert np.mean(run.pit.correlation) == pytest.approx(-0.9 / 1.81, abs=0.15)
+    if rho == 0.0:
+        assert run.pit.values.shape[1] == 3
+        assert all(bars.outside == 0 for bars in run.pit.bars)
+
+
+def test_the_pit_figure_stands_behind_the_calibration_s_fold_and_needs_a_posterior(make, tmp_path):
+    run = run_of(make, Colour.AR1, rho=0.0)
+    path = save(pit_histogram(run), tmp_path / "pit.png")
+    page = identification_page(run, {}, {"pit": path})
+    folds = [b for s in page.sections if s.key == "diagnostics" for b in s.blocks if isinstance(b, Fold)]
+    (fold,) = (fold for fold in folds if fold.title.startswith("Calibration"))
+    (picture,) = (block for block in fold.blocks if isinstance(block, Picture))
+    assert (picture.caption, picture.alt) == pit_words(run)
+    with pytest.raises(NotDrawn, match="no posterior"):
+        pit_histogram(make(gp=False, engines=()))
+
+
+DOES_NOT_APPLY = {"gain", "moves", "trajectories_hold_out", "trajectories_fitted"}  # nothing was added or flown
+
+
+@pytest.fixture(scope="module")
+def nothing(diagnosed):
+    """The same diagnosis as if nothing had been found."""
+    view = diagnosed.view
+    empty = replace(view.diagnosis, verdict=Verdict.NO_EFFECT, causes=(), unknown=(), sensors=None)
+    state = replace(view.extended.state, active=())
+    return with_stalls(replace(view, diagnosis=empty, extended=replace(view.card, state=state)))
+
+
+@pytest.mark.parametrize("split", ["fitted", "hold_out"])
+def test_simulated_trajectories_are_told_in_numbers(flown, split):
+    figure = DIAGNOSIS_FIGURES[f"trajectories_{split}"](flown)
+    texts = [text.get_text() for text in figure.axes[2].texts]
+    assert texts == ["RMS: card's 1.0, extended 0.10"]  # alpha in deg
+    close(figure)
+
+
+def test_an_error_of_a_sensor_is_shown_where_it_shows(flown):
+    """Coefficients may not show it: the simulated output whose error falls most, with the errors that are told."""
+    sensor, model = (
+        replace(flown, diagnosis=replace(flown.diagnosis, causes=(replace(flown.diagnosis.causes[0], stage=stage),)))
+        for stage in ("flight path", "coefficients")
+    )
+    assert telling(model).quantity in NAMES
+    shown = telling(sensor)
+    card, extended = (flown.trajectories.path(shown.manoeuvre, m, "fitted") for m in ("card", "extended"))
+    falls = {n: card.errors[n].rms / extended.errors[n].rms for n in flown.trajectories.outputs}
+    assert falls[shown.quantity] == max(falls.values())
+    for path, (_, _, values, note) in zip((card, extended), shown.simulated, strict=True):
+        rms = np.sqrt(np.mean((values - shown.measured) ** 2))
+        assert float(note.split()[2]) == pytest.approx(rms, rel=0.06), path.model
+    assert telling(replace(sensor, trajectories=None)).quantity in NAMES
+
+
+def test_alternative_texts_are_sentences_about_what_is_shown(flown):
+    shown = telling(flown)
+    texts = diagnosis_alternatives(flown)
+    assert texts.keys() <= DIAGNOSIS_FIGURES.keys()
+    for stem in ("found", "measured_simulated"):
+        assert shown.quantity in texts[stem][1]
+        assert shown.manoeuvre in texts[stem][1]
+    assert not any("array(" in text or "Telling" in text for pair in texts.values() for text in pair)
+
+
+@pytest.mark.parametrize("stem", DIAGNOSIS_FIGURES)
+def test_every_figure_of_a_diagnosis_draws_complete(stem, flown, tmp_path):
+    figure = DIAGNOSIS_FIGURES[stem](flown)
+    for ax in figure.axes:
+        assert ax.has_data(), "empty axes"
+        labels = [text for text in (ax.get_xlabel(), ax.get_ylabel()) if text]
+        assert all("[" in text and "]" in text for text in labels), labels
+        assert "rad]" not in "".join(labels)
+    assert any(ax.get_xlabel() for ax in figure.axes)
+    saved(figure, tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["found", "found_narrow"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_sizes_of_a_cause_stay_within_the_figure(stem, count, flown, tmp_path):
+    """However many parameters it has: the bar may be as long as the panel, or short."""
+    first, *others = flown.diagnosis.causes
+    size = next(iter(first.parameters.values()))
+    many = replace(first, parameters={f"parameter_{k}": replace(size, unit="rad") for k in range(count)})
+    view = replace(flown, diagnosis=replace(flown.diagnosis, causes=(many, *others)))
+    figure = DIAGNOSIS_FIGURES[stem](view)
+    figure.draw_without_rendering()
+    (panel,) = (ax for ax in figure.axes if ax.get_title().startswith("First screening"))
+    texts = [text for text in panel.texts if "±" in text.get_text()]
+    assert texts
+    for text in texts:
+        assert panel.bbox.x0 <= text.get_window_extent().x0
+        assert text.get_window_extent().x1 <= figure.bbox.x1
+    assert panel.bbox.width > 0.4 * figure.axes[0].bbox.width
+    save(figure, tmp_path / f"{stem}.png")
+
+
+def test_figures_table_and_sentences_without_a_cause(nothing, tmp_path):
+    written, failed = draw_all(DIAGNOSIS_FIGURES, nothing, tmp_path)
+    assert not failed
+    assert {path.stem for path in written} == DIAGNOSIS_FIGURES.keys() - DOES_NOT_APPLY
+    with pytest.raises(NotDrawn):
+        DIAGNOSIS_FIGURES["gain"](nothing)
+    assert causes_table(nothing.diagnosis).frame().empty
+    assert "No significant model error" in sentences(nothing)[0]
+
+
+def test_shares_of_the_mean_square_error_add_up_and_the_extension_explains_more(diagnosed):
+    view = diagnosed.view
+    for fitted in (view.card, view.extended):
+        for numbers in fitted.composition.values():
+            assert sum(numbers[f"theil_{part}"] for part in ("bias", "variance", "covariance")) == pytest.approx(1.0)
+            levels = [numbers["calibration"][level] for level in ("0.5", "0.9", "0.95")]
+            assert levels == sorted(levels)
+    assert view.extended.composition["Cm"]["r2"] > view.card.composition["Cm"]["r2"]
+    figure = DIAGNOSIS_FIGURES["measured_simulated"](view)  # what was measured is the same line before and after
+    assert np.array_equal(*(figure.axes[i].lines[0].get_ydata() for i in (0, 1)))
+    close(figure)
+
+
+def test_tables_hold_every_cause_and_candidate_ranked_once_each(diagnosed):
+    d, rankings = diagnosed.view.diagnosis, diagnosed.view.rankings
+    for ranking in rankings:
+        names, scores = zip(*((s.effect, s.score) for s in ranking.candidate_scores), strict=True)
+        assert len(names) == len(set(names))
+        assert list(scores) == sorted(scores, reverse=True)
+    assert set(causes_table(d).frame()["cause"]) == {c.name for c in d.causes}
+    assert causes_table(d).terminal().row_count == len(d.causes)
+    assert len(screen_table(rankings, d).frame()) == sum(len(r.candidate_scores) for r in rankings)
+
+
+def test_a_cause_of_two_parameters_has_a_row_for_each_in_a_file_and_one_for_people(diagnosed):
+    cause = diagnosed.view.diagnosis.causes[0]
+    (size,) = cause.parameters.values()
+    both = replace(cause, parameters={"one": size, "other": replace(size, mean=3.0 * size.mean)})
+    table = causes_table(replace(diagnosed.view.diagnosis, causes=(both,)))
+    rows = table.frame()
+    assert list(rows["parameter"]) == ["one", "other"]
+    assert list(rows["mean"]) == [size.mean, 3.0 * size.mean]
+    assert list(rows["probability"]) == [cause.probability] * 2
+    (row,) = page_table(table).rows
+    assert row[2].split("; ")[1] == f"other {size_text(3.0 * size.mean, size.sd, size.unit)}"
+
+
+def test_of_six_coefficients_a_terminal_shows_the_three_that_change_most(diagnosed):
+    cause = diagnosed.view.diagnosis.causes[0]
+    score = next(iter(cause.gain.before.values()))
+    change = {"CL": 0.01, "CD": 0.3, "Cm": 0.0, "CY": -0.2, "Cl": float("nan"), "Cn": 0.1}
+    before = {name: replace(score, r2=0.5) for name in change}
+    after = {name: replace(score, r2=0.5 + by) for name, by in change.items()}
+    six = replace(cause, gain=replace(cause.gain, before=before, after=after))
+    table = causes_table(replace(diagnosed.view.diagnosis, causes=(six,)))
+    heads = [str(column.header) for column in table.terminal().columns]
+    assert [h for h in heads if h.startswith("R²")] == ["R² CD", "R² CY", "R² Cn"]
+    assert {f"{name}_r2_after" for name in change} <= set(table.frame())
+
+
+def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
+    view = diagnosed.view
+    cause = replace(view.diagnosis.causes[0], ambiguous_with=("mass_scale",), excited=False)
+    unknown = (UnexplainedStructure("Cm", "phi", 0.25, 0.01),)
+    d = replace(
+        view.diagnosis,
+        verdict=Verdict.PARTLY_EXPLAINED,
+        causes=(cause,),
+        unknown=unknown,
+        minor=("alpha_delay",),
+        not_testable={"flap_moment": "channel flap does not move in this record"},
+    )
+    text = " ".join(sentences(replace(view, diagnosis=d)))
+    for part in (cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap"):
+        assert part in text
+    unexplained = replace(d, verdict=Verdict.UNEXPLAINED, causes=())
+    assert "no effect of the catalogue" in sentences(replace(view, diagnosis=unexplained))[0]
+
+
+def test_a_size_on_its_bound_is_no_measurement(diagnosed):
+    """The fit's estimate is put where a fit ends that wants to go beyond the bounds."""
+    view = diagnosed.view
+    cause, extension, name = view.diagnosis.causes[0], view.diagnosis.aerodynamics, "e"
+    state = extension.state
+    column = int(state.full.columns([name])[0])
+    theta = state.theta.copy()
+    theta[column] = state.full.model.free[column].bounds[1] - 1e-9
+    found = sizes(replace(state, theta=theta), extension.fit)
+    assert [n for n, size in found.items() if size.at_bound] == [name]
+    assert not any(size.at_bound for size in extension.sizes.values())
+    held = replace(cause, parameters={name: found[name]})
+    said = " ".join(sentences(replace(view, diagnosis=replace(view.diagnosis, causes=(held,)))))
+    assert f"{name} is at a parameter bound" in said
+    assert "at a parameter bound" not in " ".join(sentences(view))
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ((0.01, 0.001, "rad"), "0.573 ± 0.057 deg"),
+        ((1.5, 20.0, "m/s"), "2 ± 20 m/s"),
+        ((-0.0806, 0.0043, "1"), "-0.0806 ± 0.0043"),
+        ((0.5, 0.0, "1"), "0.5"),
+        ((0.5, float("nan"), "s"), "0.5 s"),
+    ],
+)
+def test_sizes_as_people_read_them(given, text):
+    assert size_text(*given) == text
+
+
+def test_probabilities_what_was_hidden_and_autocorrelation():
+    assert [probability(x) for x in (1.0, 0.646)] == ["> 0.99", "0.65"]
+    (said,) = revealed({"alpha_bias": {"alpha_bias": 0.01}}, {"alpha_bias": "missed"})
+    assert all(part in said for part in ("alpha_bias", "0.573 deg", "not found"))
+    x = np.sin(2.0 * np.pi * np.arange(1000) / 20.0)
+    lags, r = autocorrelation([x, x], 30)
+    assert r[0] == 1.0
+    assert r[10] == pytest.approx(-1.0, abs=0.03)
+    assert lags[-1] == 30

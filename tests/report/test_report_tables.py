@@ -1,0 +1,366 @@
+"""Tables of numbers: the same columns on a terminal, on a page, in a file and in JSON; numbers worked out by hand."""
+
+import io
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calling import holds
+from report_samples import flight
+from rich.console import Console
+
+import bayes_aero as ba
+from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
+from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.inference.likelihood.mle_result import MleStatus
+from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
+from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
+from bayes_aero.inference.scores import Scores
+from bayes_aero.jobs.io.identification_json import results
+from bayes_aero.model.noise import Colour
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.report.figures.comparison import next_flight
+from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.pooled.next_flight import next_flight_sentences, next_flight_table
+from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.tables.comparison import ordered, scatter
+from bayes_aero.report.tables.filtered import gust_table
+from bayes_aero.report.tables.fly import error_table
+from bayes_aero.report.tables.models import holdout_table
+from bayes_aero.report.tables.run_tables import parameter_table, validation_table
+from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
+from bayes_aero.report.text.phrases import concise, number, plus_minus, size_text
+
+
+def printed(two_rows: Table, width: int = 80) -> str:
+    text = io.StringIO()
+    Console(file=text, width=width).print(two_rows.terminal())
+    return text.getvalue()
+
+
+@pytest.fixture(scope="module")
+def two_rows() -> Table:
+    """Two parameters, one without an estimate; a page has the parts of the change, a terminal both in one."""
+    ends, changes = ("estimate", "sd", "low"), [Change(0.25, 0.5), Change(None, 1.0 / 3.0)]
+    return Table(
+        [
+            Column(["a", "b"], "name", "parameter", ""),
+            Column([Estimate(-0.39102, 0.0159, -0.42, -0.36), None], ends, "fit", "fit"),
+            Column(changes, "", ("before", "after"), "change", ".0%", group="share"),
+            Column([2, 3], "count"),
+            Column(["only here", ""], page="remark", words=True),
+        ],
+        "A title", "A note", terminal_title="Another",
+    )  # fmt: skip
+
+
+def test_a_page_a_terminal_a_file_and_json_have_what_is_for_them(two_rows, tmp_path):
+    shown = page_table(two_rows)
+    assert shown.head == ("parameter", "fit", "before", "after", "remark")
+    assert shown.groups == (("", 2), ("share", 2), ("", 1))
+    assert shown.rows == (("a", "-0.391 ± 0.016", "25%", "50%", "only here"), ("b", "–", "–", "33%", ""))
+    assert (shown.caption, shown.note, shown.words) == ("A title", "A note", (4,))
+    lines = printed(two_rows).splitlines()
+    assert lines[0].strip() == "Another"
+    assert lines[1].split() == ["fit", "change"]
+    assert [line.split() for line in lines[3:]] == [["a", "-0.391(16)", "25%", "→", "50%"], ["b", "–", "–", "→", "33%"]]
+    assert two_rows.records()[0] == {"name": "a", "estimate": -0.39102, "sd": 0.0159, "low": -0.42, "count": 2}
+    assert two_rows.records()[1]["sd"] is None
+    back = pd.read_csv(write_csv(two_rows, tmp_path / "t.csv"), index_col="name")
+    assert list(back.columns) == ["estimate", "sd", "low", "count"]
+    assert back.loc["a", "estimate"] == -0.39102
+    assert np.isnan(back.loc["b", "estimate"])
+    assert list(back["count"]) == [2, 3]
+
+
+def test_several_values_share_a_cell_and_rows_stand_below_a_name():
+    of = columns_of([("x", [1.0, 2.0]), ("y", [3.0])])
+    both = Table([of(lambda r: r[0], "name", "name", "name"), of(lambda r: r[1], "size", "size", "size", ".1f")])
+    assert both.frame().reset_index().to_numpy().tolist() == [["x", 1.0], ["x", 2.0], ["y", 3.0]]
+    assert [row[1] for row in page_table(both).rows] == ["1.0; 2.0", "3.0"]
+    assert [line.split() for line in printed(both).splitlines()[-3:]] == [["x", "1.0"], ["2.0"], ["y", "3.0"]]
+    rows = [Column([1.0, 2.0, 3.0], page="x", form=".0f"), Column([4.0, 5.0, 6.0], page="y", form=".0f")]
+    below = page_table(Table(rows, below=["one", "one", "two"])).rows
+    assert below == (("one", ""), ("1", "4"), ("2", "5"), ("two", ""), ("3", "6"))
+    assert page_table(Table(rows, below=["one"] * 3)).rows == (("1", "4"), ("2", "5"), ("3", "6"))
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf, Estimate(math.nan, 1.0)])
+@pytest.mark.parametrize("form", ["", ".3f", 3, lambda x: f"{x:.3f}"])
+def test_what_is_no_number_is_a_dash(value, form):
+    assert cell_text(value, form) == "–"
+
+
+def test_a_narrow_terminal_loses_no_digit_and_shows_units():
+    head = [f"output {k} [m/s]" for k in range(6)]
+    columns = [Column([Change(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
+    text = printed(Table([Column(["flight"], "name", None, "manoeuvre"), *columns]))
+    assert "…" not in text
+    assert all(f"{12.25 + k:.3f}" in text for k in range(6))
+    assert text.count("0.125") == 6
+    assert max(map(len, text.splitlines())) <= 80
+    # Units in square brackets are no markup.
+    text = printed(error_table(flight().flown), 100)
+    assert all(label in text for label in ("α [deg]", "q [deg/s]", "az [m/s²]"))
+
+
+def test_words_keep_room_on_a_terminal_of_80_columns():
+    """A long name, unit and range beside them do not press them to two letters a line."""
+    shown = printed(
+        Table([
+            Column(["calibrated_airspeed", "density"], terminal="channel"),
+            Column(["'Calibrated airspeed, boom, corrected [kt]'", "'rho'"], terminal="taken from", words=True),
+            Column(["lbf/ft^2 → kg/m^3", "slug/ft^3 → kg/m^3"], terminal="unit → inside"),
+            Column(["-0.0015791 to -0.0016104", "0.0015791 to 0.0016104"], terminal="range in the file"),
+            Column(["sign reversed, does not move", ""], terminal="", words=True),
+        ])
+    )  # fmt: skip
+    assert max(map(len, shown.splitlines())) <= 80
+    holds(shown, "calibrated_airspeed", "corrected", "reversed,", "slug/ft^3", "-0.0016104")
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (-0.39102, 0.0159, "-0.391 ± 0.016"), (23.716, 1.5, "23.7 ± 1.5"), (1.5, np.nan, "1.5"), (1.5, 0.0, "1.5"),
+        (-0.03, 5.7, "0.0 ± 5.7"), (12345.6, 0.0, "12346"),
+    ],
+)  # fmt: skip
+def test_numbers_with_standard_errors(value, sd, text):
+    assert plus_minus(value, sd) == text
+    assert size_text(value, sd, "1") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (999.7, 3, "1000"), (999.4, 3, "999"), (99.97, 3, "100"), (-1234.6, 3, "-1235"), (0.00012346, 3, "0.000123"),
+        (9.9996e-5, 3, "0.0001"), (2.5e-7, 2, "2.5e-07"), (4.2e7, 3, "4.20e+07"), (-0.0, 3, "0"),
+    ],
+)  # fmt: skip
+def test_numbers_have_no_exponent_where_people_read_them(value, digits, text):
+    assert number(value, digits) == text
+
+
+@pytest.mark.parametrize(("form", "text"), [(".1f", "0.0"), ("+.1f", "+0.0"), (".0%", "0%"), (3, "-0.03")])
+def test_what_is_rounded_to_zero_has_no_minus(form, text):
+    assert cell_text(-0.0300 if form != ".0%" else -0.0003, form) == text
+
+
+def test_gusts_of_all_manoeuvres_stand_in_one_file(tmp_path):
+    times = {"one": np.array([0.0, 0.5]), "two": np.array([0.0, 0.25, 0.5])}
+    met = [GustHistory(m, t, {"vertical_gust": (2.0 * t, 0.1 + t)}) for m, t in times.items()]
+    found = ProcessNoise("converged", True, 1.0, {}, {}, {}, {}, histories=tuple(met))
+    back = pd.read_csv(write_csv(gust_table(found), tmp_path / "gusts.csv"))
+    assert list(back.columns) == ["manoeuvre", "time", "vertical_gust", "vertical_gust_sd"]
+    assert list(back["manoeuvre"]) == ["one"] * 2 + ["two"] * 3
+    assert back["vertical_gust"].tolist() == [0.0, 1.0, 0.0, 0.5, 1.0]
+    assert back["vertical_gust_sd"].tolist() == [0.1, 0.6, 0.1, 0.35, 0.6]
+
+
+@pytest.mark.parametrize("markup", [True, False])
+def test_units_in_brackets_are_shown_whatever_a_console_takes_for_markup(markup):
+    shown = io.StringIO()
+    two_rows = Table([Column([1.0], terminal="V [m/s]"), Column([2.0], terminal="α [deg]")], "errors [SI]")
+    Console(file=shown, markup=markup, width=80).print(two_rows.terminal())
+    assert "V [m/s]" in shown.getvalue()
+    assert "errors [SI]" in shown.getvalue()
+    assert "\\" not in shown.getvalue()
+
+
+def test_parameters_come_in_the_canonical_order_and_a_user_s_where_it_says():
+    known = [p for effect in CATALOGUE.values() for p in effect.parameters]
+    assert ordered(["zeta", "Cma", "CD0", "tau1", "e"], known) == ["CD0", "e", "Cma", "tau1", "zeta"]
+    canonical = "CD0 e CDX CL0 CLa CLaM Cm0 Cma Cmq Cmde CmX a1 alpha_star tau1 tau2"
+    assert " ".join(ordered([p.name for p in known], known)[:15]) == canonical
+    own = Parameter("k", "1", 0.0, 0.0, "drag of the pod", Prior("normal", 0.0, 1.0), place=13)
+    known = [*CATALOGUE["induced_drag"].parameters, *CATALOGUE["attached_lift"].parameters, own]
+    assert ordered(["sigma", "CLa", "k", "e"], known) == ["e", "k", "CLa", "sigma"]
+
+
+@pytest.mark.parametrize("loses", [-1.5, -2.0])
+def test_manoeuvres_are_compared_one_by_one_and_a_loss_beyond_chance_is_said(loses):
+    gains = {(m, c): Compared(2.0, 1.0, 0.1, 0.05) for m in ("a", "b") for c in ("CL", "CD", "Cm")}
+    gains["b", "CD"] = Compared(loses, 1.0, -0.012, 0.015)
+    one = {c: Scores(0.9, 0.1, 0.1, 0.8) for c in ("CL", "CD", "Cm")}
+    scores = {(model, "hold_out", k): one for model in ("card", "extended") for k in range(2)}
+    table = page_table(holdout_table(HoldoutScores(("a", "b"), scores, gains, DEFAULT.hold_out)))
+    assert [row[:2] for row in table.rows] == [(m, c) for m in ("a", "b") for c in ("CL", "CD", "Cm")]
+    assert table.rows[4][2:] == ("0.800", "0.800", "-0.012 ± 0.015", f"{loses:+.1f} ± 1.0")
+    assert ("significantly (one-sided, 5 %) for CD of b." in table.note) == (loses < -1.645)
+
+
+def test_the_parameter_table_and_the_scatter_between_manoeuvres_by_hand(full, tmp_path):
+    table = parameter_table(full).frame()
+    assert list(table.index) == ["CD0", "CL0", "CLa", "Cm0", "Cma", "Cmde"]
+    row = table.loc["Cma"]
+    assert row["unit"] == "1/rad"
+    expected = {
+        "estimate": -0.5,
+        "crb": 0.01,
+        "crb_corrected": 0.04,
+        "white_mean": -0.5,
+        "white_sd": 0.01,
+        "emcee_mean": -0.2,  # 30 bounds of 0.01 above
+        "emcee_sd": 0.02,
+        "emcee_ci95_low": -0.2 - 1.96 * 0.02,
+        "emcee_ci95_high": -0.2 + 1.96 * 0.02,
+        "nuts_mean": -0.2,
+        "nuts_sd": 0.02,
+        "flight1_estimate": -0.5,
+        "flight2_crb": 0.01,
+        "between_manoeuvres_sd": 0.0,
+    }
+    for column, value in expected.items():
+        assert row[column] == pytest.approx(value, abs=1e-12), column
+    row = parameter_table(full).frame().loc["Cmde"]
+    assert row["flight1_estimate"] == pytest.approx(-0.8)
+    assert row["flight2_estimate"] == pytest.approx(-1.4)  # 60 bounds of 0.01 below
+    assert row["between_manoeuvres_sd"] == pytest.approx(0.6 / np.sqrt(2.0))
+    assert row["largest_difference_in_crb"] == pytest.approx(60.0 / np.sqrt(2.0))
+    back = pd.read_csv(write_csv(parameter_table(full), tmp_path / "parameters.csv"), index_col="parameter")
+    pd.testing.assert_frame_equal(back, parameter_table(full).frame(), check_dtype=False, rtol=1e-15)
+
+
+def test_a_stage_that_has_not_run_has_no_columns_and_chosen_white_noise_fills_both_places(make):
+    table = parameter_table(make(manoeuvres=1, engines=(), gp=False)).frame()
+    assert list(table.columns) == ["unit", "estimate", "crb", "crb_corrected"]
+    assert len(parameter_table(make(engines=("emcee",), gp=False)).frame().filter(like="nuts").columns) == 0
+    row = parameter_table(make(noise=Colour.WHITE, engines=("emcee", "nuts"), width=1.1)).frame().loc["CL0"]
+    assert row["white_sd"] == row["emcee_sd"] == pytest.approx(0.011)
+
+
+def test_validation_table(full, make):
+    table = validation_table(full).frame()
+    folds = {"random": {"all"}, "block": {"all"}, "manoeuvre": {"1", "2", "all"}}
+    for split, names in folds.items():
+        assert set(table.loc[split].index.get_level_values("fold")) == names
+    row = table.loc[("random", "all", "CD")]
+    v = full.gp.splits["random"][0]["CD"]
+    assert row["points"] == len(v.test)
+    assert row["gpr_rmse"] == pytest.approx(np.sqrt(np.mean((v.measured - v.gp) ** 2)))
+    assert row["mle_r"] == pytest.approx(np.corrcoef(v.measured, v.mle)[0, 1])
+    assert tuple(row[["gpr_coverage50", "gpr_coverage90", "gpr_coverage95", "gpr_k_hat"]]) == (0.52, 0.88, 0.94, 0.4)
+    both = table.loc[("manoeuvre", "all", "CL")]
+    parts = [fold["CL"] for fold in full.gp.splits["manoeuvre"]]
+    errors = np.concatenate([p.measured - p.gp for p in parts])
+    assert both["points"] == full.observations.n
+    assert both["gpr_rmse"] == pytest.approx(np.sqrt(np.mean(errors**2)))
+    assert validation_table(make(gp=False)).frame().empty
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_the_terminal_table_fits_80_columns(count, make):
+    text = printed(parameter_table(make(manoeuvres=count, corrected=4.0)))
+    assert max(map(len, text.splitlines())) <= 80
+    row = next(line for line in text.splitlines() if line.startswith("Cma"))
+    holds(row, "-0.500(10)", "0.04")
+    assert ("flight2" in text) == (count == 2)
+
+
+def test_a_simulated_run_shows_what_was_flown(make):
+    run = replace(make(corrected=4.0), truth={"Cma": -0.512})
+    text = printed(parameter_table(run))
+    assert "-0.512 -0.500(10)" in next(line for line in text.splitlines() if line.startswith("Cma"))
+    assert max(map(len, text.splitlines())) <= 80
+    table = parameter_table(run).frame()
+    assert table.loc["Cma", "flown"] == -0.512
+    assert np.isnan(table.loc["CLa", "flown"])
+    assert "flown" not in parameter_table(make()).frame()
+
+
+def test_a_manoeuvre_that_identifies_nothing_alone_shows_no_numbers(make):
+    run = make()
+    run.alone["flight2"] = replace(run.alone["flight2"], status=MleStatus.STALL_NOT_IDENTIFIED)
+    assert printed(parameter_table(run)).count("-0.500(10)") == 3  # maximum likelihood, emcee, flight1
+    assert scatter(run, "Cma") is None
+    assert np.isnan(parameter_table(run).frame().loc["Cma", "between_manoeuvres_sd"])
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [(-0.39102, 0.0159, "-0.391(16)"), (23.716, 1.5, "23.7(15)"), (120.4, 35.0, "120(35)"), (1.5, np.nan, "1.5")],
+)
+def test_concise_numbers(value, sd, text):
+    assert concise(value, sd) == text
+
+
+def marginal(mean, sd):
+    return Marginal(mean, sd, (mean - 2.0 * sd, mean + 2.0 * sd), 900.0, 800.0, 1.001)
+
+
+@pytest.fixture
+def pooled(full):
+    """Two manoeuvres; the second says nothing of Cmde. The joint fit has corrected standard errors of 0.01 or more."""
+    names = full.mle.names
+    both = ("flight1", "flight2")
+    own = {"flight1": dict.fromkeys(names, (1.0, 0.1)), "flight2": {n: (1.2, 0.2) for n in names if n != "Cmde"}}
+    found = NextFlight(
+        parameters=full.mle.parameters,
+        manoeuvres=both,
+        alone=own,
+        pooled={m: dict.fromkeys(names, marginal(1.1, 0.05)) for m in both},
+        aircraft=dict.fromkeys(names, marginal(1.15, 0.1)),
+        scatter=dict.fromkeys(names, marginal(0.3, 0.1)),
+        following=dict.fromkeys(names, marginal(1.15, 0.4)),
+        narrowed={n: 0.9 if n in ("CLa", "Cmde") else 0.3 for n in names},
+        undetermined={"Cmde": ("flight2",)},
+        left_out={"flight3": "stopped"},
+        tree=xr.DataTree(),
+        status=PosteriorStatus.CONVERGED,
+        seconds=1.0,
+    )
+    found.tree.attrs["likelihood"] = "normal approximation"
+    return replace(full, next_flight=found)
+
+
+def test_a_file_has_all_and_a_page_what_it_has_room_for(pooled):
+    table = next_flight_table(pooled)
+    row = table.frame().loc["Cmde"]
+    assert row["flight1_alone"] == 1.0
+    assert np.isnan(row["flight2_alone"])
+    assert (row["flight2_pooled"], row["flight2_pooled_sd"]) == (1.1, 0.05)
+    assert (row["next_flight_ci95_low"], row["next_flight_ci95_high"]) == pytest.approx((0.35, 1.95))
+    assert (row["scatter"], row["scatter_over_prior"]) == (0.3, 0.9)
+    assert row["joint"] == pooled.mle.estimate[pooled.mle.names.index("Cmde")]
+    page = page_table(table)
+    (cells,) = [r for r in page.rows if r[0].startswith("Cmde")]
+    pooled_again = "1.100 ± 0.050"
+    assert cells[2:5] == ("1.00 ± 0.10", pooled_again, "–")
+    assert cells[5:] == (pooled_again, "1.15 ± 0.10", "0.1 to 0.5", "0.35 to 1.95", "0.90")
+
+
+def test_it_is_said_how_little_two_manoeuvres_show_and_what_has_not_converged(pooled):
+    """0.45 and 32: square roots of one over chi-square of one degree of freedom at 97.5 and 2.5 %."""
+    said = " ".join(next_flight_sentences(pooled))
+    holds(said, "normal approximation", "0.45 to 32", "CLa and Cmde", "flight2 does not determine Cmde", "flight3")
+    holds(said, "stopped")
+    assert "NUTS" not in said
+    failed = replace(pooled, next_flight=replace(pooled.next_flight, status=PosteriorStatus.DIVERGENT))
+    assert PosteriorStatus.DIVERGENT.value in next_flight_sentences(failed)[-1]
+
+
+def test_the_figure_has_a_line_for_each_fit(pooled, full):
+    figure = next_flight(pooled)
+    labels = [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
+    both = ["flight1 alone", "flight1 pooled", "flight2 alone", "flight2 pooled"]
+    assert labels == ["joint fit", *both, "aircraft", "next flight"]
+    with pytest.raises(NotDrawn):
+        next_flight(full)
+
+
+def test_json_and_python_have_the_same_numbers(pooled, full):
+    found = results(pooled, [], {})["next_flight"]
+    assert found["likelihood"] == "normal approximation"
+    one = found["parameters"]["Cmde"]
+    assert one["undetermined"] == ["flight2"]
+    assert set(one["alone"]) == {"flight1"}
+    row = ba.Fit(pooled).next_flight().loc["Cmde"]
+    assert list(one["next_flight"]["ci95"]) == [row["next_flight_ci95_low"], row["next_flight_ci95_high"]]
+    with pytest.raises(ba.InputError, match="not pooled yet"):
+        ba.Fit(full).next_flight()
