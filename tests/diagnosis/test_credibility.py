@@ -1,14 +1,12 @@
 """Causes that the verdict may rest on, sizes that no aircraft has, terms that cancel, and names too many."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
 import six_axes
+from parts import cause, part
 from stranger_six import Plane, drawn, fly
-from test_mixing import part
 
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -20,7 +18,7 @@ from bayes_aero.diagnosis.diagnose import (
     structure_of,
     verdict_of,
 )
-from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
+from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
@@ -48,13 +46,6 @@ from bayes_aero.simulate.injection import hidden_records
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
 LEFT = (UnexplainedStructure("Cm", "phi", 0.2, 0.01),)
-
-
-def cause(name="thrust_scale", mean=-0.08, sd=0.01, **given) -> Cause:
-    parameters = {p.name: Size(mean, sd, p.unit) for p in CATALOGUE[name].parameters}
-    gain = Gain(1.0, 1.0, "manoeuvre", {}, {})
-    rest = {"probability": 0.9, "p_value": 0.01, "ambiguous_with": ()} | given
-    return Cause(name, "propulsion", CATALOGUE[name].claim, "coefficients", parameters=parameters, gain=gain, **rest)
 
 
 def test_the_verdict_rests_on_what_is_confirmed_and_likely():

@@ -1,17 +1,14 @@
 """Every decision of a diagnosis follows from the number that is cited for it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from parts import cause, part
 from scipy.special import erfc
 from scipy.stats import norm
-from test_credibility import cause
-from test_mixing import part
 
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis.candidate_set import CandidateModel

@@ -1,6 +1,4 @@
-"""A flight in gusts, by a simulator that shares no code: the filter finds the gusts, and the search what is hidden."""
-
-from __future__ import annotations
+"""Flights in gusts: what the filter finds, and where process noise is estimated."""
 
 from dataclasses import replace
 
@@ -10,6 +8,7 @@ import six_axes as six
 import stranger_six
 from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 
+from bayes_aero.diagnosis import diagnose as diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
 from bayes_aero.diagnosis.search import search_innovations as searched
@@ -17,8 +16,10 @@ from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.disturbed import GUSTS
+from bayes_aero.jobs import fly as job
 from bayes_aero.model.model import Model
 
+# A flight in gusts, by a simulator that shares no code: the filter finds the gusts, and the search what is hidden
 HIDDEN, SEED = -3.0, 5  # Cma2, 1/rad2
 
 
@@ -139,3 +140,48 @@ def test_coloured_innovations_leave_the_error_unexplained(lag, found, verdict):
     noise = NoiseReport({"alpha": lag, "q": 0.0}, {}, {"alpha": 1.0, "q": 1.0}, {}, of_innovations=True)
     assert as_white(found, noise) is verdict
     assert as_white(found, replace(noise, of_innovations=False)) is found
+
+
+# Process noise is estimated where a record is in gusts, unless the user decides
+OUTPUTS = "airspeed,alpha,theta,q,ax,az"
+CALM, GUSTY = {"w": 0.0, "u": 0.0}, {"w": 1.0, "u": 1.0}
+DECISIONS = [(GUSTY, None, True), (CALM, None, False), (GUSTY, False, False), (CALM, True, True)]
+
+
+@pytest.fixture(scope="module")
+def card():
+    return read_card("hfb320")
+
+
+class SearchedError(Exception):
+    """Ends the diagnosis where its search begins."""
+
+
+@pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
+def test_a_diagnosis_compares_with_innovations_in_gusts(card, monkeypatch, gust, given, expected):
+    def begun(name):
+        def search(*_, **__):
+            raise SearchedError(name)
+
+        return search
+
+    for name in ("search_innovations", "search_coefficients", "search_trajectories"):
+        monkeypatch.setattr(diagnosis, name, begun(name))
+    with pytest.raises(SearchedError) as found:
+        diagnosis.diagnose([gusty_flight(4, gust=gust, seconds=20.0)], card, process_noise=given)
+    assert (str(found.value) == "search_innovations") is expected
+
+
+@pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
+def test_a_fit_to_trajectories_has_process_noise_in_gusts(card, monkeypatch, gust, given, expected):
+    filtered = []
+
+    def instead(_, options, *__):
+        filtered.append(options.filtered)
+        return (None, None), ()
+
+    monkeypatch.setattr(job, "process_noise", instead)
+    found = job.fly([gusty_flight(4, gust=gust, seconds=20.0)], card, process_noise=given, outputs=OUTPUTS)
+    assert filtered == [expected]
+    asked = expected and given is None
+    assert found.sentences[0].startswith("The flight path alone, without aerodynamics, shows gusts") is asked

@@ -1,11 +1,13 @@
-"""Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is."""
+"""Errors of sensors without an altitude, and where flow-angle sensors sit."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_mixing import part
+import six_axes
+from parts import part
+from stranger_six import drawn, fly
 
 from bayes_aero.api import read
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -20,15 +22,18 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
 from bayes_aero.report.text.consistency import consistency_sentences, open_sentences
 from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
-from bayes_aero.simulate.injection import flyable
+from bayes_aero.simulate.injection import flyable, hidden_records
 
+# Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is
 G = 9.80665
 NOISE = {"ax": 0.01, "az": 0.02, "q": 2e-4, "theta": 5e-4, "alpha": 5e-4, "airspeed": 0.1}
 
@@ -259,3 +264,72 @@ def test_an_error_that_a_diagnosis_is_sure_of_is_not_undecided(card, monkeypatch
 
 def undecided(name: str, imitator: str) -> OpenError:
     return OpenError(name=name, unit="1", mean=0.1, sd=0.01, among=0.1, asked=False, imitators=(imitator,), share=0.99)
+
+
+# Flow-angle sensors on a boom, hidden in simulated stalls: told from a lag, sized, and moved back by a card
+BOOM, LAG = 13.08, 0.15  # m, s: at 80 m/s x/V is .16 s, so that each is what the other would pretend to be
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(("name", "true"), [("vane_position", BOOM), ("alpha_delay", LAG)])
+def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
+    """By kinematics alone: no aerodynamics enters, and each is the other's nearest rival."""
+    records = hidden_records({name: {name: true}}, seed=620, noise="ar1", seconds=90.0)
+    found = screen_sensor_errors(records, card)
+    assert found.causes == (name,)
+    size = found.sizes[name]
+    assert abs(size.mean - true) < 3.0 * size.sd
+    assert 1.96 * size.sd < 0.15 * true
+
+
+AT = 3.0  # m from where the card says
+BESIDE = {  # what a lateral sensor adds that is elsewhere or late, of a flight's channels and its angular accelerations
+    "sideslip_vane_position": (6.0, lambda f, _: {"beta": f["beta"] + 6.0 * f["r"] / f["airspeed"]}),
+    "sideslip_vane_height": (2.0, lambda f, _: {"beta": f["beta"] + 2.0 * f["p"] / f["airspeed"]}),
+    "sideslip_delay": (0.1, lambda f, _: {"beta": np.interp(f["time"] - 0.1, f["time"], f["beta"])}),
+    "sideslip_scale": (0.15, lambda f, _: {"beta": 1.15 * f["beta"]}),
+    "accel_y_position": (AT, lambda f, dot: {"ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"])}),
+    "accelerometer_position": (AT, lambda f, dot: {
+        "ax": f["ax"] - AT * (f["q"] ** 2 + f["r"] ** 2),
+        "ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"]),
+        "az": f["az"] + AT * (f["p"] * f["r"] - dot["q"]),
+    }),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [None, *BESIDE])
+def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
+    """By kinematics, in flights of a simulator that shares no code: velocities and accelerations of a rigid body."""
+    rng = np.random.default_rng(41)
+    plane = drawn(rng, **six_axes.ATTACHED)
+    path = tmp_path / "another.toml"
+    path.write_text(six_axes.card_text(plane), encoding="utf-8")
+    records = []
+    for kind in ("aileron", "rudder", "elevator"):
+        flight = fly(plane, kind, rng)
+        dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
+        flight |= BESIDE[name][1](flight, dot) if name else {}
+        records.append(six_axes.record(kind, flight, rng))
+    found = screen_sensor_errors(records, read_card(str(path)))
+    assert found.causes == (() if name is None else (name,))
+    if name is not None:
+        size = found.sizes[name]
+        assert abs(size.mean - BESIDE[name][0]) < 3.0 * size.sd
+        assert size.sd < 0.1 * BESIDE[name][0]
+
+
+def test_a_card_that_states_the_boom_has_the_coefficients_of_the_cg(card, model, clean_records):
+    """A record of the CG moved to the boom by hand, and back by the card's fixed parameter."""
+    clean = clean_records[0]
+    wrong = dict(clean.channels)
+    wrong["alpha"] = clean["alpha"] - BOOM * clean["q"] / clean["airspeed"]
+    wrong["beta"] = clean["beta"] + BOOM * clean["r"] / clean["airspeed"]
+    boom = FlightRecord.from_arrays(clean.name, clean.time, wrong)
+    stated = Model.of([*card.effects, "vane_position"], {**card.fixed, "vane_position": BOOM})
+    at_cg, uncorrected, found = (
+        np.asarray(observe([record], card, m).signals["alpha_dot"])
+        for record, m in ((clean, model), (boom, model), (boom, stated))
+    )
+    moved = np.std(uncorrected - at_cg)
+    assert moved > 0.1 * np.std(at_cg)
+    assert np.std(found - at_cg) < 0.02 * moved

@@ -4,8 +4,6 @@ Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015. Published are
 record is corrected to the centre of gravity by effects of the catalogue.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

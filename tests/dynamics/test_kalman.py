@@ -1,6 +1,4 @@
-"""The extended Kalman filter against another library, finite differences and closed forms."""
-
-from __future__ import annotations
+"""The extended Kalman filter and its derivatives against another library, differences and closed forms."""
 
 import equinox as eqx
 import jax
@@ -19,9 +17,12 @@ from bayes_aero.dynamics.filtering.kalman import (
     log_likelihood,
     smooth,
 )
+from bayes_aero.dynamics.filtering.linear_innovations import Disturbances, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.filtering.linearised import Linearised
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
 
+# The extended Kalman filter against another library, finite differences and closed forms
 DT, N = 0.04, 400
 F = np.array([0.3, 0.05])
 R = np.array([0.02, 0.004, 0.1]) ** 2
@@ -190,3 +191,52 @@ def test_gathered_noise_has_the_derivative_of_finite_differences():
 
     for m in range(2):
         np.testing.assert_allclose(found[..., m], (at(step, m) - at(-step, m)) / (2.0 * step), rtol=1e-7, atol=1e-10)
+
+
+# Derivatives of the linearised filter against automatic differentiation and finite differences
+W, SAMPLES, S, C, M = 2, 40, 3, 4, 5  # segments, samples, states, outputs, directions
+STEPS = jnp.array([0.04, 0.05])
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Segments with missing samples and a state that is a process of its own; noise, and directions of it."""
+    rng = np.random.default_rng(20)
+    normal = lambda *shape: jnp.asarray(rng.normal(size=shape))
+    residual = jnp.where(jnp.asarray(rng.random((W, SAMPLES, C)) < 0.2), jnp.nan, normal(W, SAMPLES, C))
+    lin = Linearised(
+        0.1 * normal(W, SAMPLES, S),
+        0.1 * normal(W, SAMPLES, S),
+        0.1 * normal(W, SAMPLES, S),
+        0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S),
+        jnp.zeros((W, SAMPLES, S, 0)),
+        residual,
+        normal(W, SAMPLES, C, S),
+        jnp.zeros((W, SAMPLES, C, 0)),
+        0.1 * normal(W, S),
+        jnp.zeros((W, S, 0)),
+        1.0 + 0.1 * jnp.abs(normal(W, SAMPLES, C)),
+        jnp.zeros((W, SAMPLES, C, 0)),
+    )
+    decay = jnp.zeros((W, SAMPLES, S)).at[..., 2].set(0.5)
+    noise = Disturbances(
+        jnp.abs(normal(W, SAMPLES, S)), 0.1 + jnp.abs(normal(W, SAMPLES, C)), jnp.eye(S) + jnp.zeros((W, S, S)), decay
+    )
+    start = normal(W, S, S, M)
+    slopes = Disturbances(
+        normal(W, SAMPLES, S, M),
+        normal(W, SAMPLES, C, M),
+        start + jnp.swapaxes(start, 1, 2),
+        jnp.zeros((W, SAMPLES, S, M)).at[..., 2, :].set(normal(W, SAMPLES, M)),
+    )
+    return lin, noise, slopes
+
+
+def test_the_derivative_by_the_noise_is_that_of_forward_differentiation(drawn):
+    lin, noise, slopes = drawn
+    found = noise_derivatives(lin, noise, slopes, STEPS)
+    for m in range(M):
+        along = Disturbances(*(x[..., m] for x in slopes))
+        _, (e, variance) = jax.jvp(lambda noise: linear_innovations(lin, noise, STEPS), (noise,), (along,))
+        np.testing.assert_allclose(found[0][..., m], e[..., 0], atol=1e-11)
+        np.testing.assert_allclose(found[1][..., m], variance, atol=1e-11)

@@ -1,7 +1,5 @@
 """Modes of motion against textbooks, closed forms and a simulator that shares no code."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import six_axes as six

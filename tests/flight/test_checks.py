@@ -72,10 +72,7 @@ CASES = {
         {"alpha": np.full(120, 0.09)},
         ("channel alpha", "stays at 0.09 rad", "sample 0 ", "sample 119 ", "check the sensor"),
     ),
-    "g": (
-        {"ax": 0.1 + 0 * T, "ay": 0 * T, "az": -1.0 - 0.1 * np.sin(T)},
-        ("ax, ay, az", "sample ", 'unit = "g"'),
-    ),
+    "g": ({"ax": 0.1 + 0 * T, "ay": 0 * T, "az": -1.0 - 0.1 * np.sin(T)}, ("ax, ay, az", "sample ", 'unit = "g"')),
 }
 
 

@@ -9,7 +9,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from flight.format_samples import dataflash, spoilt, ulog
+from flight_samples import dataflash, spoilt, ulog
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel

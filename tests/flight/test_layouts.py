@@ -1,6 +1,6 @@
-"""Text files as loggers write them: every layout is read as the same record, or refused in words that help."""
+"""Text files as loggers write them: layouts, quoted cells and headings, read alike or refused in words that help."""
 
-from __future__ import annotations
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,13 +8,16 @@ import pytest
 from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers.clock import seconds
 from bayes_aero.flight.readers.layout import laid_out, separator_of
 from bayes_aero.flight.readers.numbers import Marks, marks_of, number_of
 from bayes_aero.flight.reading.raw import read_raw
 from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.jobs.card.column_inference import guessed
 
+# Text files as loggers write them: every layout is read as the same record, or refused in words that help
 LABELS = [channel.heading for channel in CHANNELS]
 
 
@@ -235,3 +238,137 @@ def test_a_table_of_two_columns():
     layout = laid_out(lines, separator_of(lines))
     assert [h.names for h in layout.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
     assert len(layout.body) == 50
+
+
+# CSV files with quoted cells that hold the separator: headings, decimal commas, and what cannot be told
+QUOTED = (Channel("time", "s", "T"), Channel("alpha", "deg", "alpha, left vane"), Channel("altitude", "m", "H"))
+
+
+def quoted_file(folder):
+    """Commas between 60 rows' cells, and decimal ones within quotes."""
+    rows = [f'"{0.04 * i:.2f}","{0.5 + 0.01 * i:.2f}","{5000 + i}"' for i in range(60)]
+    path = folder / "quoted.csv"
+    path.write_text("\n".join(['T,"alpha, left vane",H', *(row.replace(".", ",") for row in rows)]))
+    return path
+
+
+def test_a_header_and_numbers_with_commas_in_quotes(tmp_path):
+    record = read_record(quoted_file(tmp_path), QUOTED)
+    np.testing.assert_allclose(record.time, 0.04 * np.arange(60), atol=1e-12)
+    np.testing.assert_allclose(record["alpha"], np.deg2rad(0.5 + 0.01 * np.arange(60)), rtol=1e-12)
+    assert record["altitude"][-1] == 5059.0
+    labels = [column.label for column in read_raw(tmp_path / "quoted.csv").columns]
+    assert labels == ["T", "alpha, left vane", "H"]
+
+
+def test_thousands_are_never_taken_for_decimals(tmp_path):
+    """ "5,000" is five thousand where points stand before decimals, and cannot be told where nothing else speaks."""
+    path = quoted_file(tmp_path)
+    rows = path.read_text().splitlines()
+    points = [re.sub(r'"(\d),', r'"\1.', row).replace('"50', '"5,0') for row in rows[1:]]
+    path.write_text("\n".join([rows[0], *points]))
+    assert read_record(path, QUOTED)["altitude"][0] == 5000.0
+    path.write_text("\n".join(["T,H", *(f'{i},"5,{i:03d}"' for i in range(60))]))
+    told(path, (QUOTED[0], QUOTED[2]), "'5,059'", "decimal comma", "thousands")
+    path.write_text("\n".join(["T,H", *(f'{i},"0,{i:03d}"' for i in range(60))]))  # no thousands begin with 0
+    assert read_record(path, (QUOTED[0], QUOTED[2]))["altitude"][59] == 0.059
+
+
+@pytest.mark.parametrize("row", [0, 1, 30, 60])
+def test_a_quote_that_is_not_closed(tmp_path, row):
+    path = quoted_file(tmp_path)
+    lines = path.read_text().splitlines()
+    at = lines[row].rindex('"')
+    lines[row] = lines[row][:at] + lines[row][at + 1 :]
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, f"line {row + 1} has a quote that is not closed", "close it")
+
+
+def test_errors_in_quoted_files_name_the_column_in_the_file(tmp_path):
+    path = quoted_file(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[20] = '"0,76","a, b",5019'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "channel alpha", "line 21", "column 2", "sample 19")
+    lines[20] = '"0,76","0,69"'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "line 21", "2 columns where 3")
+
+
+# Headings of files that nobody here has written
+@pytest.mark.parametrize(
+    ("heading", "channel", "unit"),
+    [
+        ("Q gyro [deg/s]", "q", "deg/s"),
+        ("NZ up [g]", "az", "g"),
+        ("Pitch Att [deg]", "theta", "deg"),
+        ("measured AoA (deg)", "alpha", "deg"),
+        ("TAS (kn)", "airspeed", "kt"),
+        ("ADC_TAS_KT", "airspeed", "kt"),
+        ("BOOM_AOA_DEG", "alpha", "deg"),
+        ("INS_PITCH_DEG", "theta", "deg"),
+        ("INS_Q [deg/s]", "q", "deg/s"),
+        ("INS_NZ_G", "az", "g"),
+        ("UTC_SEC", "time", "s"),
+        ("ENG_THRUST_LBF", "thrust", "lbf"),
+        ("AirspeedTrue_kt", "airspeed", "kt"),
+        ("Normal Accel [g]", "az", "g"),
+        ("P_RATE", "p", None),
+    ],
+)
+def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
+    key, found = split_heading(plain_heading(heading))
+    assert (ALIASES.get(key), found) == (channel, unit)
+
+
+@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor", "ADC_RAW"])
+def test_a_heading_of_such_words_alone_stays(heading):
+    assert plain_heading(heading) == heading
+
+
+@pytest.mark.parametrize(
+    ("heading", "symbol"),
+    [
+        ("Long. Load Factor nx [g]", "nx"),
+        ("Boom No. 2 AoA (deg)", "aoa"),
+        ("ADC1_TAS", "tas"),
+        ("No2_AoA_deg", "aoa"),
+        ("Commanded theta [deg]", None),
+        ("alpha limit [deg]", None),
+        ("", None),
+    ],
+)
+def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
+    assert symbol_of(heading) == symbol
+    assert symbol is None or symbol in ALIASES
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "whole"),
+    [
+        ("AileronL [deg]", "AileronR [deg]", "aileron"),
+        ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
+        ("SpoilerL", "SpoilerR", "spoiler"),
+        ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
+        ("Left Elevon", "Right Elevon", "elevon"),
+        ("ThrottleL", "ThrottleR", "throttle"),
+    ],
+)
+def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
+    """The left aileron alone is no aileron: it would be half of it, with the other sign."""
+    path = tmp_path / "run.csv"
+    path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
+    found, _ = guessed(read_raw(path).columns)
+    assert {name: guess.column.number for name, guess in found.items()} == {
+        "time": 1,
+        f"{whole}_right": 2,
+        f"{whole}_left": 3,
+    }
+
+
+def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [s],elevator_cmd [deg]\n" + "\n".join(f"{0.1 * i:.1f},{i}" for i in range(60)))
+    found, unknown = guessed(read_raw(path).columns)
+    assert list(found) == ["time"]
+    assert [column.label for column in unknown] == ["elevator_cmd [deg]"]

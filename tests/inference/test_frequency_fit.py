@@ -1,7 +1,5 @@
 """Fits in a band: exact transforms, recovery of known truths, bounds against scatter, and what drift does to them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import equinox as eqx
@@ -25,6 +23,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, Priors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
@@ -34,6 +33,7 @@ from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
+# Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
 
 
@@ -394,3 +394,28 @@ def test_cramer_rao_intervals_cover_the_truth():
 def fit_crb(found, own):
     """Cramer-Rao deviations of the parameters `own`, from the data's information alone."""
     return np.sqrt(np.diag(np.linalg.inv(found.information[np.ix_(own, own)])))
+
+
+# The linear cards that are shipped: from their starts to the truth of flights by the matrix exponential
+SHIPPED_NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003}
+SPEED = 90.0  # m/s, of the flight by which az follows alpha
+TRUTH = {
+    "short_period": SHORT_PERIOD_TRUTH
+    | {"azalpha": SPEED * SHORT_PERIOD_TRUTH["Zalpha"], "azde": SPEED * SHORT_PERIOD_TRUTH["Zde"]},
+    "lateral": LATERAL_TRUTH | {"Nda": 0.0},
+}
+FLIGHT = {"short_period": short_period_flight, "lateral": lateral_flight}
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_it_recovers_the_truth(name):
+    card, truth = read_card(name), TRUTH[name]
+    dynamics = linear_dynamics(card)
+    channels = {c.name for c in card.channels}
+    true = {k: x for k, x in FLIGHT[name](truth).items() if k in channels}
+    record = record_of(true, 0.04, SHIPPED_NOISE, np.random.default_rng(5))
+    found = fit_output_error(segments(join([record], card, dynamics.inputs), dynamics))
+    assert found.status is OutputErrorStatus.CONVERGED
+    assert set(found.names) == set(truth)
+    off = (found.estimate - np.array([truth[n] for n in found.names])) / found.sd
+    assert np.all(np.abs(off) < 4.0), dict(zip(found.names, off, strict=True))

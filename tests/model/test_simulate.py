@@ -1,7 +1,5 @@
 """The simulated flight against flight mechanics that was not taken from the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax
@@ -12,6 +10,7 @@ import pytest
 from bayes_aero.dynamics.simulated.manoeuvres import ramps
 from bayes_aero.dynamics.simulated.plant import INPUTS, FlightState, Plant
 from bayes_aero.dynamics.simulated.simulate import Pilot, fly
+from bayes_aero.dynamics.simulated.steady import conditions
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -20,6 +19,7 @@ from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import PROFILES, TRUTH
 
+# The simulated flight against flight mechanics that was not taken from the simulator
 DT = 0.04
 N = 2001
 INNER = slice(20, -20)
@@ -185,3 +185,18 @@ def test_coefficients_come_back_with_lateral_motion(card, stall):
     for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
         error = np.asarray(getattr(found, name) - stall[name])[INNER]
         assert np.sqrt(np.mean(error**2)) < limit, name
+
+
+# Conditions of the stall, from signals made by hand
+def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
+    """Lift peaks in the first tenth; the angle of attack in the last, with the elevator pulled further."""
+    n = 100
+    alpha, elevator, az = np.full(n, 0.1), np.full(n, -0.05), np.full(n, -9.8)
+    az[:10], elevator[:10] = -12.0, -0.15
+    alpha[-10:], elevator[-10:] = 0.4, -0.28
+    signals = {"alpha": alpha, "elevator": elevator, "az": az, "density": np.full(n, 1.0), "airspeed": np.full(n, 50.0)}
+    held = conditions(signals | {"q": np.full(n, 0.3)})
+    assert held["elevator"] == pytest.approx(-0.15)
+    assert held["q"] == 0.0
+    without = {name: x for name, x in signals.items() if name != "az"}
+    assert conditions(without)["elevator"] == pytest.approx(-0.28)

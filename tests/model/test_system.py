@@ -1,7 +1,5 @@
 """The simulation against closed forms, balances of momentum and energy, and the coefficients taken apart again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
