@@ -55,21 +55,18 @@ def test_stand_ins_are_no_candidates_but_serve_on_a_card(card, model, clean_reco
 WAVE = np.sin(np.linspace(0.0, 9.0, 200))
 
 
-@pytest.mark.parametrize(
-    ("channels", "effect", "why"),
-    [
-        ({}, "thrust_moment", None),  # density and thrust stand still: T/(qbar S) moves with the airspeed
-        ({}, "thrust_lift", None),
-        ({"airspeed": 80.0}, "thrust_lift", "channel thrust, density, airspeed does not move in this record"),
-        ({"airspeed": 80.0, "thrust": 9e3 + WAVE}, "thrust_moment", None),
-        ({"thrust": 0.0}, "thrust_moment", "channel thrust, density does not move in this record"),
-        ({"spoiler_left": 0.0, "spoiler_right": 0.1 * WAVE}, "spoiler_lift", None),
-        ({"spoiler_left": 0.0, "spoiler_right": 0.1}, "spoiler_lift", "does not move"),
-        ({"mach": 0.3}, "mach_lift", "channel mach does not move in this record"),  # the slope CLa says it already
-        ({"canard": 0.1 * WAVE}, "canard_moment", None),
-        ({"flap": 0.3}, "flap_lift", "channel flap does not move in this record"),
-    ],
-)
+@pytest.mark.parametrize(("channels", "effect", "why"), [
+    ({}, "thrust_moment", None),  # density and thrust stand still: T/(qbar S) moves with the airspeed
+    ({}, "thrust_lift", None),
+    ({"airspeed": 80.0}, "thrust_lift", "channel thrust, density, airspeed does not move in this record"),
+    ({"airspeed": 80.0, "thrust": 9e3 + WAVE}, "thrust_moment", None),
+    ({"thrust": 0.0}, "thrust_moment", "channel thrust, density does not move in this record"),
+    ({"spoiler_left": 0.0, "spoiler_right": 0.1 * WAVE}, "spoiler_lift", None),
+    ({"spoiler_left": 0.0, "spoiler_right": 0.1}, "spoiler_lift", "does not move"),
+    ({"mach": 0.3}, "mach_lift", "channel mach does not move in this record"),  # the slope CLa says it already
+    ({"canard": 0.1 * WAVE}, "canard_moment", None),
+    ({"flap": 0.3}, "flap_lift", "channel flap does not move in this record"),
+])  # fmt: skip
 def test_an_effect_can_be_tested_where_what_it_acts_through_moves(card, channels, effect, why):
     base = {
         "alpha": 0.1 + 0.05 * WAVE, "q": 0.05 * WAVE, "airspeed": 80.0 + 5.0 * WAVE, "elevator": -0.05 * WAVE,

@@ -86,14 +86,11 @@ class Told:
         return {"CL": (1.0, 0.5), "Cm": self.of_Cm[name]}
 
 
-@pytest.mark.parametrize(
-    ("of_Cm", "kept"),
-    [
-        ((-223.0, 30.0), ("drag_offset",)),  # worse beyond noise, however much the others gain, and in first order
-        ((-20.0, 15.0), ("rudder_moment", "drag_offset")),  # worse, within noise
-        ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
-    ],
-)
+@pytest.mark.parametrize(("of_Cm", "kept"), [
+    ((-223.0, 30.0), ("drag_offset",)),  # worse beyond noise, however much the others gain, and in first order
+    ((-20.0, 15.0), ("rudder_moment", "drag_offset")),  # worse, within noise
+    ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
+])  # fmt: skip
 def test_a_cause_with_which_a_coefficient_is_predicted_worse_is_not_kept(of_Cm, kept):
     told = Told({"rudder_moment": (90.0, 5.0), "drag_offset": (80.0, 4.0)},
                 {"rudder_moment": of_Cm, "drag_offset": (0.0, 0.0)})  # fmt: skip
@@ -257,13 +254,10 @@ def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed,
 SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]
 
 
-@pytest.mark.parametrize(
-    "worse",
-    [
-        {"elpd": -30.0, "elpd_se": 5.0},  # loses beside the causes before it, though the others miss it
-        {"degraded": {"Cm": (-223.0, 30.0)}, "before": {"Cm": SCORES[0]}, "after": {"Cm": SCORES[1]}},
-    ],
-)
+@pytest.mark.parametrize("worse", [
+    {"elpd": -30.0, "elpd_se": 5.0},  # loses beside the causes before it, though the others miss it
+    {"degraded": {"Cm": (-223.0, 30.0)}, "before": {"Cm": SCORES[0]}, "after": {"Cm": SCORES[1]}},
+])  # fmt: skip
 def test_a_cause_that_loses_on_hold_out_data_is_not_confirmed_and_said_so(stated, diagnosed, worse):
     gain = replace(cause().gain, **worse)
     stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), gains_of={"thrust_scale": gain})

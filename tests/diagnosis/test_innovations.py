@@ -126,16 +126,11 @@ def test_what_the_filter_foresees_wholly_leaves_white_innovations(found):
     assert noise.coloured == ()
 
 
-@pytest.mark.parametrize(
-    ("lag", "found", "verdict"),
-    [
-        (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED),
-        (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
-        (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED),
-        (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
-        (0.86, Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
-    ],
-)
+@pytest.mark.parametrize(("lag", "found", "verdict"), [
+    (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED), (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
+    (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED), (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
+    (0.86, Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
+])  # fmt: skip
 def test_coloured_innovations_leave_the_error_unexplained(lag, found, verdict):
     noise = NoiseReport({"alpha": lag, "q": 0.0}, {}, {"alpha": 1.0, "q": 1.0}, {}, of_innovations=True)
     assert as_white(found, noise) is verdict

@@ -117,14 +117,10 @@ def misread(
     return FlightRecord.from_arrays("stall", np.asarray(flown.time), channels, "simulated")
 
 
-@pytest.mark.parametrize(
-    ("hidden", "name", "true"),
-    [
-        ({"pressure": -200.0}, "pitot_pressure_bias", -200.0),
-        ({"scale": 0.03}, "airspeed_scale", 0.03),
-        ({"bias": -3.0}, "airspeed_bias", -3.0),
-    ],
-)
+@pytest.mark.parametrize(("hidden", "name", "true"), [
+    ({"pressure": -200.0}, "pitot_pressure_bias", -200.0), ({"scale": 0.03}, "airspeed_scale", 0.03),
+    ({"bias": -3.0}, "airspeed_bias", -3.0),
+])  # fmt: skip
 def test_an_offset_of_the_pitot_line_is_none_of_the_airspeed(card, hidden, name, true):
     """rho V dV = dp: the three errors of the airspeed differ by how they go with speed."""
     known, _ = found_in(misread(card, **hidden), card)

@@ -155,11 +155,9 @@ def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
 # Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice that takes 5 % of the lift slope.
 HIDDEN = [("Cm0", 0.006, 63, "ar1")]
 MORE = [
-    ("CLaM", -0.8, 57, "buffet"),
-    ("Cm0", -0.003, 62, "buffet"),
-    ("CLaM", 0.8, 53, "white"),
+    ("CLaM", -0.8, 57, "buffet"), ("Cm0", -0.003, 62, "buffet"), ("CLaM", 0.8, 53, "white"),
     ("CLaM", -1.6, 58, "outliers"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.recovery
@@ -190,12 +188,9 @@ def test_in_the_silent_twin_nothing_changes(seed, card):
 
 HELD = (("thrust_moment", 42),)
 OTHERS = (
-    ("alpha_scale", 43),
-    ("pitch_rate_lift", 41),
-    ("separation_lag", 45),
-    ("mass_scale", 46),
+    ("alpha_scale", 43), ("pitch_rate_lift", 41), ("separation_lag", 45), ("mass_scale", 46),
     ("stabilizer_trim", 40),
-)
+)  # fmt: skip
 
 
 @pytest.mark.recovery

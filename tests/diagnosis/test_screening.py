@@ -221,16 +221,13 @@ def test_what_a_rudder_at_rest_takes_up_has_the_size_that_it_has_with_a_usual_ru
     assert sd == pytest.approx(WIDTH * held, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("held", "moves", "hidden"),
-    [
-        (0.0075, 0.02, 9e-4),  # it moves, and tells its derivative
-        (0.0, 0.0, 9e-4),  # neutral, it makes nothing
-        (1e-4, 0.0, 9e-4),  # so little aside that it would need a derivative that no rudder has
-        (0.0075, 0.0, 2e-4),  # what it takes up is not worth a name
-        (0.0075, 0.0, 0.02),  # nor is there so much on any aircraft
-    ],
-)
+@pytest.mark.parametrize(("held", "moves", "hidden"), [
+    (0.0075, 0.02, 9e-4),  # it moves, and tells its derivative
+    (0.0, 0.0, 9e-4),  # neutral, it makes nothing
+    (1e-4, 0.0, 9e-4),  # so little aside that it would need a derivative that no rudder has
+    (0.0075, 0.0, 2e-4),  # what it takes up is not worth a name
+    (0.0075, 0.0, 0.02),  # nor is there so much on any aircraft
+])  # fmt: skip
 def test_elsewhere_nothing_is_taken_up(held, moves, hidden):
     rudder = held + moves * np.sin(np.arange(SAMPLES) / 9.0)
     assert absorbed(fitted(rudder, hidden)) == ()

@@ -66,15 +66,12 @@ def terms(*, lateral=False, separated=True):
     return {t.name: t for t in found}
 
 
-@pytest.mark.parametrize(
-    ("factors", "name", "unit", "value"),
-    [
-        (("alpha", "alpha", "elevator"), "alpha^2 elevator", "1/rad^3", 0.1 * 0.1 * -0.2),
-        (("qhat", "(1 - X)"), "qhat (1 - X)", "1", 0.2 * 3.0 / 60.0 * 0.75),
-        (("phat", "aileron"), "phat aileron", "1/rad", 0.3 * 10.0 / 60.0 * 0.05),
-        (("CT",), "CT", "1", 5400.0 / (0.5 * 3600.0 * 60.0)),
-    ],
-)
+@pytest.mark.parametrize(("factors", "name", "unit", "value"), [
+    (("alpha", "alpha", "elevator"), "alpha^2 elevator", "1/rad^3", 0.1 * 0.1 * -0.2),
+    (("qhat", "(1 - X)"), "qhat (1 - X)", "1", 0.2 * 3.0 / 60.0 * 0.75),
+    (("phat", "aileron"), "phat aileron", "1/rad", 0.3 * 10.0 / 60.0 * 0.05),
+    (("CT",), "CT", "1", 5400.0 / (0.5 * 3600.0 * 60.0)),
+])  # fmt: skip
 def test_a_product_has_the_value_and_the_unit_of_its_factors(factors, name, unit, value):
     term = product(*factors)
     assert (term.name, term.unit) == (name, unit)
@@ -342,13 +339,9 @@ def test_a_term_of_six_degrees_of_freedom_is_foreseen_as_its_parameter(tmp_path)
 
 
 MORE = (
-    "sideslip_scale",
-    "bank_angle_bias",
-    "sideslip_vane_position",
-    "rudder_roll",
-    "sideslip_incidence",
+    "sideslip_scale", "bank_angle_bias", "sideslip_vane_position", "rudder_roll", "sideslip_incidence",
     "wing_lift_difference",
-)
+)  # fmt: skip
 
 
 def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say(tmp_path):

@@ -68,13 +68,10 @@ def with_process_noise(CLa: tuple[float, float], *, converged: bool = True) -> M
     return Mock(spec=ProcessNoise, estimates={"CLa": CLa}, converged=converged, preferred=converged)
 
 
-@pytest.mark.parametrize(
-    ("CLa", "apart", "said"),
-    [
-        ((4.33, 0.05), (), "CLa agrees with the coefficients (CLa 4.330 ± 0.050): prefer them"),
-        ((3.4, 0.05), ("CLa",), "CLa still differs from the coefficients (CLa 3.400 ± 0.050): the model lacks"),
-    ],
-)
+@pytest.mark.parametrize(("CLa", "apart", "said"), [
+    ((4.33, 0.05), (), "CLa agrees with the coefficients (CLa 4.330 ± 0.050): prefer them"),
+    ((3.4, 0.05), ("CLa",), "CLa still differs from the coefficients (CLa 3.400 ± 0.050): the model lacks"),
+])  # fmt: skip
 def test_the_filter_decides_between_two_fits_that_disagree(CLa, apart, said):
     disagree, filtered = fit_disagreements(*fits()), with_process_noise(CLa)
     assert still_apart(disagree, filtered) == apart
@@ -171,12 +168,9 @@ def test_errors_of_first_order_are_those_of_draws(value):
     mode = flown_mode("some", value, covariance)
     s, w = rng.multivariate_normal([value.real, value.imag], covariance, 20000).T
     drawn = {
-        "period": 2.0 * np.pi / w if value.imag else None,
-        "damping_ratio": -s / np.hypot(s, w),
-        "time_constant": -1.0 / s,
-        "time_to_half": -np.log(2.0) / s,
-        "time_to_double": np.log(2.0) / s,
-    }
+        "period": 2.0 * np.pi / w if value.imag else None, "damping_ratio": -s / np.hypot(s, w),
+        "time_constant": -1.0 / s, "time_to_half": -np.log(2.0) / s, "time_to_double": np.log(2.0) / s,
+    }  # fmt: skip
     names = {-0.18: ("period", "damping_ratio", "time_to_half"), -1.4: ("time_constant", "time_to_half")}
     assert tuple(mode.quantities) == names.get(value.real, ("time_to_double",))
     for name, (centre, sd) in mode.quantities.items():

@@ -30,11 +30,9 @@ from bayes_aero.model.model import Model
 V, ALPHA, THETA, Q = 104.0, 0.11, 0.10, 0.02
 W, U, LENGTH = 3.0, -2.0, 200.0
 VALUES = {
-    "vertical_gust": 1.5,
-    "vertical_gust_length": LENGTH,
-    "longitudinal_gust": 0.8,
+    "vertical_gust": 1.5, "vertical_gust_length": LENGTH, "longitudinal_gust": 0.8,
     "longitudinal_gust_length": 90.0,
-}
+}  # fmt: skip
 ROW = {"elevator": jnp.asarray(-0.03), "thrust": jnp.asarray(9000.0), "density": jnp.asarray(0.792)}
 
 

@@ -95,11 +95,9 @@ def dataflash(kinds, messages, units=(), multipliers=(), meanings=()) -> bytes:
         meanings: of FMTU messages, (type, letters of units, letters of multipliers).
     """
     own = {
-        128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
-        176: ("UNIT", "QbZ", "TimeUS,Id,Label"),
-        177: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
-        178: ("MULT", "Qbd", "TimeUS,Id,Mult"),
-    }
+        128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"), 176: ("UNIT", "QbZ", "TimeUS,Id,Label"),
+        177: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"), 178: ("MULT", "Qbd", "TimeUS,Id,Mult"),
+    }  # fmt: skip
     layouts = {kind: "<" + "".join(WIDTHS[c] for c in form) for kind, (_, form, _) in (own | kinds).items()}
 
     def message(kind: int, *values) -> bytes:

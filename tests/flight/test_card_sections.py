@@ -161,15 +161,12 @@ def test_a_record_without_the_entry_of_a_table_has_no_thrust():
         with_sums(input_record(n1_left=None), input_card())
 
 
-@pytest.mark.parametrize(
-    ("name", "rule", "channels", "value"),
-    [
-        ("density", "dynamic pressure", {"dynamic_pressure": 0.5 * 1.1 * 80.0**2}, 1.1),
-        # ISO 2533: at 3000 m 701.21 hPa and 268.659 K make 0.90925 kg/m3, the speed of sound is 328.583 m/s
-        ("density", "gas law", {"static_pressure": 70121.0, "static_temperature": 268.659}, 0.90925),
-        ("mach", "static temperature", {"static_temperature": 268.659, "mach": None}, 80.0 / 328.583),
-    ],
-)
+@pytest.mark.parametrize(("name", "rule", "channels", "value"), [
+    ("density", "dynamic pressure", {"dynamic_pressure": 0.5 * 1.1 * 80.0**2}, 1.1),
+    # ISO 2533: at 3000 m 701.21 hPa and 268.659 K make 0.90925 kg/m3, the speed of sound is 328.583 m/s
+    ("density", "gas law", {"static_pressure": 70121.0, "static_temperature": 268.659}, 0.90925),
+    ("mach", "static temperature", {"static_temperature": 268.659, "mach": None}, 80.0 / 328.583),
+])  # fmt: skip
 def test_density_and_mach_number_by_rule(name, rule, channels, value):
     def edit(table):
         table["derived"] = {name: rule}
@@ -199,29 +196,26 @@ def put(*path):
 LEFT = ("tables", "thrust_left")
 
 
-@pytest.mark.parametrize(
-    ("edit", "words"),
-    [
-        (put(*LEFT, "values", [[1, 2], [3, 4]]), "3 lists of 2 numbers .3 points of n1_left; 2 points of mach"),
-        (put(*LEFT, "values", [[1, 2], [3, 4], [5]]), "values must be a list of plain numbers"),
-        (put(*LEFT, "values", [[1, 2], [3, 4], [5, "6"]]), "values must be a list of plain numbers"),
-        (put(*LEFT, "values", [[1, 2], [3, 4], [5, float("nan")]]), "finite"),
-        (put(*LEFT, "unit", "ft"), "'ft' cannot be turned into 'N'"),
-        (put(*LEFT, "units", "ft"), "unknown key of .tables.thrust_left. 'units'; did you mean 'unit'"),
-        (put(*LEFT, "from", {}), "from must name one to 3 channels"),
-        (put(*LEFT, "from", "n1_left", {"unit": "%", "points": [40, 100, 60]}), "points must be .* increase"),
-        (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "must have unit and points"),
-        (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map it; is 'n1_left' there meant"),
-        (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
-        (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
-        (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
-        (put("derived", "density", "standard atmosphere"), "needs altitude"),
-        (put("sums", "density", ["mach"]), r"density is in \[sums\] and in \[derived\]"),
-        (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),
-        (put("sums", "elevator", [["elevator_left"]]), "must hold names of channels"),
-        (put("sums", "elevator", 3), "list of channel names, or a table with factors"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "words"), [
+    (put(*LEFT, "values", [[1, 2], [3, 4]]), "3 lists of 2 numbers .3 points of n1_left; 2 points of mach"),
+    (put(*LEFT, "values", [[1, 2], [3, 4], [5]]), "values must be a list of plain numbers"),
+    (put(*LEFT, "values", [[1, 2], [3, 4], [5, "6"]]), "values must be a list of plain numbers"),
+    (put(*LEFT, "values", [[1, 2], [3, 4], [5, float("nan")]]), "finite"),
+    (put(*LEFT, "unit", "ft"), "'ft' cannot be turned into 'N'"),
+    (put(*LEFT, "units", "ft"), "unknown key of .tables.thrust_left. 'units'; did you mean 'unit'"),
+    (put(*LEFT, "from", {}), "from must name one to 3 channels"),
+    (put(*LEFT, "from", "n1_left", {"unit": "%", "points": [40, 100, 60]}), "points must be .* increase"),
+    (put(*LEFT, "from", "n1_left", {"points": [40, 100, 60]}), "must have unit and points"),
+    (put(*LEFT, "from", {"n1_lft": {"unit": "%", "points": [1, 2]}}), "does not map it; is 'n1_left' there meant"),
+    (put("tables", {"thrust_left": 3}), "must be a table with unit, from and values"),
+    (put("tables", {"q": {"unit": "rad/s", "from": {}, "values": []}}), "states q elsewhere, too"),
+    (put("derived", "density", "guess"), "write 'gas law' or 'dynamic pressure' or 'standard atmosphere'"),
+    (put("derived", "density", "standard atmosphere"), "needs altitude"),
+    (put("sums", "density", ["mach"]), r"density is in \[sums\] and in \[derived\]"),
+    (put("sums", "elevator", {"elevator_left": "half"}), "'half' is not a number"),
+    (put("sums", "elevator", [["elevator_left"]]), "must hold names of channels"),
+    (put("sums", "elevator", 3), "list of channel names, or a table with factors"),
+])  # fmt: skip
 def test_a_wrong_entry_is_one_sentence(edit, words):
     with pytest.raises(InputError, match=words) as caught:
         input_card(edit=edit)
@@ -263,33 +257,30 @@ def change(path, value):
     return edit
 
 
-@pytest.mark.parametrize(
-    ("edit", "words"),
-    [
-        (change(["linear", "state"], ["alpha"]), "did you mean 'states'"),
-        (change(["linear", "states"], []), "states must be a list"),
-        (change(["linear", "states"], ["q", "q"]), "twice"),
-        (change(["linear", "states"], ["alpha", "q", "theta"]), r"theta, which \[channels\] does not map"),
-        (change(["linear", "rates", "q"], None), r"\[linear.rates.q\] is missing"),
-        (change(["linear", "rates", "p"], {"Lp": "q"}), "unknown state"),
-        (change(["linear", "rates", "q", "Mde"], "rudder"), r"rudder, which \[channels\] does not map"),
-        (change(["linear", "rates", "q", "Mde"], 3.0), "write the channel it multiplies"),
-        (change(["linear", "rates", "q", "Mde"], {"elevator": "big"}), "not a number"),
-        (change(["linear", "rates", "q"], {}), "must be a table of parameters"),
-        (change(["linear", "outputs", "ax"], {"X0": "1"}), r"ax, which \[channels\] does not map"),
-        (change(["linear", "outputs", "q"], {"Xq": "q"}), "is a state"),
-        (change(["linear", "fixed", "Mp"], 1.0), "Mp is a parameter of no row"),
-        (change(["linear", "fixed", "Mq"], "one"), "not a number"),
-        (change(["parameters"], {"Mdelta": {"start": 1.0}}), "unknown parameter 'Mdelta'"),
-        (change(["model"], {"effects": ["attached_lift"]}), r"both \[model\] and \[linear\]"),
-        (change(["channels"], None), r"section \[channels\] is missing"),
-        (change(["constants"], {"alpha": "3 deg"}), "required channel"),
-        (change(["constants"], {"wobble": "3 deg"}), "not a channel of the program"),
-        (change(["constants"], {"density": "0.8"}), "without a unit"),
-        (change(["constants"], {"density": "792 kg/m^3"}), "check its unit"),
-        (change(["constants"], {"time": "1 s"}), "time cannot be constant"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "words"), [
+    (change(["linear", "state"], ["alpha"]), "did you mean 'states'"),
+    (change(["linear", "states"], []), "states must be a list"),
+    (change(["linear", "states"], ["q", "q"]), "twice"),
+    (change(["linear", "states"], ["alpha", "q", "theta"]), r"theta, which \[channels\] does not map"),
+    (change(["linear", "rates", "q"], None), r"\[linear.rates.q\] is missing"),
+    (change(["linear", "rates", "p"], {"Lp": "q"}), "unknown state"),
+    (change(["linear", "rates", "q", "Mde"], "rudder"), r"rudder, which \[channels\] does not map"),
+    (change(["linear", "rates", "q", "Mde"], 3.0), "write the channel it multiplies"),
+    (change(["linear", "rates", "q", "Mde"], {"elevator": "big"}), "not a number"),
+    (change(["linear", "rates", "q"], {}), "must be a table of parameters"),
+    (change(["linear", "outputs", "ax"], {"X0": "1"}), r"ax, which \[channels\] does not map"),
+    (change(["linear", "outputs", "q"], {"Xq": "q"}), "is a state"),
+    (change(["linear", "fixed", "Mp"], 1.0), "Mp is a parameter of no row"),
+    (change(["linear", "fixed", "Mq"], "one"), "not a number"),
+    (change(["parameters"], {"Mdelta": {"start": 1.0}}), "unknown parameter 'Mdelta'"),
+    (change(["model"], {"effects": ["attached_lift"]}), r"both \[model\] and \[linear\]"),
+    (change(["channels"], None), r"section \[channels\] is missing"),
+    (change(["constants"], {"alpha": "3 deg"}), "required channel"),
+    (change(["constants"], {"wobble": "3 deg"}), "not a channel of the program"),
+    (change(["constants"], {"density": "0.8"}), "without a unit"),
+    (change(["constants"], {"density": "792 kg/m^3"}), "check its unit"),
+    (change(["constants"], {"time": "1 s"}), "time cannot be constant"),
+])  # fmt: skip
 def test_a_wrong_linear_card_is_one_sentence(edit, words):
     table = copy.deepcopy(tomllib.loads(SHORT_PERIOD))
     edit(table)
@@ -347,16 +338,13 @@ def test_rates_are_reduced_as_the_card_says(card):
         parse_card(table, "x", "x.toml")
 
 
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"output": ["q"]}, "did you mean 'outputs'"),
-        ({"outputs": "q"}, r"\[fly\] outputs must be a list"),
-        ({"initial_state": ["q"]}, r"\[fly\] initial_state must be a table"),
-        ({"initial_state": {"theta": "0 deg"}}, "initial_state has theta, which .channels. does not map"),
-        ({"initial_state": {"q": "3 m"}}, r"\[fly\] initial_state q"),
-    ],
-)
+@pytest.mark.parametrize(("given", "told"), [
+    ({"output": ["q"]}, "did you mean 'outputs'"),
+    ({"outputs": "q"}, r"\[fly\] outputs must be a list"),
+    ({"initial_state": ["q"]}, r"\[fly\] initial_state must be a table"),
+    ({"initial_state": {"theta": "0 deg"}}, "initial_state has theta, which .channels. does not map"),
+    ({"initial_state": {"q": "3 m"}}, r"\[fly\] initial_state q"),
+])  # fmt: skip
 def test_a_bad_section_of_a_trajectory_fit_is_refused(given, told):
     with pytest.raises(InputError, match=told):
         parse_card(tomllib.loads(SHORT_PERIOD) | {"fly": given}, "x", "x.toml")
@@ -388,16 +376,13 @@ def test_quantities_have_units_and_the_rest_the_program_s_ranges():
     assert not found.programmed_inputs
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ({"alpha": "18 deg"}, "write the least and the greatest value"),
-        ({"alpha": ["18 deg", "2 deg"]}, "the first value must be less than the second"),
-        ({"alpha": ["2 kt", "18 deg"]}, "alpha"),
-        ({"speed": [1, 2]}, "speed"),
-        ({"programmed_inputs": "yes"}, "write true or false"),
-    ],
-)
+@pytest.mark.parametrize(("table", "words"), [
+    ({"alpha": "18 deg"}, "write the least and the greatest value"),
+    ({"alpha": ["18 deg", "2 deg"]}, "the first value must be less than the second"),
+    ({"alpha": ["2 kt", "18 deg"]}, "alpha"),
+    ({"speed": [1, 2]}, "speed"),
+    ({"programmed_inputs": "yes"}, "write true or false"),
+])  # fmt: skip
 def test_what_is_wrong_is_one_sentence(table, words):
     with pytest.raises(InputError, match=words) as told:
         parse_envelope(table, "a.toml")

@@ -292,11 +292,9 @@ def test_a_clock_that_runs_backwards_is_not_joined_with_another():
 
 def ardupilot() -> bytes:
     kinds = {
-        60: ("ATT", "Qccf", "TimeUS,Roll,Pitch,Aspd"),
-        61: ("IMU", "QBf", "TimeUS,I,GyrX"),
-        62: ("GPS", "QBL", "TimeUS,I,Lat"),
-        63: ("MODE", "QN", "TimeUS,Name"),
-    }
+        60: ("ATT", "Qccf", "TimeUS,Roll,Pitch,Aspd"), 61: ("IMU", "QBf", "TimeUS,I,GyrX"),
+        62: ("GPS", "QBL", "TimeUS,I,Lat"), 63: ("MODE", "QN", "TimeUS,Name"),
+    }  # fmt: skip
     began = 70_000_000
     messages = [(60, (began + 10_000 * k, 100 * k - 5000, -k, 20.0 + k)) for k in range(100)]
     messages += [(61, (began + 2_500 + 10_000 * k, i, k + 0.5 * i)) for k in range(100) for i in range(2)]

@@ -22,11 +22,9 @@ from bayes_aero.units import to_si
 EXAMPLES = {".asc": 150, ".csv": 150, ".mat": 150, ".parquet": 150, ".nc": 25, "classic.nc": 100}
 SUFFIXES = tuple(EXAMPLES)
 MAGIC = {
-    ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
-    ".parquet": b"PAR1",
-    ".nc": b"\x89HDF\r\n\x1a\n",
+    ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM", ".parquet": b"PAR1", ".nc": b"\x89HDF\r\n\x1a\n",
     "classic.nc": b"CDF\1",
-}
+}  # fmt: skip
 
 
 IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}

@@ -53,21 +53,18 @@ UNITS = ",".join(f"[{channel.unit}]" for channel in CHANNELS) + "\n"
 LONG = ",".join(f"Long name {k}" for k in range(len(LABELS))) + "\n"
 
 
-@pytest.mark.parametrize(
-    "above",
-    [
-        HEADER,
-        "sep=,\n" + HEADER,
-        "Aircraft,Demo\nDate,2024-05-06\nSampling,25 Hz\n\n" + HEADER,
-        "Flight test 7\n25 Hz, cut by hand\n" + HEADER + UNITS,
-        HEADER + UNITS,
-        LONG + HEADER,
-        HEADER + LONG + UNITS,
-        "#info,log_version=1.00\n" + LONG + HEADER,
-        "# " + HEADER,
-        "% " + HEADER,
-    ],
-)
+@pytest.mark.parametrize("above", [
+    HEADER,
+    "sep=,\n" + HEADER,
+    "Aircraft,Demo\nDate,2024-05-06\nSampling,25 Hz\n\n" + HEADER,
+    "Flight test 7\n25 Hz, cut by hand\n" + HEADER + UNITS,
+    HEADER + UNITS,
+    LONG + HEADER,
+    HEADER + LONG + UNITS,
+    "#info,log_version=1.00\n" + LONG + HEADER,
+    "# " + HEADER,
+    "% " + HEADER,
+])  # fmt: skip
 def test_what_stands_above_the_samples(tmp_path, above):
     path = tmp_path / "a.csv"
     body = columns(table(tmp_path), ",")
@@ -126,19 +123,11 @@ def test_thousands(tmp_path):
     assert any("thousands" in remark for remark in record.remarks)
 
 
-@pytest.mark.parametrize(
-    ("cells", "marks"),
-    [
-        (["1,5", "0,040"], Marks(",")),
-        (["4,562", "0.9"], Marks(".", ",")),
-        (["4.562,3", "0,9"], Marks(",", ".")),
-        (["1,234,567"], Marks(".", ",")),
-        (["4,562.5"], Marks(".", ",")),
-        (["1.5", "7"], Marks(".")),
-        (["1,5E-03"], Marks(",")),
-        (["-0,123"], Marks(",")),
-    ],
-)
+@pytest.mark.parametrize(("cells", "marks"), [
+    (["1,5", "0,040"], Marks(",")), (["4,562", "0.9"], Marks(".", ",")), (["4.562,3", "0,9"], Marks(",", ".")),
+    (["1,234,567"], Marks(".", ",")), (["4,562.5"], Marks(".", ",")), (["1.5", "7"], Marks(".")),
+    (["1,5E-03"], Marks(",")), (["-0,123"], Marks(",")),
+])  # fmt: skip
 def test_marks(cells, marks):
     assert marks_of(cells) == marks
 
@@ -160,19 +149,16 @@ def test_numbers():
             number_of(cell, Marks())
 
 
-@pytest.mark.parametrize(
-    ("cells", "expected"),
-    [
-        (["10:23:45.000", "10:23:45.040"], [0.0, 0.04]),
-        (["23:59:59.5", "00:00:00.5"], [0.0, 1.0]),
-        (["59:59.9", "00:00.1"], [0.0, 0.2]),
-        (["127:23:59:59.0", "128:00:00:01.5"], [0.0, 2.5]),
-        (["2024-05-06T10:23:45.5Z", "2024-05-06T10:23:46Z"], [0.0, 0.5]),
-        (["2024-05-06 23:59:59", "2024-05-07 00:00:01"], [0.0, 2.0]),
-        (["05/06/2024 10:23:45.25", "05/06/2024 10:23:46.00"], [0.0, 0.75]),
-        (["10:23:45 AM", "10:23:47 AM"], [0.0, 2.0]),
-    ],
-)
+@pytest.mark.parametrize(("cells", "expected"), [
+    (["10:23:45.000", "10:23:45.040"], [0.0, 0.04]),
+    (["23:59:59.5", "00:00:00.5"], [0.0, 1.0]),
+    (["59:59.9", "00:00.1"], [0.0, 0.2]),
+    (["127:23:59:59.0", "128:00:00:01.5"], [0.0, 2.5]),
+    (["2024-05-06T10:23:45.5Z", "2024-05-06T10:23:46Z"], [0.0, 0.5]),
+    (["2024-05-06 23:59:59", "2024-05-07 00:00:01"], [0.0, 2.0]),
+    (["05/06/2024 10:23:45.25", "05/06/2024 10:23:46.00"], [0.0, 0.75]),
+    (["10:23:45 AM", "10:23:47 AM"], [0.0, 2.0]),
+])  # fmt: skip
 def test_clock_times(cells, expected):
     np.testing.assert_allclose(seconds(cells), expected, atol=1e-9)
 
@@ -296,26 +282,13 @@ def test_errors_in_quoted_files_name_the_column_in_the_file(tmp_path):
 
 
 # Headings of files that nobody here has written
-@pytest.mark.parametrize(
-    ("heading", "channel", "unit"),
-    [
-        ("Q gyro [deg/s]", "q", "deg/s"),
-        ("NZ up [g]", "az", "g"),
-        ("Pitch Att [deg]", "theta", "deg"),
-        ("measured AoA (deg)", "alpha", "deg"),
-        ("TAS (kn)", "airspeed", "kt"),
-        ("ADC_TAS_KT", "airspeed", "kt"),
-        ("BOOM_AOA_DEG", "alpha", "deg"),
-        ("INS_PITCH_DEG", "theta", "deg"),
-        ("INS_Q [deg/s]", "q", "deg/s"),
-        ("INS_NZ_G", "az", "g"),
-        ("UTC_SEC", "time", "s"),
-        ("ENG_THRUST_LBF", "thrust", "lbf"),
-        ("AirspeedTrue_kt", "airspeed", "kt"),
-        ("Normal Accel [g]", "az", "g"),
-        ("P_RATE", "p", None),
-    ],
-)
+@pytest.mark.parametrize(("heading", "channel", "unit"), [
+    ("Q gyro [deg/s]", "q", "deg/s"), ("NZ up [g]", "az", "g"), ("Pitch Att [deg]", "theta", "deg"),
+    ("measured AoA (deg)", "alpha", "deg"), ("TAS (kn)", "airspeed", "kt"), ("ADC_TAS_KT", "airspeed", "kt"),
+    ("BOOM_AOA_DEG", "alpha", "deg"), ("INS_PITCH_DEG", "theta", "deg"), ("INS_Q [deg/s]", "q", "deg/s"),
+    ("INS_NZ_G", "az", "g"), ("UTC_SEC", "time", "s"), ("ENG_THRUST_LBF", "thrust", "lbf"),
+    ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
+])  # fmt: skip
 def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
     key, found = split_heading(plain_heading(heading))
     assert (ALIASES.get(key), found) == (channel, unit)
@@ -326,34 +299,20 @@ def test_a_heading_of_such_words_alone_stays(heading):
     assert plain_heading(heading) == heading
 
 
-@pytest.mark.parametrize(
-    ("heading", "symbol"),
-    [
-        ("Long. Load Factor nx [g]", "nx"),
-        ("Boom No. 2 AoA (deg)", "aoa"),
-        ("ADC1_TAS", "tas"),
-        ("No2_AoA_deg", "aoa"),
-        ("Commanded theta [deg]", None),
-        ("alpha limit [deg]", None),
-        ("", None),
-    ],
-)
+@pytest.mark.parametrize(("heading", "symbol"), [
+    ("Long. Load Factor nx [g]", "nx"), ("Boom No. 2 AoA (deg)", "aoa"), ("ADC1_TAS", "tas"),
+    ("No2_AoA_deg", "aoa"), ("Commanded theta [deg]", None), ("alpha limit [deg]", None), ("", None),
+])  # fmt: skip
 def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
     assert symbol_of(heading) == symbol
     assert symbol is None or symbol in ALIASES
 
 
-@pytest.mark.parametrize(
-    ("left", "right", "whole"),
-    [
-        ("AileronL [deg]", "AileronR [deg]", "aileron"),
-        ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
-        ("SpoilerL", "SpoilerR", "spoiler"),
-        ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
-        ("Left Elevon", "Right Elevon", "elevon"),
-        ("ThrottleL", "ThrottleR", "throttle"),
-    ],
-)
+@pytest.mark.parametrize(("left", "right", "whole"), [
+    ("AileronL [deg]", "AileronR [deg]", "aileron"), ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
+    ("SpoilerL", "SpoilerR", "spoiler"), ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
+    ("Left Elevon", "Right Elevon", "elevon"), ("ThrottleL", "ThrottleR", "throttle"),
+])  # fmt: skip
 def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
     """The left aileron alone is no aileron: it would be half of it, with the other sign."""
     path = tmp_path / "run.csv"

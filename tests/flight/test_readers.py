@@ -51,28 +51,25 @@ def test_the_file_s_own_unit_is_held_against_the_card(tmp_path, suffix, remap):
     assert read_record(path, remap("q", unit="degree / second")).has("q")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "T,ALCG,QRGY,VTAS,RHO\n{rows}",
-        "\ufeffT,ALCG,QRGY,VTAS,RHO\r\n{rows}",
-        "# a comment\n\nT; ALCG; QRGY; VTAS; RHO\n{semicolons}",
-        "T;ALCG;QRGY;VTAS;RHO\n{decimal_commas}",
-        "T\tALCG\tQRGY\tVTAS\tRHO\n{tabs}",
-        '"T","ALCG","QRGY","VTAS","RHO"\n{rows}',
-        "T,ALCG,QRGY,VTAS,RHO\ns,deg,deg/s,kt,kg/m3\n{rows}",
-        "T,ALCG,QRGY,VTAS,RHO\n[s],[°],[deg/s],[kt],[-]\n{rows}".replace("[-]", "[kg/m^3]"),
-        "T,ALCG,QRGY,VTAS,RHO\n{rows}\n\n# the end\n",
-        "T,ALCG,QRGY,VTAS,RHO\n{trailing}",
-        "NOTE,T,ALCG,QRGY,VTAS,RHO\n{with_text}",
-        '"T","ALCG","QRGY","VTAS","RHO"\n{quoted_commas}',
-        'T,ALCG,QRGY,VTAS,RHO\n"s","deg","deg/s","kt","kg/m3"\n{quoted_commas}',
-        '"NOTE, with ""a"" comma",T,ALCG,QRGY,VTAS,RHO\n{quoted_text}',
-        '"a, b, c, d, e, f";T;ALCG;QRGY;VTAS;RHO\n{quoted_semicolons}',
-        '"T"\t"ALCG"\t"QRGY"\t"VTAS"\t"RHO"\n{quoted_tabs}',
-        "T,ALCG,QRGY,VTAS,RHO\n{quoted_trailing}",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "T,ALCG,QRGY,VTAS,RHO\n{rows}",
+    "\ufeffT,ALCG,QRGY,VTAS,RHO\r\n{rows}",
+    "# a comment\n\nT; ALCG; QRGY; VTAS; RHO\n{semicolons}",
+    "T;ALCG;QRGY;VTAS;RHO\n{decimal_commas}",
+    "T\tALCG\tQRGY\tVTAS\tRHO\n{tabs}",
+    '"T","ALCG","QRGY","VTAS","RHO"\n{rows}',
+    "T,ALCG,QRGY,VTAS,RHO\ns,deg,deg/s,kt,kg/m3\n{rows}",
+    "T,ALCG,QRGY,VTAS,RHO\n[s],[°],[deg/s],[kt],[-]\n{rows}".replace("[-]", "[kg/m^3]"),
+    "T,ALCG,QRGY,VTAS,RHO\n{rows}\n\n# the end\n",
+    "T,ALCG,QRGY,VTAS,RHO\n{trailing}",
+    "NOTE,T,ALCG,QRGY,VTAS,RHO\n{with_text}",
+    '"T","ALCG","QRGY","VTAS","RHO"\n{quoted_commas}',
+    'T,ALCG,QRGY,VTAS,RHO\n"s","deg","deg/s","kt","kg/m3"\n{quoted_commas}',
+    '"NOTE, with ""a"" comma",T,ALCG,QRGY,VTAS,RHO\n{quoted_text}',
+    '"a, b, c, d, e, f";T;ALCG;QRGY;VTAS;RHO\n{quoted_semicolons}',
+    '"T"\t"ALCG"\t"QRGY"\t"VTAS"\t"RHO"\n{quoted_tabs}',
+    "T,ALCG,QRGY,VTAS,RHO\n{quoted_trailing}",
+])  # fmt: skip
 def test_csv_as_people_write_it(tmp_path, text):
     r = sound()
     rows = [

@@ -277,16 +277,13 @@ def test_a_part_by_its_seconds(seamed):
     np.testing.assert_allclose(read_record(f"{seamed}@#2", CHANNELS)["alpha"], part["alpha"])
 
 
-@pytest.mark.parametrize(
-    ("spec", "said"),
-    [
-        ("200:300", "no sample lies in the part from 200 to 300 s: its time goes from 0 to 74.36 s"),
-        ("5:3", "FROM before TO"),
-        ("#4", "gaps in time divide it into 3"),
-        ("0:1", "26 samples; at least 50"),
-        ("0:80", "--split"),
-    ],
-)
+@pytest.mark.parametrize(("spec", "said"), [
+    ("200:300", "no sample lies in the part from 200 to 300 s: its time goes from 0 to 74.36 s"),
+    ("5:3", "FROM before TO"),
+    ("#4", "gaps in time divide it into 3"),
+    ("0:1", "26 samples; at least 50"),
+    ("0:80", "--split"),
+])  # fmt: skip
 def test_parts_that_cannot_be(seamed, spec, said):
     with pytest.raises(InputError, match=r"day\.csv") as told:
         read_record(f"{seamed}@{spec}", CHANNELS)

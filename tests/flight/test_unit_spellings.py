@@ -219,13 +219,10 @@ def test_rates_and_attitudes_in_unlike_units_tell_each_other(tmp_path, degrees):
     assert {n: found[n] for n in meant} == meant
 
 
-@pytest.mark.parametrize(
-    ("stated", "degrees"),
-    [
-        *[((), both) for both in ((), ("alpha", "theta"))],
-        *[((n,), d) for n in ("theta", "alpha") for d in ((), ("alpha",), ("theta",), ("alpha", "theta"))],
-    ],
-)
+@pytest.mark.parametrize(("stated", "degrees"), [
+    *[((), both) for both in ((), ("alpha", "theta"))],
+    *[((n,), d) for n in ("theta", "alpha") for d in ((), ("alpha",), ("theta",), ("alpha", "theta"))],
+])  # fmt: skip
 def test_small_flow_angles_have_the_unit_that_the_climb_makes(tmp_path, degrees, stated):
     """Where neither is stated, both are in one unit."""
     true = _turns()

@@ -150,14 +150,10 @@ def test_manoeuvre_split_holds_each_record_back_once(index):
         assert not np.intersect1d(index[s.train_idx], index[s.test_idx]).size
 
 
-@pytest.mark.parametrize(
-    ("kind", "index", "says"),
-    [
-        ("manoeuvre", np.zeros(100, int), "at least two records"),
-        ("block", np.zeros(150, int), "too few for two blocks"),
-        ("random", np.zeros(3, int), "at least 10 samples"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "index", "says"), [
+    ("manoeuvre", np.zeros(100, int), "at least two records"),
+    ("block", np.zeros(150, int), "too few for two blocks"), ("random", np.zeros(3, int), "at least 10 samples"),
+])  # fmt: skip
 def test_what_cannot_be_split_is_refused_in_words(kind, index, says):
     with pytest.raises(InputError, match=says):
         make_splits(kind, index, DT, 0)

@@ -160,16 +160,13 @@ def test_a_constant_by_manoeuvre_is_that_of_each_sample_s_manoeuvre():
     np.testing.assert_allclose(own.motion(x, u)[0], same.motion(x, u)[0])
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        (("[linear]", '[linear]\nby_manoeuvre = ["Mq"]'), "has Mq, which is no constant"),
-        (("[linear]", '[linear]\nby_manoeuvre = "M0"'), "must be a list of constants"),
-        (("[linear]", '[linear]\ndelays = { q = "Mq" }'), "must be the name of a parameter of no row"),
-        (("[linear]", '[linear]\ndelays = { theta = "tau" }'), "theta"),
-        (("[linear.rates.q]", '[linear.outputs.q]\none = "q"\n[linear.rates.q]'), "it may only have a bias"),
-    ],
-)
+@pytest.mark.parametrize(("changed", "said"), [
+    (("[linear]", '[linear]\nby_manoeuvre = ["Mq"]'), "has Mq, which is no constant"),
+    (("[linear]", '[linear]\nby_manoeuvre = "M0"'), "must be a list of constants"),
+    (("[linear]", '[linear]\ndelays = { q = "Mq" }'), "must be the name of a parameter of no row"),
+    (("[linear]", '[linear]\ndelays = { theta = "tau" }'), "theta"),
+    (("[linear.rates.q]", '[linear.outputs.q]\none = "q"\n[linear.rates.q]'), "it may only have a bias"),
+])  # fmt: skip
 def test_a_row_that_means_nothing_is_refused(changed, said):
     with pytest.raises(InputError, match=re.escape(said)):
         card_of(SHORT_PERIOD.replace(*changed, 1))

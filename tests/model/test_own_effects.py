@@ -73,15 +73,12 @@ def test_a_card_takes_an_effect_from_its_own_folder(tmp_path):
     assert model.effects == Model.from_card(card).effects  # the same objects: nothing compiles anew
 
 
-@pytest.mark.parametrize(
-    ("source", "said"),
-    [
-        ("1/0", "does not run: ZeroDivisionError"),
-        ("x = (", "does not run: SyntaxError"),
-        ("x = 1", "defines no Effect"),
-        (SOURCE.replace('"bank_pitching"', '"thrust_lift"'), "the name thrust_lift is taken"),
-    ],
-)
+@pytest.mark.parametrize(("source", "said"), [
+    ("1/0", "does not run: ZeroDivisionError"),
+    ("x = (", "does not run: SyntaxError"),
+    ("x = 1", "defines no Effect"),
+    (SOURCE.replace('"bank_pitching"', '"thrust_lift"'), "the name thrust_lift is taken"),
+])  # fmt: skip
 def test_a_file_that_is_no_effect_is_said_in_a_sentence(tmp_path, source, said):
     with pytest.raises(InputError, match=said):
         Model.from_card(read_card(own_card(tmp_path, source)))

@@ -120,18 +120,10 @@ def rates(found, unequal=0.0):
     return PLANE.rates(x, np.array([*(found.controls[n] for n in ("elevator", "aileron", "rudder")), *engines]))
 
 
-@pytest.mark.parametrize(
-    "condition",
-    [
-        {},
-        {"climb": 0.06},
-        {"sideslip": 0.1},
-        {"unequal": 1.0},
-        {"sideslip": None, "bank": 0.08, "unequal": 1.0},
-        {"bank": 0.7, "turn_rate": None},
-        {"bank": None, "turn_rate": -0.04, "climb": -0.05},
-    ],
-)
+@pytest.mark.parametrize("condition", [
+    {}, {"climb": 0.06}, {"sideslip": 0.1}, {"unequal": 1.0}, {"sideslip": None, "bank": 0.08, "unequal": 1.0},
+    {"bank": 0.7, "turn_rate": None}, {"bank": None, "turn_rate": -0.04, "climb": -0.05},
+])  # fmt: skip
 def test_nothing_changes_in_steady_flight(condition):
     found = trimmed_six(**condition)
     slope = rates(found, condition.get("unequal", 0.0))

@@ -65,15 +65,10 @@ def test_air_of_any_weather_is_silent(altitude, warm):
     assert across(changed(record, **air(record, warm=warm)), card(**UNITS)) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "unit"),
-    [
-        ("density", SLUG, "slug/ft^3"),
-        ("density", LB / FOOT**3, "lb/ft^3"),
-        ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"),
-        ("dynamic_pressure", 100.0, "hPa"),
-    ],
-)
+@pytest.mark.parametrize(("name", "size", "unit"), [
+    ("density", SLUG, "slug/ft^3"), ("density", LB / FOOT**3, "lb/ft^3"),
+    ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"), ("dynamic_pressure", 100.0, "hPa"),
+])  # fmt: skip
 @pytest.mark.parametrize("with_altitude", [True, False])
 def test_a_unit_of_density_or_dynamic_pressure_is_told(sound, name, size, unit, with_altitude):
     record = changed(sound, without=() if with_altitude else ("altitude",), **{name: sound[name] / size})
@@ -371,14 +366,11 @@ def test_pitching_by_the_inertia_of_roll_and_yaw_needs_no_input(seed):
 
 
 @needs_book
-@pytest.mark.parametrize(
-    ("model", "name", "pitches"),
-    [
-        ("full_six", "fAttasElv1.mat", True), ("full_six", "fAttasElv2.mat", True),
-        ("hfb320", "hfb320_1_10.asc", True), ("full_six", "fAttasAil1.mat", False),
-        ("full_six", "fAttasRud1.mat", False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("model", "name", "pitches"), [
+    ("full_six", "fAttasElv1.mat", True), ("full_six", "fAttasElv2.mat", True),
+    ("hfb320", "hfb320_1_10.asc", True), ("full_six", "fAttasAil1.mat", False),
+    ("full_six", "fAttasRud1.mat", False),
+])  # fmt: skip
 def test_records_of_the_book_without_their_elevator_are_told_where_it_was_flown(model, name, pitches):
     """cases.md: elevator 3-2-1-1 of ATTAS and HFB 320; aileron and rudder manoeuvres. As recorded all are sound."""
     card = read_card(model)

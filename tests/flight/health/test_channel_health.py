@@ -78,14 +78,11 @@ def test_a_sign_is_told_at_any_bank_angle(name, seed):
     assert name in findings[0].sentence
 
 
-@pytest.mark.parametrize(
-    ("name", "factor", "unit"),
-    [
-        ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / FOOT, "ft/s"),
-        ("altitude", 1.0 / FOOT, "ft"), ("q", np.pi / 180.0, "rad/s"), ("theta", np.pi / 180.0, "rad"),
-        ("phi", np.pi / 180.0, "rad"), ("alpha", np.pi / 180.0, "rad"), ("az", 1.0 / G, "g"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "factor", "unit"), [
+    ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / FOOT, "ft/s"),
+    ("altitude", 1.0 / FOOT, "ft"), ("q", np.pi / 180.0, "rad/s"), ("theta", np.pi / 180.0, "rad"),
+    ("phi", np.pi / 180.0, "rad"), ("alpha", np.pi / 180.0, "rad"), ("az", 1.0 / G, "g"),
+])  # fmt: skip
 def test_a_unit_is_told_with_the_one_that_it_is_in(name, factor, unit):
     record = flight(2)
     (finding,) = [f for f in channel_health([changed(record, **{name: record[name] * factor})], card()) if f.grave]
@@ -96,19 +93,16 @@ def test_a_unit_is_told_with_the_one_that_it_is_in(name, factor, unit):
 FORWARD_LEFT_UP = ("ay", "az", "q", "r", "theta", "psi")
 
 
-@pytest.mark.parametrize(
-    ("turned", "exchanged", "named"),
-    [
-        (FORWARD_LEFT_UP, (), "the axes of the sensors are x forward, y left, z up"),
-        (("ay", "az", "q", "r"), (), "the axes of the sensors are x forward, y left, z up"),  # angles as we have them
-        (("q", "r", "theta", "psi"), (), "the axes of the rates are x forward, y left, z up"),
-        (("ax", "az", "p", "r"), (), "the axes of the sensors are x aft, y right, z up"),
-        (("az", "r"), (("ax", "ay"), ("p", "q")), "the axes of the sensors are x right, y forward, z up"),
-        (("ay", "az"), (), ""),  # two wrong signs are as likely
-        (("p", "r"), (), ""),
-        (("ax", "ay", "az"), (), ""),  # of the other hand
-    ],
-)
+@pytest.mark.parametrize(("turned", "exchanged", "named"), [
+    (FORWARD_LEFT_UP, (), "the axes of the sensors are x forward, y left, z up"),
+    (("ay", "az", "q", "r"), (), "the axes of the sensors are x forward, y left, z up"),  # angles as we have them
+    (("q", "r", "theta", "psi"), (), "the axes of the rates are x forward, y left, z up"),
+    (("ax", "az", "p", "r"), (), "the axes of the sensors are x aft, y right, z up"),
+    (("az", "r"), (("ax", "ay"), ("p", "q")), "the axes of the sensors are x right, y forward, z up"),
+    (("ay", "az"), (), ""),  # two wrong signs are as likely
+    (("p", "r"), (), ""),
+    (("ax", "ay", "az"), (), ""),  # of the other hand
+])  # fmt: skip
 def test_axes_are_named_and_the_advice_followed_gives_a_sound_record(turned, exchanged, named):
     """The frame is that of the file; each channel that changes is in the advice, and no other."""
     true = flight(0)
@@ -186,18 +180,15 @@ def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed(
 LATERAL = ("phi", "psi", "beta", "p", "r", "ay")
 
 
-@pytest.mark.parametrize(
-    ("turned", "fault", "named"),
-    [
-        (("q", "az", "theta"), "axes", "the axes of the sensors are x forward, y left, z up"),
-        (("q", "az", "theta", "alpha"), "axes", "the axes of the sensors are x forward, y left, z up"),
-        (("q", "az"), "sign", "as where the axes of the sensors are x forward, y left, z up"),  # or two wrong signs
-        (("ax", "az"), "sign", "as where the axes of the sensors are x aft, y right, z up"),
-        (("ax", "az", "q"), "sign", ""),  # of the other hand
-        (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
-        *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")),
-    ],
-)
+@pytest.mark.parametrize(("turned", "fault", "named"), [
+    (("q", "az", "theta"), "axes", "the axes of the sensors are x forward, y left, z up"),
+    (("q", "az", "theta", "alpha"), "axes", "the axes of the sensors are x forward, y left, z up"),
+    (("q", "az"), "sign", "as where the axes of the sensors are x forward, y left, z up"),  # or two wrong signs
+    (("ax", "az"), "sign", "as where the axes of the sensors are x aft, y right, z up"),
+    (("ax", "az", "q"), "sign", ""),  # of the other hand
+    (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
+    *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")),
+])  # fmt: skip
 @pytest.mark.parametrize("without", [(), ("altitude",)])
 def test_axes_of_a_longitudinal_record_are_named_and_all_signs_are_advised_at_once(turned, fault, named, without):
     missing = (*LATERAL, *without)
@@ -212,14 +203,11 @@ def test_axes_of_a_longitudinal_record_are_named_and_all_signs_are_advised_at_on
     assert sorted(name for names in advised for name in names) == sorted(turned)
 
 
-@pytest.mark.parametrize(
-    ("names", "unit", "size"),
-    [
-        (("airspeed",), "kt", KNOT), (("airspeed",), "km/h", 1.0 / 3.6), (("airspeed",), "mph", 0.44704),
-        (("airspeed",), "ft/s", FOOT), (("altitude",), "ft", FOOT), (("ax", "ay", "az"), "g", G),
-        (("ax", "ay", "az"), "ft/s^2", FOOT),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("names", "unit", "size"), [
+    (("airspeed",), "kt", KNOT), (("airspeed",), "km/h", 1.0 / 3.6), (("airspeed",), "mph", 0.44704),
+    (("airspeed",), "ft/s", FOOT), (("altitude",), "ft", FOOT), (("ax", "ay", "az"), "g", G),
+    (("ax", "ay", "az"), "ft/s^2", FOOT),
+])  # fmt: skip
 @pytest.mark.parametrize("seed", [0, 1])
 def test_units_are_named_alone(names, unit, size, seed):
     """km/h and ft/s are ten per cent apart, knots and mph fifteen."""

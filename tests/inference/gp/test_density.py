@@ -106,11 +106,9 @@ def test_what_cannot_be_factorised_says_so():
 
 # Hyperparameter priors are densities of the logarithm, and refuse nonsense
 PROPER = [
-    HyperPrior("half-normal", 0.7),
-    HyperPrior("log-normal", 0.3, 0.8),
-    HyperPrior("inverse-gamma", 3.0, 2.0),
+    HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("inverse-gamma", 3.0, 2.0),
     HyperPrior("frechet", 2.0, 5.0),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
