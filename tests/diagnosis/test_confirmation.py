@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from parts import fitted_to_stalls
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels, noise_effect, recording_noise, sizes
@@ -13,24 +14,20 @@ from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.backward_elimination import backward_elimination, confirmation
 from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.trajectories.elimination import eliminate
-from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, holdout_fits, left_out
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
 from bayes_aero.diagnosis.trajectories.log_score import holdout_gain as log_score_gain
-from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.segments import segments
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.physics.filters import smooth
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
-from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records
+from bayes_aero.simulate.demo import simulate_stall
+from bayes_aero.simulate.injection import flyable, hidden_flights
 
 # Of what was added, unseen data confirm what the flights have in them, and nothing else
 TRUE = ("thrust_moment", "pitch_rate_lift", "drag_offset")
@@ -114,15 +111,12 @@ def noisy(clean_records):
     return records, noise
 
 
-def test_recording_noise_is_read_off_the_record_and_motion_is_not_noise(card, noisy):
+def test_noise_is_read_off_the_record_where_it_was_not_filtered(card, noisy):
     records, noise = noisy
     found = recording_noise(join(records, card))
     for name, sd in noise.items():
         assert found[name] == pytest.approx(sd, rel=0.06), name
     assert found["theta"] < 1e-5  # moves by tenths of a radian, recorded without noise
-
-
-def test_noise_that_was_filtered_before_recording_is_said_to_be_unreadable(card, noisy):
     records, _ = noisy
     assert filtered_channels(join(records, card)) == ()
     smoothed = []
@@ -167,7 +161,6 @@ def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
 
 
 # Which causes flight misses: those that were flown, and not one that was put in by hand
-OUTPUTS = ("airspeed", "alpha", "theta", "q", "ax", "az")
 SEED = 4132
 FLOWN, NOT_FLOWN = "thrust_moment", ("drag_offset", "alpha_dot_moment", "mach_drag")
 NOBODY = {0: {}, 1: {}}
@@ -175,16 +168,7 @@ NOBODY = {0: {}, 1: {}}
 
 def flown(card, hidden, added, seed):
     """The card's model and effects put in, fitted to two stalls jointly and to each of them."""
-    flights = despiked(join(hidden_records(hidden, seed=seed, seconds=90.0), card, FLIGHT))[0]
-    model = Model.from_card(card).extended(*added)
-    dynamics = aircraft_dynamics(model, flights)
-    whole = segments(flights, dynamics, outputs=OUTPUTS)
-    start = np.array([TRUTH.get(p.name, p.neutral) for p in model.free])
-    first = fit_output_error(whole, start=start, prior_weight=30.0)  # near enough to need no shorter windows
-    noise = Noise.of(first)
-    fit = fit_output_error(
-        noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.variance_inflation
-    )
+    _, fit, noise = fitted_to_stalls(card, Model.from_card(card).extended(*added), hidden, seed)
     contender = CandidateFit("extended", fit)
     return contender, fits_of(contender, noise), noise
 
@@ -204,7 +188,7 @@ def stalls(card):
 
 
 @pytest.mark.recovery
-def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
+def test_what_was_flown_stays_and_first_order_tells_what_refitting_finds(stalls):
     """The latter stays in a quarter of simulated flights (benchmarks/README.md); not in these."""
     hidden, absent, (contender, fits, noise) = stalls
     found = eliminate(contender, fits, [CATALOGUE[FLOWN], CATALOGUE[absent]], NOBODY, noise)
@@ -218,17 +202,6 @@ def test_what_was_flown_stays_and_what_was_put_in_is_taken_out(stalls):
     assert values["thrust_arm"] == pytest.approx(hidden[FLOWN]["thrust_arm"], abs=near), SEED
     for fit in found.fits:  # those of the smaller model
         assert dict(zip(fit.names, fit.estimate, strict=True)).items() >= dict.fromkeys(found.gone, 0.0).items()
-
-
-def test_induced_drag_which_is_neutral_at_infinity_is_missed(stalls):
-    _, _, (contender, fits, noise) = stalls
-    found = eliminate(contender, fits, [CATALOGUE["induced_drag"]], NOBODY, noise)
-    assert found.confirmation.kept == ("induced_drag",)
-    assert np.all(np.isfinite(found.confirmation.missed["induced_drag"]))
-
-
-@pytest.mark.recovery
-def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
     hidden, _, (contender, fits, noise) = stalls
     told = eliminate(contender, fits, [CATALOGUE[FLOWN]], NOBODY, noise).confirmation.missed[FLOWN]
     less = replace(contender, held={"thrust_arm": 0.0})
@@ -238,16 +211,19 @@ def test_what_is_told_to_first_order_is_what_refitting_finds(stalls):
     elpd, elpd_se = log_score_gain(without, within, noise.variance_inflation)
     assert told[0] == pytest.approx(elpd, rel=0.3), (SEED, hidden)
     assert told[1] == pytest.approx(elpd_se, rel=0.5), (SEED, hidden)
-
-
-@pytest.mark.recovery
-def test_a_cause_of_which_one_flight_alone_tells_is_not_asked(stalls):
     _, absent, (contender, fits, noise) = stalls
     (parameter,) = CATALOGUE[absent].parameters
     found = eliminate(contender, fits, [CATALOGUE[absent]], {0: {parameter.name: 0.1}, 1: {}}, noise)
     assert not found.confirmation.missed
     assert not found.gone
     assert found.fits is fits
+
+
+def test_induced_drag_which_is_neutral_at_infinity_is_missed(stalls):
+    _, _, (contender, fits, noise) = stalls
+    found = eliminate(contender, fits, [CATALOGUE["induced_drag"]], NOBODY, noise)
+    assert found.confirmation.kept == ("induced_drag",)
+    assert np.all(np.isfinite(found.confirmation.missed["induced_drag"]))
 
 
 @dataclass
@@ -272,16 +248,13 @@ class Independent:
         return {}
 
 
-def test_additions_go_out_the_least_missed_first_until_all_are_missed():
+def test_additions_go_out_the_least_missed_first_and_are_fitted_again_in_doubt():
     unseen = Independent({"a": 9.0, "b": 1.0, "c": -3.0, "d": 2.0})
     found = backward_elimination(tuple(unseen.worth), unseen)
     assert found.kept == ("a", "d")
     assert found.missed == {name: (worth, 1.0) for name, worth in unseen.worth.items()}
     assert list(found.missed) == list(unseen.worth)
     assert unseen.refits == (tuple("abcd"), tuple("abd"), tuple("ad"), ("a",))  # without a nothing was fitted
-
-
-def test_what_is_plain_to_first_order_is_not_fitted_again():
     unseen = Independent({"a": 9.0, "b": 3.0}, factor=2.0)
     found = backward_elimination(tuple(unseen.worth), unseen)
     assert found.kept == ("a", "b")

@@ -59,13 +59,10 @@ def test_gusts_have_the_spectrum_of_dryden(across):
         assert np.mean(drawn[:, lag:] * drawn[:, :-lag]) == pytest.approx(expected, abs=0.04)
 
 
-def test_white_noise_is_read_off_a_channel_that_moves():
+def test_noise_is_read_off_a_channel_or_the_card_s(sound, card):
     t = np.arange(4000) * 0.04
     x = np.sin(0.8 * t) + 0.02 * np.random.default_rng(0).standard_normal(t.size)
     assert noise_of(x) == pytest.approx(0.02, rel=0.05)
-
-
-def test_noise_is_the_card_s_where_it_states_any(sound, card):
     quiet = replace(card, sensors={**card.sensors, "alpha": 0.01})
     channels = {name: np.asarray(x) for name, x in sound.channels.items()}
     assert sensor_noise(channels, quiet).constant["alpha"] == 0.01
@@ -152,15 +149,12 @@ def test_a_late_sideslip_is_no_gust(card):
     assert in_gusts(late, card) == {}
 
 
-def test_a_known_error_explains(card):
+def test_a_known_error_explains_and_a_stated_one_is_taken_out(card, sound):
     records = hidden_records({"pitch_rate_bias": {"pitch_rate_bias": 0.008}}, seed=7104, noise="white")
     found = consistency(records, card)
     assert found.agreement is Agreement.EXPLAINED
     size = found.errors["pitch_rate_bias"]["parameters"]["pitch_rate_bias"]
     assert size["mean"] == pytest.approx(0.008, abs=4.0 * size["sd"])
-
-
-def test_an_error_that_the_card_states_is_taken_out(sound, card):
     biased = changed(sound, q=sound["q"] + 0.008)
     stated = replace(card, effects=(*card.effects, "pitch_rate_bias"), fixed={**card.fixed, "pitch_rate_bias": 0.008})
     assert consistency([biased], card, seek=False).agreement is Agreement.UNEXPLAINED
@@ -255,7 +249,7 @@ def test_a_drag_free_fall_keeps_its_energy(card):
     np.testing.assert_allclose(s["airspeed"] * rates["airspeed"] + 9.80665 * rates["altitude"], 0.0, atol=1e-9)
 
 
-def test_spikes_are_replaced_and_nothing_else(quiet):
+def test_spikes_are_replaced_and_steps_and_sharp_peaks_are_not(quiet):
     rng = np.random.default_rng(8)
     x = np.array(quiet.channels["az"]) + 0.05 * rng.standard_normal(quiet.n)
     at = rng.choice(np.arange(20, quiet.n - 20, 40), 15, replace=False)
@@ -266,18 +260,12 @@ def test_spikes_are_replaced_and_nothing_else(quiet):
     off = np.abs(np.asarray(found.channels["az"]) - x)
     assert off[at].max() < 0.5
     assert np.delete(off, at).max() == 0.0
-
-
-def test_a_step_is_not_a_spike(quiet):
     x = np.where(np.asarray(quiet.channels["elapsed"]) > 30.0, 5.0, 0.0)
     x = x + 0.01 * np.random.default_rng(3).standard_normal(quiet.n)
     found, count = despiked(eqx.tree_at(lambda f: f.channels["q"], quiet, jnp.asarray(x)))
     assert "q" not in count
     np.testing.assert_array_equal(np.asarray(found.channels["q"]), x)
-
-
-def test_the_sharp_peak_of_a_doublet_is_not_a_spike_and_a_spike_on_its_flank_is(quiet):
-    """A pitch rate that stands still, then runs to and fro at a constant slope, as after a 3-2-1-1 at 20 Hz."""
+    # A pitch rate that stands still, then runs to and fro at a constant slope, as after a 3-2-1-1 at 20 Hz.
     rng = np.random.default_rng(4)
     time = np.asarray(quiet.channels["elapsed"])
     x = np.interp(time, [30.0, 30.6, 31.4, 32.2, 32.6], [0.0, 0.35, -0.35, 0.25, 0.0])
@@ -307,35 +295,29 @@ def stranger(tmp_path_factory):
     return truth, records, card, model, fit_mle(model, observe(records, card, model, Forming.PUBLISHED))
 
 
-def test_filtered_alike_the_moment_is_that_of_the_truth(stranger):
+def test_filtered_alike_the_moment_is_that_of_the_truth_and_the_note_says_so(stranger):
     truth, records, card, model, mle = stranger
     alike = fit_mle(model, observe(records, card, model)).estimate
     for name in MOMENT:
         i, true = mle.names.index(name), getattr(truth, name)
         assert abs(alike[i] - true) < 0.5 * abs(mle.estimate[i] - true), name
         assert alike[i] == pytest.approx(true, rel=0.01), name
-
-
-def test_the_note_names_what_moves(stranger):
     _, *given = stranger
     (note,) = filter_mismatch_notes(*given)
     assert "Cmde would be" in note
     assert "CD0" not in note
-
-
-def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
-    records = [read_record(path, card.channels) for path in attas_paths]
-    published = fit_mle(model, observe(records, card, model, Forming.PUBLISHED))
-    assert filter_mismatch_notes(records, card, model, published) == ()
-
-
-def test_identify_says_it_first(stranger):
     _, records, card, *_ = stranger
     first, *_ = verdict(identify(records, card, IdentifyOptions(coefficients="published", sample=False, gp=False)))
     assert "Cmde would be" in first
     assert not any(
         "would be" in said for said in verdict(identify(records, card, IdentifyOptions(sample=False, gp=False)))
     )
+
+
+def test_no_word_where_slow_stalls_were_flown(attas_paths, card, model):
+    records = [read_record(path, card.channels) for path in attas_paths]
+    published = fit_mle(model, observe(records, card, model, Forming.PUBLISHED))
+    assert filter_mismatch_notes(records, card, model, published) == ()
 
 
 # What is said of noise, on flights whose noise is known

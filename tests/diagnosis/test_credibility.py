@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 import pytest
 import six_axes
-from parts import cause, part
+from parts import cause, part, with_candidates
 from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis import result as finding
@@ -36,12 +36,10 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.chosen import lengths_of
-from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.verdict import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
@@ -64,7 +62,7 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
     assert verdict_of([bounded], ()) is Verdict.UNEXPLAINED
 
 
-def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
+def test_sizes_that_aircraft_do_not_have_are_implausible_in_the_aircraft_s_lengths():
     effect = CATALOGUE["thrust_scale"]
     assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters) == {"thrust_scale": 0.3}
     assert implausible(effect, cause(mean=-0.48, sd=0.15).parameters)  # a record that does not know it shows nothing
@@ -75,9 +73,20 @@ def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
     # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
     assert implausible(CATALOGUE["induced_drag"], {"e": Size(0.2, 0.01, "1")}) == {"1/e": 3.0}
     assert not implausible(CATALOGUE["induced_drag"], {"e": Size(0.8, 0.01, "1")})
+    # Of the catalogue's transport with 21.5 m of span a vane stands 20 m ahead at most, of a trainer with 10 m 9.3.
+    vane = CATALOGUE["vane_position"]
+    transport, trainer = (
+        sized(vane, lengths_of(replace(read_card("attas").aircraft, half_span=x))) for x in (10.75, 5.0)
+    )
+    assert transport is vane
+    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
+    recorded = {"vane_position": Size(15.0, 1.0, "m")}
+    assert not implausible(transport, recorded)
+    assert implausible(trainer, recorded)
+    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
 
 
-def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
+def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
     off = replace(
         cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
         kind="measurement",
@@ -86,25 +95,6 @@ def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
     (sentence,) = [one for one in said if "alpha_bias" in one]
     assert "9.00 ± 0.50 deg" in sentence
     assert "at most 3 deg" in sentence
-
-
-def test_more_than_five_names_are_no_name():
-    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
-    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
-    assert attributed([few, many]) == ((few,), (), (many,))
-    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
-    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
-    neither = replace(unlikely, confirmed=False)
-    assert attributed([neither]) == ((), (), (neither,))
-
-
-def test_an_error_that_no_sensor_has_is_no_cause():
-    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
-    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
-    assert attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
-
-
-def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
     d = diagnosed.view.diagnosis
     found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
     searched = SearchResult(d.aerodynamics.state.full, ((found.stage, d.aerodynamics),), (), d.noise, (), ())
@@ -114,6 +104,19 @@ def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
     assert structure_of(searched, [replace(large, kind="measurement")]) == ()
     said = diagnosis_sentences(replace(d, beyond=(replace(large, implausible=dict.fromkeys(large.parameters, 0.1)),)))
     assert any("On this aircraft" in one and "left out of the model" in one for one in said)
+
+
+def test_more_than_five_names_and_errors_that_no_sensor_has_are_no_cause():
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
+    assert attributed([few, many]) == ((few,), (), (many,))
+    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
+    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
+    neither = replace(unlikely, confirmed=False)
+    assert attributed([neither]) == ((), (), (neither,))
+    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
+    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
+    assert attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
 
 
 def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_it(monkeypatch):
@@ -155,21 +158,7 @@ def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
     assert "pitch_rate_lift" not in found.aerodynamics.state.active
 
 
-def test_limits_in_metres_are_as_large_as_the_aircraft():
-    """Of the catalogue's transport with 21.5 m of span a vane stands 20 m ahead at most, of a trainer with 10 m 9.3."""
-    vane = CATALOGUE["vane_position"]
-    transport, trainer = (
-        sized(vane, lengths_of(replace(read_card("attas").aircraft, half_span=x))) for x in (10.75, 5.0)
-    )
-    assert transport is vane
-    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
-    recorded = {"vane_position": Size(15.0, 1.0, "m")}
-    assert not implausible(transport, recorded)
-    assert implausible(trainer, recorded)
-    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
-
-
-def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same_output(diagnosed):
+def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     """The hidden curvature of the pitching moment, as if a linear term did nearly the same."""
     d = diagnosed.view.diagnosis
     found = next(c for c in d.causes if c.name == "alpha_squared_moment")
@@ -179,12 +168,7 @@ def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same
         names = stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
         assert names == ((found.name,) if taken else ())
         assert attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
-
-
-def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
-    """The hidden curvature of the pitching moment, as if five others explained it as well."""
-    d = diagnosed.view.diagnosis
-    found = next(c for c in d.causes if c.name == "alpha_squared_moment")
+    # The hidden curvature of the pitching moment, as if five others explained it as well.
     names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
     effect = CATALOGUE[found.name]
     unknown = as_structure(replace(found, ambiguous_with=names), d.aerodynamics, effect)
@@ -193,7 +177,7 @@ def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
     assert unknown.rivals == (found.name, *names)
 
 
-def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed):
+def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
     d = diagnosed.view.diagnosis
     names = [c.name for c in d.causes]
     assert d.verdict is not Verdict.UNEXPLAINED
@@ -201,20 +185,12 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
     assert judged_on_held_out_flights(d, Confirmation((), {})) == d
-
-
-def test_a_cause_held_at_its_joint_estimate_is_not_tested_and_not_confirmed(diagnosed):
-    """The joint estimate has seen the flight that is left out."""
-    d = diagnosed.view.diagnosis
+    # The joint estimate has seen the flight that is left out.
     untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
     found = judged_on_held_out_flights(untested, Confirmation((), {}), {"Cma2"})
     assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
     assert "named, but not tested on hold-out data: alpha_squared_moment" in verdict_sentence(found)
-
-
-def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(diagnosed):
-    """Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none."""
-    d = diagnosed.view.diagnosis
+    # Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none.
     scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
     of_the_path = replace(scale, name="alpha_scale", stage="flight path")
     d = replace(d, causes=(scale, of_the_path, *d.causes))
@@ -228,15 +204,7 @@ def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(d
 @pytest.fixture(scope="module")
 def both(card, model):
     """The card's model and lift due to pitch rate and to alpha-dot, at the truth of a simulated stall without them."""
-    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
-    candidates = tuple(CATALOGUE[name] for name in (*PAIR, "sideslip_drag"))
-    everything = (*base, *candidates)
-    changed = {p.name: p for p in model.parameters}
-    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
-    whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
-    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return with_candidates(card, model, (*PAIR, "sideslip_drag"))
 
 
 def on(both, flights, values) -> Extension:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import six_axes as six
 import stranger_six
+from parts import with_candidates
 from stranger_six import Plane
 from told_apart import deviations, weakest
 
@@ -29,7 +30,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH
 
 # Which standard manoeuvre tells which effects apart
 RATES = ("alpha_dot_lift", "pitch_rate_lift")
@@ -38,16 +39,7 @@ CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift",
 
 @pytest.fixture(scope="module")
 def state(card, model):
-    """The card's model at the truth of a simulated stall, with a few candidates."""
-    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
-    candidates = tuple(CATALOGUE[name] for name in CANDIDATES)
-    everything = (*base, *candidates)
-    changed = {p.name: p for p in model.parameters}
-    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
-    whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
-    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return with_candidates(card, model, CANDIDATES)
 
 
 @pytest.fixture(scope="module")
@@ -68,18 +60,18 @@ def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
     assert gained["thrust_steps"] == max(gained.values()) > 2.0 * gained["elevator_doublet"]
 
 
-def test_information_grows_with_amplitude(state, rates):
+def test_rates_are_told_apart_by_amplitude_and_size_whatever_else_is_in_the_model(state, rates, flights):
     less = weakest(state, RATES, standard(state, RATES, amplitude=0.5))
     for name in ("elevator_doublet", "elevator_3211"):
         assert less[name] < rates[name]
-
-
-def test_one_set_of_flights_serves_several_sets_of_effects(state, rates, flights):
-    """With rivals from other sets in the model, at neutral, the manoeuvres are the same flights."""
+    # With rivals from other sets in the model, at neutral, the manoeuvres are the same flights.
     assert weakest(state, RATES, flights) == pytest.approx(rates, rel=1e-6)
+    least = {"CLadot": 2.0, "CLq": 2.0}
+    larger = weakest(state, RATES, flights, {k: 3.0 * x for k, x in least.items()})
+    assert max(larger.values()) == pytest.approx(3.0 * max(rates.values()), rel=1e-6)
 
 
-def test_a_record_without_altitude_begins_in_air_of_its_density(state):
+def test_records_without_altitude_or_inputs(state):
     flights = state.responses.flights
     channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
     without = replace(flights, channels=channels)
@@ -87,6 +79,12 @@ def test_a_record_without_altitude_begins_in_air_of_its_density(state):
     flown = standard(there, CANDIDATES).flown["elevator_doublet"]
     begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
     assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
+    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
+    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
+    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
+    assert flown.refused["sideslip"] == "beta was not recorded"
+    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
+    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
 
 
 @pytest.mark.parametrize("height", [0.0, 4500.0, 11000.0])
@@ -97,25 +95,9 @@ def test_altitude_of_density_is_the_inverse_of_the_standard_atmosphere(height):
     assert altitude_of_density(0.36391) == pytest.approx(11000.0, abs=2.0)
 
 
-def test_a_larger_effect_is_told_apart_in_proportion(state, rates, flights):
-    least = {"CLadot": 2.0, "CLq": 2.0}
-    larger = weakest(state, RATES, flights, {k: 3.0 * x for k, x in least.items()})
-    assert max(larger.values()) == pytest.approx(3.0 * max(rates.values()), rel=1e-6)
-
-
 def test_sideslip_needs_a_sideslip(state, flights):
     found = deviations(state, ("sideslip_drag", "mach_drag"), flights)
     assert max(found, key=lambda name: found[name]["sideslip_drag", "mach_drag"]) == "sideslip"
-
-
-def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
-    flights = state.responses.flights
-    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
-    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
-    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
-    assert flown.refused["sideslip"] == "beta was not recorded"
-    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
-    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
 
 
 def test_trim_is_level_flight(state):
@@ -147,12 +129,9 @@ def test_commands_begin_at_trim_and_scale():
             assert np.allclose(0.5 * x, y)
 
 
-def test_one_effect_is_no_ambiguity(state):
+def test_sets_of_one_effect_or_of_no_candidate_are_refused(state):
     with pytest.raises(InputError, match="at least two"):
         candidates_of(state, ("thrust_scale",))
-
-
-def test_an_effect_that_is_no_candidate_is_named(state):
     with pytest.raises(InputError, match="buffet"):
         candidates_of(state, ("thrust_scale", "buffet"))
 
@@ -205,10 +184,7 @@ def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(flights_six):
         moved = np.ptp(np.asarray(known["measured"]), axis=0)
         assert np.all(np.abs(np.asarray(residual)[:, :6]).max(axis=0) < 0.02 * moved), name
         assert moved.min() > 0.0
-
-
-def test_uneven_engines_are_held_straight_by_the_rudder(flights_six):
-    """Yawing moment of the engines over that of the rudder, by hand, at the end of a step."""
+    # Yawing moment of the engines over that of the rudder, by hand, at the end of a step.
     channels = flights_six.flown["engine_steps"].channels
     k = round(19.0 / 0.04)
     left, right, V = (float(channels[n][k]) for n in ("thrust_left", "thrust_right", "airspeed"))
@@ -221,25 +197,19 @@ def test_uneven_engines_are_held_straight_by_the_rudder(flights_six):
     assert Cn + air == pytest.approx(0.0, abs=0.05 * abs(Cn))
 
 
-def test_an_engine_s_share_is_told_from_an_offset_where_thrust_moves(state_six, flights_six):
+def test_lateral_effects_are_told_apart_where_their_input_moves(state_six, flights_six):
     """A share of the mean thrust makes a moment that stays where thrust and airspeed stay."""
     found = weakest(state_six, ("thrust_asymmetry", "yaw_offset"), flights_six)
     assert max(found, key=lambda name: found[name]) == "thrust_steps"
     assert found["thrust_steps"] > 5.0 * found["engine_steps"]  # the sum of both engines stays
-
-
-def test_a_centre_of_gravity_is_told_from_an_offset_where_lift_moves(state_six, flights_six):
     found = weakest(state_six, ("lateral_cg_shift", "roll_offset"), flights_six)
     assert max(found, key=lambda name: found[name]) in ("slow_stall", "stall_with_bank")
     assert found["elevator_doublet"] > 3.0 * found["aileron_doublet"]
-
-
-def test_errors_of_the_aileron_s_sensor_need_an_aileron(state_six, flights_six):
     found = deviations(state_six, ("aileron_delay", "aileron_scale"), flights_six)
     assert max(found, key=lambda name: found[name]["aileron_delay", "aileron_scale"]) == "aileron_doublet"
 
 
-def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded_in_six(state_six):
+def test_six_degrees_of_freedom_need_their_inputs_and_both_axes(state_six):
     flights_six = state_six.responses.flights
     blind = replace(flights_six, channels={n: x for n, x in flights_six.channels.items() if n[:7] != "thrust_"})
     flown = standard(
@@ -247,9 +217,6 @@ def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded_in_six(state_six):
     )
     assert flown.refused["engine_steps"] == "thrust_left was not recorded"
     assert "rudder_doublet" in flown.flown
-
-
-def test_a_card_of_the_lateral_axis_alone_is_told_what_it_lacks(state_six):
     model = replace(state_six.full.model, axes=(Axis.LATERAL,))
     with pytest.raises(InputError, match='add "longitudinal"'):
         standard(replace(state_six, full=replace(state_six.full, model=model)), CANDIDATES_SIX)
@@ -261,21 +228,9 @@ RATE_SET, DRAGS = frozenset(POINT_CANDIDATES[:2]), frozenset(POINT_CANDIDATES[2:
 SETS = {RATE_SET: {"CLq": 3.5, "CLadot": 3.5}, DRAGS: {}}
 
 
-def state_of(card, model, seeds):
-    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
-    candidates = tuple(CATALOGUE[name] for name in POINT_CANDIDATES)
-    changed = {p.name: p for p in model.parameters}
-    parameters = tuple(changed.get(p.name, p) for e in (*base, *candidates) for p in e.parameters)
-    whole = replace(model, effects=(*base, *candidates), parameters=parameters, fixed=())
-    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
-    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    records = [simulate_stall(seed, card=card) for seed in seeds]
-    return linearised(full, EquationError.of(join(records, card), whole), NAMES, theta)
-
-
 @pytest.fixture(scope="module")
 def point_state(card, model):
-    return state_of(card, model, (0, 1))
+    return with_candidates(card, model, POINT_CANDIDATES, seeds=(0, 1))
 
 
 @pytest.fixture(scope="module")
@@ -319,7 +274,7 @@ def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(poi
     assert np.all(np.diag(first.matrix) <= np.diag(told.matrix) * (1.0 + 1e-9))
 
 
-def test_points_decide_what_the_records_leave_open(chosen):
+def test_points_decide_what_the_records_leave_open_by_inputs_that_the_card_allows(chosen, point_state):
     assert {frozenset(q.effects) for q in chosen.questions} == {RATE_SET, DRAGS}
     place = [frozenset(q.effects) for q in chosen.questions].index(DRAGS)
     assert chosen.present[place] == 0.0  # no record has sideslip
@@ -329,6 +284,9 @@ def test_points_decide_what_the_records_leave_open(chosen):
         assert all(b >= a - 1e-9 for a, b in zip(previous, point.expected, strict=True))
         previous = point.expected
     assert chosen.expected[place] >= ENOUGH
+    assert "computer" in chosen.refused["multisine"]
+    found = next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
+    assert "multisine" not in found.refused
 
 
 def test_every_point_stays_inside_the_envelope(point_state, chosen):
@@ -340,12 +298,6 @@ def test_every_point_stays_inside_the_envelope(point_state, chosen):
     for point in found.points:
         assert allowed.left_by(point.excursion) is None
         assert point.excursion["load_factor"][1] <= 1.25
-
-
-def test_a_computer_s_inputs_are_proposed_only_where_the_card_allows_them(point_state, chosen):
-    assert "computer" in chosen.refused["multisine"]
-    found = next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
-    assert "multisine" not in found.refused
 
 
 def test_excursions_of_a_level_turn():

@@ -31,18 +31,17 @@ def record():
 
 
 @pytest.fixture(scope="module")
-def found(record):
+def found(record, hfb320):
     """The search, and the fit that it began with."""
     fits, fit = [], searched.fit_disturbed
-    card = read_card("hfb320")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(searched, "fit_disturbed", lambda *a, **k: fits.append(fit(*a, **k)) or fits[-1])
         settings = DiagnosisSettings(max_effects=3)
-        result = searched.search_innovations([record], card, Model.from_card(card), (), settings, seed=0)
+        result = searched.search_innovations([record], hfb320, Model.from_card(hfb320), (), settings, seed=0)
     return result, fits[0][1]
 
 
-def test_the_gusts_are_found_with_their_intensity_and_length(found):
+def test_gusts_and_what_is_on_the_card_are_estimated_and_leave_white_innovations(found):
     _, fit = found
     known = dict(zip(fit.names, zip(fit.estimate, fit.sd, strict=True), strict=True))
     for name, truth in (("vertical_gust", GUST["w"]), ("longitudinal_gust", GUST["u"])):
@@ -51,27 +50,26 @@ def test_the_gusts_are_found_with_their_intensity_and_length(found):
         assert sd < 0.4 * truth
         length, length_sd = known[f"{name}_length"]
         assert abs(length - LENGTH) < 3.0 * length_sd
-
-
-def test_the_filter_estimates_what_is_on_the_card_and_gusts_alone(found):
-    """Derivatives of flaps at rest would share the coefficients' constants."""
+    # Derivatives of flaps at rest would share the coefficients' constants.
     result, fit = found
     gusts = {n for name in GUSTS for n in (name, f"{name}_length")}
     own = {p.name for p in Model.from_card(read_card("hfb320")).free}
     assert "flap_lift" in result.full.not_testable
     assert set(fit.names) == own | gusts
+    # Correlation of neighbouring samples within 4 / sqrt(n), n of them.
+    noise = found[0].noise
+    assert noise.of_innovations
+    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
+    assert noise.coloured == ()
 
 
-def test_the_hidden_effect_is_named_first_and_its_interval_holds(found):
+def test_the_hidden_effect_is_named_first_and_the_parameters_are_the_aircraft_s(found):
     result, _ = found
     assert [stage for stage, _ in result.stages] == [INNOVATIONS]
     assert result.model.steps[0].chosen == "alpha_squared_moment"
     size = result.model.sizes["Cma2"]
     assert abs(size.mean - HIDDEN) < 3.0 * size.sd
     assert size.sd < 0.2 * abs(HIDDEN)
-
-
-def test_the_parameters_are_those_of_the_aircraft(found):
     result, _ = found
     for name in ("CLa", "CDa", "Cmq", "Cmde"):
         size = result.model.sizes[name]
@@ -118,14 +116,6 @@ def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(h
         assert abs(size.mean - true) < 3.0 * size.sd
 
 
-def test_what_the_filter_foresees_wholly_leaves_white_innovations(found):
-    """Correlation of neighbouring samples within 4 / sqrt(n), n of them."""
-    noise = found[0].noise
-    assert noise.of_innovations
-    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
-    assert noise.coloured == ()
-
-
 @pytest.mark.parametrize(("lag", "found", "verdict"), [
     (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED), (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
     (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED), (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
@@ -144,7 +134,7 @@ DECISIONS = [(GUSTY, None, True), (CALM, None, False), (GUSTY, False, False), (C
 
 
 @pytest.fixture(scope="module")
-def card():
+def hfb320():
     return read_card("hfb320")
 
 
@@ -153,7 +143,7 @@ class SearchedError(Exception):
 
 
 @pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
-def test_a_diagnosis_compares_with_innovations_in_gusts(card, monkeypatch, gust, given, expected):
+def test_a_diagnosis_compares_with_innovations_in_gusts(hfb320, monkeypatch, gust, given, expected):
     def begun(name):
         def search(*_, **__):
             raise SearchedError(name)
@@ -163,12 +153,12 @@ def test_a_diagnosis_compares_with_innovations_in_gusts(card, monkeypatch, gust,
     for name in ("search_innovations", "search_coefficients", "search_trajectories"):
         monkeypatch.setattr(diagnosis, name, begun(name))
     with pytest.raises(SearchedError) as found:
-        diagnosis.diagnose([gusty_flight(4, gust=gust, seconds=20.0)], card, process_noise=given)
+        diagnosis.diagnose([gusty_flight(4, gust=gust, seconds=20.0)], hfb320, process_noise=given)
     assert (str(found.value) == "search_innovations") is expected
 
 
 @pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
-def test_a_fit_to_trajectories_has_process_noise_in_gusts(card, monkeypatch, gust, given, expected):
+def test_a_fit_to_trajectories_has_process_noise_in_gusts(hfb320, monkeypatch, gust, given, expected):
     filtered = []
 
     def instead(_, options, *__):
@@ -176,7 +166,7 @@ def test_a_fit_to_trajectories_has_process_noise_in_gusts(card, monkeypatch, gus
         return (None, None), ()
 
     monkeypatch.setattr(job, "process_noise", instead)
-    found = job.fly([gusty_flight(4, gust=gust, seconds=20.0)], card, process_noise=given, outputs=OUTPUTS)
+    found = job.fly([gusty_flight(4, gust=gust, seconds=20.0)], hfb320, process_noise=given, outputs=OUTPUTS)
     assert filtered == [expected]
     asked = expected and given is None
     assert found.sentences[0].startswith("The flight path alone, without aerodynamics, shows gusts") is asked

@@ -46,7 +46,7 @@ def test_stretches_measure_an_error_with_its_uncertainty(card):
     assert judged.p_value(name) < 1e-3
 
 
-def test_what_is_not_there_is_not_borne_out(silent, card):
+def test_stretches_take_a_wrong_correction_back_and_scatter_by_their_own_estimates(silent, card):
     """A wrong correction moves every stretch by what it is, and the stretches say by how much to take it back."""
     found = screen_sensor_errors(silent, card)
     state, name = found.state, "accel_z_bias"
@@ -57,11 +57,7 @@ def test_what_is_not_there_is_not_borne_out(silent, card):
     left = wrong + state.fit().step[list(state.fit().columns).index(state.full.columns(["accel_z_bias"])[0])]
     assert abs(left) < 0.1 * wrong
     assert abs(step) < 5.0 * np.sqrt(variance) + 0.1 * wrong
-
-
-def test_disagreement_is_the_scatter_of_the_stretches_own_estimates(silent, card):
-    """For an effect with equal information in every stretch: the standard error of the mean of estimates."""
-    found = screen_sensor_errors(silent, card)
+    # For an effect with equal information in every stretch: the standard error of the mean of estimates.
     judged = Blocks(found.base, found.base_fit)
     name = "pitch_rate_bias"
     step, covariance = judged.judge(name)
@@ -101,20 +97,14 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
 
 # A parameter that changes during simulated records is found, at its time and of its size; where nothing changes, no
 # change is claimed
-def test_moments_are_every_block_of_a_manoeuvre_but_those_at_its_ends():
+def test_spans_are_blocks_of_a_manoeuvre_but_those_at_its_ends():
     found = spans(np.repeat([0, 1], [6, 5]), least=2, most=100)
     first = [Span(0, begin, end) for begin in (2, 3, 4) for end in (6, 11)]  # in the first alone, or from then on
     second = [Span(1, begin, 11) for begin in (6, 8, 9)]  # from the second on, or within it
     assert found == [*first, *second]
-
-
-def test_in_one_of_three_manoeuvres_a_parameter_may_differ_alone():
     found = spans(np.repeat([0, 1, 2], 4), least=2, most=100)
     assert Span(1, 4, 8) in found
     assert Span(1, 4, 12) in found
-
-
-def test_long_records_are_not_divided_at_every_block():
     begins = {span.begin for span in spans(np.zeros(5000, int), least=30, most=1000)}
     assert len(begins) <= 1000
     assert np.ptp(np.diff(sorted(begins))) == 0

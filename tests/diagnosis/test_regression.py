@@ -51,7 +51,7 @@ def problem(request):
     return residual, S, truth, [slice(0, 150), slice(150, 400)]
 
 
-def test_fit_is_weighted_least_squares_at_its_own_variances(problem):
+def test_fits_are_weighted_least_squares_with_priors_as_observations(problem):
     residual, S, _, folds = problem
     k = S.shape[2]
     fit = Products.of(residual, S, folds).fit(np.arange(k), np.zeros(k), np.zeros(k))
@@ -59,28 +59,17 @@ def test_fit_is_weighted_least_squares_at_its_own_variances(problem):
     A, b = (S * w[:, None]).reshape(-1, k), (residual * w).ravel()
     np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
     np.testing.assert_allclose(fit.variance, np.mean((residual - S @ fit.step) ** 2, axis=0), rtol=1e-5)
-
-
-def test_prior_pulls_as_another_observation_would(problem):
-    residual, S, _, folds = problem
-    k = S.shape[2]
     mean, precision = np.full(k, 0.3), np.full(k, 1e4)
     fit = Products.of(residual, S, folds).fit(np.arange(k), mean, precision)
     w = 1.0 / np.sqrt(fit.variance)
     A = np.vstack([(S * w[:, None]).reshape(-1, k), np.diag(np.sqrt(precision))])
     b = np.concatenate([(residual * w).ravel(), np.sqrt(precision) * mean])
     np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
-
-
-def test_shifting_is_the_residual_after_a_step(problem):
     residual, S, truth, folds = problem
     columns = np.array([1, 4])
     moved = Products.of(residual, S, folds).shifted(columns, truth[columns])
     direct = Products.of(residual - S[:, :, columns] @ truth[columns], S, folds)
     np.testing.assert_allclose(moved.gram, direct.gram, atol=1e-8)
-
-
-def test_columns_filled_up_with_zeros_change_nothing(problem):
     residual, S, _, folds = problem
     k = S.shape[2]
     S = np.concatenate([S, np.zeros((*residual.shape, 1))], axis=2)
@@ -92,7 +81,7 @@ def test_columns_filled_up_with_zeros_change_nothing(problem):
     np.testing.assert_allclose(variance[0], alone.variance)
 
 
-def test_autoregression_is_found_again():
+def test_colour_is_found_and_reaches_no_further_than_its_fold():
     truth = Autocorrelation(np.array([[0.9, 0.0, 0.0], [0.5, 0.2, 0.1]]), np.array([1.0, 0.3]))
     folds = [slice(0, 4000), slice(4000, 8000)]
     noise = truth.simulate(1, folds, 8000, np.random.default_rng(1))[0]
@@ -100,9 +89,6 @@ def test_autoregression_is_found_again():
     # Least squares has a standard error of about 1/sqrt(n) here.
     np.testing.assert_allclose(found.phi, truth.phi, atol=5 / np.sqrt(8000))
     np.testing.assert_allclose(found.sigma, truth.sigma, rtol=0.05)
-
-
-def test_meat_is_the_sum_over_all_pairs_of_samples():
     rng = np.random.default_rng(2)
     m, phi, sigma = 300, 0.7, 0.4
     colour = Autocorrelation(np.array([[phi, 0.0, 0.0]]), np.array([sigma]))
@@ -113,6 +99,11 @@ def test_meat_is_the_sum_over_all_pairs_of_samples():
     exact = W.T @ covariance @ W
     # Filtering backwards leaves out what lies before the first sample: a correction of order one sample in m.
     np.testing.assert_allclose(colour.meat(S, variance, [slice(0, m)]), exact, rtol=0.03, atol=0.02 * np.trace(exact))
+    colour = Autocorrelation(np.full((1, ORDER), 0.3), np.ones(1))
+    noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
+    within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
+    assert within > 0.3
+    assert abs(across) < 5 / np.sqrt(4000)
 
 
 def test_records_fitted_together_are_fitted_each_by_itself():
@@ -143,15 +134,7 @@ def test_middles_are_the_blocks_of_the_whole(problem):
     np.testing.assert_allclose(second, whole[np.ix_(places[2], places[2])], rtol=1e-10)
 
 
-def test_noise_does_not_reach_across_folds():
-    colour = Autocorrelation(np.full((1, ORDER), 0.3), np.ones(1))
-    noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
-    within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
-    assert within > 0.3
-    assert abs(across) < 5 / np.sqrt(4000)
-
-
-def test_a_record_without_noise_leaves_no_number_that_is_none(problem):
+def test_no_noise_and_no_information_leave_numbers(problem, recwarn):
     """Altitudes of kilometres that the model follows to the last digit: what is left is rounding, of either sign."""
     _, S, truth, folds = problem
     S = np.concatenate([S, np.ones((len(S), 3, 1))], axis=2)
@@ -163,10 +146,7 @@ def test_a_record_without_noise_leaves_no_number_that_is_none(problem):
     np.testing.assert_allclose(fit.step, [*truth, 5000.0], rtol=1e-6, atol=1e-6)
     assert np.all(fit.variance > 0.0)
     assert np.all(fit.variance < 1e-6)
-
-
-def test_the_inverse_of_no_information_is_a_number(recwarn):
-    """A candidate that the model imitates wholly leaves none; its square enters a covariance."""
+    # A candidate that the model imitates wholly leaves none; its square enters a covariance.
     found = inverse(np.diag([4.0, 0.0, 1e-200]))
     assert np.isfinite(found @ found).all()
     assert found[0, 0] == pytest.approx(0.25)
@@ -277,13 +257,10 @@ def two_stalls(card, model):
     return EquationError.of(flights, full.model), full, np.clip(theta, low, high), deviation
 
 
-def test_what_moves_the_measured_side_are_the_effects_on_record_and_aircraft(two_stalls):
+def test_sensitivities_of_two_stalls_are_those_of_central_differences(two_stalls):
     responses, full, _, _ = two_stalls
     acting = {p.name for e in full.model.effects if e.stage <= Stage.AIRCRAFT for p in e.parameters}
     assert {full.model.names[i] for i in responses.measuring} == acting & set(full.model.names)
-
-
-def test_sensitivities_are_those_of_central_differences(two_stalls):
     responses, full, theta, deviation = two_stalls
     residual, S = responses.linearise(theta)
     np.testing.assert_allclose(residual, responses.evaluate(theta)[0], atol=1e-12)
@@ -296,9 +273,6 @@ def test_sensitivities_are_those_of_central_differences(two_stalls):
         # Rounding of the integrals along the flight path, over the step.
         floor = 1e-11 / h
         assert np.linalg.norm(S[:, :, i] - slope) <= 1e-3 * np.linalg.norm(slope) + floor * np.sqrt(slope.size), name
-
-
-def test_columns_come_in_the_order_that_was_asked_for(two_stalls):
     responses, _, theta, _ = two_stalls
     whole = responses.linearise(theta)[1]
     columns = np.random.default_rng(4).permutation(len(theta))[:21]

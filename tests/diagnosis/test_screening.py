@@ -56,7 +56,7 @@ def projected():
     return PartialledRegression(state, fit, [np.array([1]), np.array([2])]), residual
 
 
-def test_a_sum_of_outputs_gains_under_single_variances_and_nothing_under_a_whole_covariance(projected):
+def test_a_whole_covariance_leaves_nothing_to_sums_of_outputs(projected):
     given, residual = projected
     right = given.right(residual)
     for block, (mixes, coefficient) in enumerate([(True, 2), (False, 2)]):
@@ -67,10 +67,6 @@ def test_a_sum_of_outputs_gains_under_single_variances_and_nothing_under_a_whole
         together = given.deviance(residual) - given.deviance(residual, block, estimate)
         assert alone > 100.0
         assert (together < 0.05 * alone) if mixes else (together > 0.7 * alone)
-
-
-def test_the_whole_covariance_does_not_ask_which_outputs_were_chosen(projected):
-    given, residual = projected
     mixed = residual @ np.array([[1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [0.0, -2.0, 1.0]]).T
     unit = np.linalg.det([[1.0, 0.0, 0.7], [0.0, 1.0, 0.0], [0.0, -2.0, 1.0]])
     expected = given.deviance(residual) + 2.0 * len(residual) * np.log(abs(unit))
@@ -130,17 +126,20 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(monkeypatch, scores, named)
     assert scores[0] > DEFAULT.least_score or not named
 
 
+def ranked(monkeypatch, *standing) -> CandidateModel:
+    """A screening of effects by name, gain, step and gain under the whole covariance; the candidates are they."""
+    scores = tuple(
+        CandidateScore(name, (0,), None, gain, 12.0, 1.0, 50.0, (step,), (0.01,), together, 1.0)
+        for name, gain, step, together in standing
+    )
+    monkeypatch.setattr(diagnose, "screen", lambda *_, **__: part(ScreeningResult, candidate_scores=scores))
+    return part(CandidateModel, candidates=tuple(CATALOGUE[one.effect] for one in scores), settings=DEFAULT)
+
+
 @pytest.mark.parametrize(("together", "rivals"), [(-140.0, ()), (480.0, ("cg_shift",))])
 def test_what_only_mixes_noise_is_no_rival(monkeypatch, together, rivals):
     """A centre of gravity that adds CY to Cn takes the vane's noise out of Cn, whatever else is missing there."""
-
-    def standing(name, gain, together):
-        return CandidateScore(name, (0,), None, gain, 12.0, 1.0, 50.0, (0.1,), (0.01,), together, 1.0)
-
-    ranked = (standing("cg_shift", 500.0, together), standing("sideslip_cubed_yaw", 250.0, 400.0))
-    monkeypatch.setattr(diagnose, "screen", lambda *_, **__: part(ScreeningResult, candidate_scores=ranked))
-    candidates = tuple(CATALOGUE[one.effect] for one in ranked)
-    full = part(CandidateModel, candidates=candidates, settings=DEFAULT)
+    full = ranked(monkeypatch, ("cg_shift", 500.0, 0.1, together), ("sideslip_cubed_yaw", 250.0, 0.1, 400.0))
     responses = SimpleNamespace(model=SimpleNamespace(coefficients=("CY", "Cl", "Cn")))
     state = part(SelectionState, full=full, responses=responses, outputs=("CY", "Cl", "Cn"))
     probability, close = diagnose.rivals_of(part(Extension, state=state, fit=None), "sideslip_cubed_yaw")
@@ -154,13 +153,7 @@ def test_what_must_be_larger_than_aircraft_have_is_no_rival(monkeypatch, size, c
     """A vane farther ahead than on any aircraft explains nothing, however well it fits."""
     largest = CATALOGUE["vane_position"].sizes["vane_position"][1]
     step = size * largest if told == "first order" else 0.5 * largest
-
-    def standing(name, gain, step):
-        return CandidateScore(name, (0,), None, gain, 12.0, 1.0, 50.0, (step,), (0.01,), gain, 1.0)
-
-    ranked = (standing("vane_position", 260.0, step), standing("alpha_bias", 250.0, 0.01))
-    monkeypatch.setattr(diagnose, "screen", lambda *_, **__: part(ScreeningResult, candidate_scores=ranked))
-    full = part(CandidateModel, candidates=tuple(CATALOGUE[one.effect] for one in ranked), settings=DEFAULT)
+    full = ranked(monkeypatch, ("vane_position", 260.0, step, 260.0), ("alpha_bias", 250.0, 0.01, 250.0))
     responses = SimpleNamespace(model=SimpleNamespace(coefficients=("CL",)))
     state = part(SelectionState, full=full, responses=responses, outputs=("V",), active=("vane_position",))
     before = part(
@@ -233,7 +226,7 @@ def test_elsewhere_nothing_is_taken_up(held, moves, hidden):
     assert absorbed(fitted(rudder, hidden)) == ()
 
 
-def test_a_verdict_of_no_effect_is_not_decided_then(diagnosed):
+def test_what_is_taken_up_is_in_the_verdict_the_text_and_the_file(diagnosed):
     found = absorbed(fitted(np.full(SAMPLES, 0.0075), 9e-4))
     assert as_absorbed(Verdict.NO_EFFECT, found) is Verdict.UNDECIDED
     assert as_absorbed(Verdict.NO_EFFECT, ()) is Verdict.NO_EFFECT
@@ -242,20 +235,12 @@ def test_a_verdict_of_no_effect_is_not_decided_then(diagnosed):
     for taken_up, verdict in ((found, Verdict.UNDECIDED), ((), Verdict.NO_EFFECT)):
         after = judged_on_held_out_flights(replace(silent, absorbed=taken_up), Confirmation((), {}))
         assert after.verdict is verdict
-
-
-def test_it_is_said_with_both_values_and_the_sizes_that_follow(diagnosed):
     sizes = {"thrust_scale": Size(-0.1, 0.2, "1")}
     one = Absorbed("elevator_moment", "Cmde", "1/rad", "elevator", (-0.2, 0.01), (-1.0, 0.5), sizes)
     said = diagnosis_sentences(replace(diagnosed.view.diagnosis, absorbed=(one,)))
     (sentence,) = (x for x in said if "elevator does not move" in x)
     for told in ("Cmde", "-0.200 ± 0.010", "-1.00 ± 0.50", "thrust_scale", "cannot tell which"):
         assert told in sentence
-
-
-def test_a_reader_of_the_file_gets_the_same_numbers(diagnosed):
-    sizes = {"thrust_scale": Size(-0.1, 0.2, "1")}
-    one = Absorbed("elevator_moment", "Cmde", "1/rad", "elevator", (-0.2, 0.01), (-1.0, 0.5), sizes)
     schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     written = absorbed_results(replace(diagnosed.view.diagnosis, absorbed=(one,)))
     jsonschema.validate(written, schema["properties"]["absorbed"] | {"$defs": schema["$defs"]})

@@ -113,16 +113,13 @@ def test_no_break_of_a_lateral_quantity_lies_within_its_noise(noise, lowest):
     assert min(places) == pytest.approx(lowest, rel=0.4)
 
 
-def test_breaks_and_bumps_lie_where_it_was_flown():
+def test_breaks_and_bumps_lie_where_it_was_flown_and_memory_begins_anew():
     found = terms()
     at_half = found["max(alpha - 0.15, 0)"]
     assert at_half.evaluate(SIGNALS, AIRCRAFT) == pytest.approx(np.maximum(SIGNALS["alpha"] - 0.15, 0.0), abs=1e-12)
     bump = found["exp(-((alpha - 0.15)/0.0192)^2/2)"]
     assert bump.evaluate(SIGNALS, AIRCRAFT).max() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_memory_is_a_lag_that_begins_anew_in_every_manoeuvre():
-    """A step passes as 1 - exp(-t V/(T c)), sampled at the end of each interval."""
+    # A step passes as 1 - exp(-t V/(T c)), sampled at the end of each interval.
     step = np.where(np.arange(N) % 50 < 10, 0.0, 1.0)
     lagged = terms()["lag(elevator, 15 c/V)"].evaluate(SIGNALS | {"elevator": step}, AIRCRAFT)
     t = np.maximum(np.arange(50) - 9, 0) * 0.05
@@ -136,7 +133,7 @@ FOUND = FoundTerm(
 MEMORY = replace(FOUND, term=terms()["lag(alpha, 5 c/V)"])
 
 
-def test_an_effect_file_states_what_the_library_evaluates(tmp_path):
+def test_an_effect_file_states_what_the_library_evaluates_and_nothing_else(tmp_path):
     both = terms() | terms(lateral=True)
     stated = [t for t in both.values() if t.code is not None]
     path = tmp_path / "found.py"
@@ -149,29 +146,18 @@ def test_an_effect_file_states_what_the_library_evaluates(tmp_path):
         assert np.asarray(added["Cm"]) == pytest.approx(2.0 * term.evaluate(SIGNALS, AIRCRAFT), rel=1e-12)
         assert set(effect.channels) == set(term.channels)
         assert effect.sizes[parameter.name] == (0.5, 60.0)
-
-
-def test_what_no_effect_file_can_state_is_not_written(tmp_path):
-    path = tmp_path / "found.py"
     assert "was not written" in write_effects([MEMORY], ["run1"], path)
     assert not path.exists()
-
-
-def test_a_name_of_a_record_is_no_program(tmp_path):
-    path = tmp_path / "found.py"
     write_effects([FOUND], ['x"""\nraise SystemExit("run")\n"""{0}'], path)
     (effect,) = own_effects([path]).values()
     assert effect.name == "cm_alpha_qhat_separated"
 
 
-def test_what_is_written_follows_the_schema():
+def test_a_term_is_written_and_said_with_its_factor_and_its_rivals(diagnosed):
     schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     one = schema["properties"]["terms"] | {"$defs": schema["$defs"]}
     jsonschema.validate([term_results(FOUND), term_results(MEMORY)], one)
     assert term_results(FOUND)["ambiguous_with"] == {"alpha qhat": 0.3}
-
-
-def test_a_term_is_said_with_its_factor_and_its_rivals(diagnosed):
     d = replace(diagnosed.view.diagnosis, terms=(FOUND, replace(MEMORY, others=())))
     said = [s for s in diagnosis_sentences(d) if s.startswith("Form: ")]
     assert len(said) == 3
@@ -199,7 +185,7 @@ TWO = (11, 12)  # seeds of two flights
 
 
 @pytest.fixture(scope="module")
-def card():
+def hfb320():
     return read_card("hfb320")
 
 
@@ -214,9 +200,9 @@ def flown(card, model, records) -> tuple[OutputError, np.ndarray]:
     return responses, np.array([TRUTH.get(p.name, p.start) for p in model.free])
 
 
-def test_a_term_that_the_card_has_flies_as_its_parameter(card):
+def test_a_term_that_the_card_has_flies_as_its_parameter(hfb320):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
-    responses, theta = flown(card, Model.from_card(card), [gusty_flight(5, seconds=20.0)])
+    responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)])
     added = AddedCoefficients(responses, theta)
     (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
     at = np.array([responses.model.names.index("Cmde")])
@@ -224,31 +210,15 @@ def test_a_term_that_the_card_has_flies_as_its_parameter(card):
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
 
 
-@pytest.mark.verify
-def test_a_term_of_six_degrees_of_freedom_flies_as_its_parameter(tmp_path):
-    """Cn += Cndr rudder; compilation takes most of a minute."""
-    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
-    (tmp_path / "plane.toml").write_text(six.card_text(plane), encoding="utf-8")
-    card = read_card(str(tmp_path / "plane.toml"))
-    flights = join([six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)], card, ())
-    model = Model.from_card(card)
-    responses = OutputError.of(flights, aircraft_dynamics(model, flights))
-    theta = np.array([getattr(plane, p.name) for p in model.free])
-    added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cn", lambda signals: signals["rudder"][None])
-    known = responses.linearise(theta, np.array([model.names.index("Cndr")]))[1][:, :, 0]
-    np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
-
-
-def test_a_term_flies_to_first_order_as_the_effect_that_a_file_states(card, tmp_path):
+def test_a_term_flies_to_first_order_as_the_effect_that_a_file_states(hfb320, tmp_path):
     """Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear."""
-    model = Model.from_card(card)
+    model = Model.from_card(hfb320)
     term = Term((BY_NAME["alpha"], BY_NAME["alpha"], BY_NAME["qhat"]))
     path, step = tmp_path / "found.py", 1e-3
     path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
     records = [gusty_flight(5, seconds=20.0)]
-    responses, theta = flown(card, model, records)
-    wider, _ = flown(card, model.extended(*own_effects([path]).values()), records)
+    responses, theta = flown(hfb320, model, records)
+    wider, _ = flown(hfb320, model.extended(*own_effects([path]).values()), records)
     added = AddedCoefficients(responses, theta)
     (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
     still = jnp.zeros(len(wider.windows.dynamics.start))
@@ -257,25 +227,9 @@ def test_a_term_flies_to_first_order_as_the_effect_that_a_file_states(card, tmp_
     np.testing.assert_allclose(slope, known, atol=1e-4 * np.abs(known).max())
 
 
-def searched(card, truth):
-    """What the library finds in two flights in calm air, no catalogue beside it."""
-    model = Model.from_card(card)
+def in_calm_air(card, truth=None) -> tuple[OutputError, np.ndarray]:
     records = [gusty_flight(seed, gust=STILL, truth=truth) for seed in TWO]
-    records = [replace(r, name=f"run{k}") for k, r in enumerate(records)]
-    responses, theta = flown(card, model, records)
-    full = CandidateModel(model, tuple(e.name for e in model.effects), (), {})
-    state = linearised(full, responses, responses.outputs, theta)
-    return flown_forms(forward_selection(state, seed=1), seed=2)
-
-
-def test_a_hidden_term_is_found_in_flight_and_its_silent_twin_has_none(card):
-    size = 0.15
-    found = searched(card, {"Cma2": size})
-    (term,) = found.forms.terms
-    assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
-    assert abs(term.size[0] - size) < 1.96 * term.size[1]
-    assert [(u.coefficient, u.channel) for u in found.unknown] == [("Cm", "alpha^2")]
-    assert searched(card, {}).forms.terms == ()
+    return flown(card, Model.from_card(card), [replace(r, name=f"run{k}") for k, r in enumerate(records)])
 
 
 # Terms that nobody listed, by what they make of the innovations of a filter in gusts: sensitivities, and a search.
@@ -311,8 +265,8 @@ def in_gusts(card, truth=None, seconds=60.0, seeds=TWO) -> tuple[FilterError, np
 
 
 @pytest.fixture(scope="module")
-def short(card):
-    return in_gusts(card, seconds=15.0, seeds=TWO[:1])
+def short(hfb320):
+    return in_gusts(hfb320, seconds=15.0, seeds=TWO[:1])
 
 
 def test_a_term_that_the_card_has_is_foreseen_as_its_parameter(short):
@@ -324,17 +278,23 @@ def test_a_term_that_the_card_has_is_foreseen_as_its_parameter(short):
 
 
 @pytest.mark.verify
-def test_a_term_of_six_degrees_of_freedom_is_foreseen_as_its_parameter(tmp_path):
+@pytest.mark.parametrize("gusts", [False, True])
+def test_a_term_of_six_degrees_of_freedom_flies_and_is_foreseen_as_its_parameter(tmp_path, gusts):
     """Cn += Cndr rudder; compilation takes most of a minute."""
     plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
     (tmp_path / "plane.toml").write_text(six.card_text(plane), encoding="utf-8")
     card = read_card(str(tmp_path / "plane.toml"))
     records = [six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)]
-    known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
-    responses, theta = followed(card, records, known, defaultdict(lambda: 0.01))
-    (slope,) = AddedToFilter(responses, theta).slopes("Cn", lambda signals: signals["rudder"][None])
-    at = np.array([responses.model.names.index("Cndr")])
-    wanted = responses.linearise(theta, at)[1][:, :, 0]
+    model = Model.from_card(card)
+    known = {p.name: getattr(plane, p.name) for p in model.free}
+    if gusts:
+        responses, theta = followed(card, records, known, defaultdict(lambda: 0.01))
+    else:
+        flights, theta = join(records, card, ()), np.array(list(known.values()))
+        responses = OutputError.of(flights, aircraft_dynamics(model, flights))
+    added = (AddedToFilter if gusts else AddedCoefficients)(responses, theta)
+    (slope,) = added.slopes("Cn", lambda signals: signals["rudder"][None])
+    wanted = responses.linearise(theta, np.array([responses.model.names.index("Cndr")]))[1][:, :, 0]
     np.testing.assert_allclose(slope, wanted, atol=1e-9 * np.abs(wanted).max())
 
 
@@ -378,11 +338,16 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
         np.testing.assert_allclose(slope, difference, atol=1e-5 * size, err_msg=model.names[place])
 
 
-def test_parts_of_the_jackknife_lie_within_a_manoeuvre_and_have_some_seconds(short):
+def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample(short):
     responses, _ = short
     parts, manoeuvre = responses.jackknife_blocks, responses.manoeuvre
     assert set(np.bincount(parts) * responses.seconds) == {5.0}
     assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == 3
+    # A constant in white noise: the share of the variance that it takes, by numpy.
+    state = begun(*short)
+    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
+    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
+    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
 
 
 def test_a_term_changes_innovations_as_the_effect_that_a_file_states(short, tmp_path):
@@ -405,30 +370,20 @@ def test_a_term_changes_innovations_as_the_effect_that_a_file_states(short, tmp_
     np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
 
 
-def test_the_least_share_of_a_single_sample_is_a_fifth_of_that_of_a_mean_over_five(short):
-    """A constant in white noise: the share of the variance that it takes, by numpy."""
-    responses, theta = short
+def begun(responses, theta):
+    """Where a search without a catalogue begins."""
     full = CandidateModel(responses.model, tuple(e.name for e in responses.model.effects), (), {})
-    state = linearised(full, responses, responses.outputs, theta)
-    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
-    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
-    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
+    return linearised(full, responses, responses.outputs, theta)
 
 
-def searched_in_gusts(card, truth):
-    """What the library finds in two flights in gusts, no catalogue beside it."""
-    responses, theta = in_gusts(card, truth)
-    model = responses.model
-    full = CandidateModel(model, tuple(e.name for e in model.effects), (), {})
-    state = linearised(full, responses, responses.outputs, theta)
-    return flown_forms(forward_selection(state, seed=1), seed=2)
-
-
-def test_a_hidden_term_is_found_in_gusts_and_its_silent_twin_has_none(card):
-    size = -0.7
-    found = searched_in_gusts(card, {"Cma2": size})
+@pytest.mark.parametrize(("fly", "size"), [(in_calm_air, 0.15), (in_gusts, -0.7)], ids=["trajectories", "innovations"])
+def test_a_hidden_term_is_found_and_its_silent_twin_has_none(hfb320, fly, size):
+    """By the library, in two flights."""
+    found, silent = (
+        flown_forms(forward_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
+    )
     (term,) = found.forms.terms
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
     assert abs(term.size[0] - size) < 1.96 * term.size[1]
     assert [(u.coefficient, u.channel) for u in found.unknown] == [("Cm", "alpha^2")]
-    assert searched_in_gusts(card, {}).forms.terms == ()
+    assert silent.forms.terms == ()

@@ -5,6 +5,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from parts import fitted_to_stalls
 from scipy.stats import norm
 
 from bayes_aero.diagnosis import result as finding
@@ -15,7 +16,7 @@ from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvr
 from bayes_aero.diagnosis.search import search_trajectories
 from bayes_aero.diagnosis.search.search_trajectories import in_windows
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, holdout_fits, left_out
 from bayes_aero.diagnosis.trajectories.lag_test import confirmed, with_lag
 from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
 from bayes_aero.diagnosis.trajectories.noise_check import beyond_noise
@@ -24,11 +25,9 @@ from bayes_aero.diagnosis.trajectories.time_histories import fly_given
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs.io import diagnosis_json as diagnosis_results
 from bayes_aero.model.joined_channels import despiked, join
@@ -53,7 +52,7 @@ def flown(card):
 
 
 @pytest.mark.recovery
-def test_the_simulation_gains_on_flights_it_was_not_fitted_to(flown):
+def test_the_simulation_gains_on_other_flights_and_gives_the_arm_back(flown):
     found, paths = flown
     assert "thrust_moment" in [c.name for c in found.causes], SEED
     assert {p.split for p in paths.paths} == {"fitted", "hold_out"}
@@ -70,10 +69,6 @@ def test_the_simulation_gains_on_flights_it_was_not_fitted_to(flown):
                 if name in BANDS:
                     assert error.within == pytest.approx(np.mean(np.abs(residual) <= BANDS[name]))
                     assert 0.0 <= error.probability <= 1.0
-
-
-@pytest.mark.recovery
-def test_trajectories_give_the_arm_back(flown):
     _, paths = flown
     near = max(0.06, 4.0 * paths.deviation["thrust_arm"])
     assert paths.extended.values["thrust_arm"] == pytest.approx(0.6, abs=near), SEED
@@ -176,24 +171,17 @@ def flown_with(flights, **changed):
     return path
 
 
-def test_the_truth_flies_what_was_recorded(flights):
+def test_the_truth_flies_what_was_recorded_and_a_wrong_derivative_does_not(flights):
     path = flown_with(flights)
     assert path.inside
     assert path.errors["alpha"].rms < np.radians(0.1)
     assert path.errors["airspeed"].rms < 0.3
     assert path.errors["alpha"].within == path.errors["theta"].within == 1.0
     assert path.errors["q"].tolerance is None
-
-
-def test_a_wrong_stability_derivative_does_not(flights):
     right, wrong = flown_with(flights), flown_with(flights, Cma=0.7 * TRUTH["Cma"])
     assert wrong.errors["alpha"].rms > 10.0 * right.errors["alpha"].rms
     assert wrong.errors["alpha"].within < 0.9
-
-
-def test_what_was_measured_is_shown_as_it_was(flights):
     joined = flights[1]
-    path = flown_with(flights)
     assert np.array_equal(path.measured["theta"], np.asarray(joined.channels["theta"]))
     worst = np.max(np.abs(path.measured["theta"] - path.simulated["theta"]))
     assert path.errors["theta"].largest == pytest.approx(worst)
@@ -204,7 +192,7 @@ DEG = np.pi / 180.0
 NAN = float("nan")
 
 
-def test_an_error_of_which_more_than_half_is_no_noise_is_beyond_it():
+def test_errors_beyond_the_noise_decide_the_verdict():
     """Noise of variance 1 and as much again of another origin: root mean square sqrt(2)."""
     assert not OutputMiss(1.0, 1.0, NAN).beyond
     assert not OutputMiss(1.0, 1.414, 9.0).beyond  # the noise of the measured initial state is in what is unseen
@@ -212,9 +200,6 @@ def test_an_error_of_which_more_than_half_is_no_noise_is_beyond_it():
     assert OutputMiss(0.0, 1e-9, NAN).beyond
     assert OutputMiss(1.0, NAN, NAN).beyond
     assert OutputMiss(1.0, np.inf, NAN).beyond
-
-
-def test_causes_explain_only_where_noise_alone_is_left():
     noise, more = (finding.Tested({"alpha": OutputMiss(1.0, x, x)}) for x in (1.0, 3.0))
     never = finding.Tested({})
     assert [as_tested(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
@@ -252,7 +237,7 @@ def test_errors_are_judged_by_the_noise_that_the_card_states(card):
 LENGTHS = (90, 91)  # the halves of a manoeuvre with an odd number of samples
 
 
-def test_halves_that_differ_by_a_sample():
+def test_log_scores_and_figures_of_segments_of_different_length():
     rng = np.random.default_rng(1)
     missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
     paths = [
@@ -264,10 +249,7 @@ def test_halves_that_differ_by_a_sample():
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
         found = HoldoutScore.of(paths, ("q",), noise_growth)
     assert found.density() == pytest.approx(density)
-
-
-def test_figures_of_manoeuvres_of_different_length():
-    """White noise of variance 2: no correlation beyond lag 0, and twice the variance over the sampling rate."""
+    # White noise of variance 2: no correlation beyond lag 0, and twice the variance over the sampling rate.
     rng = np.random.default_rng(2)
     parts = [np.sqrt(2.0) * rng.standard_normal(n) for n in (4000, 6000)]
     for _ in range(20):
@@ -285,17 +267,9 @@ OUTPUTS = ("airspeed", "alpha", "theta", "q", "ax", "az")
 
 def asked(card, hidden, seed):
     """The card's model fitted to two stalls, and what is said of a lag beside it."""
-    flights = despiked(join(hidden_records(hidden, seed=seed, seconds=90.0), card, FLIGHT))[0]
     model = Model.from_card(card)
+    flights, fit, noise = fitted_to_stalls(card, model, hidden, seed)
     full = candidate_model(model, flights)
-    dynamics = aircraft_dynamics(model, flights)
-    whole = segments(flights, dynamics, outputs=OUTPUTS)
-    start = np.array([TRUTH[name] for name in dynamics.names])
-    first = fit_output_error(whole, start=start, prior_weight=30.0)  # near enough to need no shorter windows
-    noise = Noise.of(first)
-    fit = fit_output_error(
-        noise.on(whole), start=first.estimate, departure=first.departure, prior_weight=noise.variance_inflation
-    )
     plain, effect = CandidateFit("extended", fit), lag_of(full)
     wider = replace(model.extended(), fixed=())
     lagged, lag = with_lag(wider, effect, plain, noise, flights)

@@ -47,13 +47,16 @@ def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
     return one, Mock(spec=TrajectoryFit, fit=fit, converged=converged)
 
 
-def test_what_differs_beyond_both_intervals_is_told():
+def test_what_differs_beyond_both_intervals_is_told_and_a_failed_filter_decides_nothing():
     (found,) = fit_disagreements(*fits())
     assert (found.name, found.coefficients, found.trajectories) == ("CLa", (4.34, 0.14), (3.37, 0.15))
     assert found.apart == pytest.approx(0.97 / np.hypot(0.14, 0.15))
     (said,) = disagreement_sentences([found])
     assert "CLa 4.34 ± 0.14 from the coefficients, 3.37 ± 0.15 from trajectories" in said
     assert "4.7 combined standard errors apart" in said
+    disagree, failed = fit_disagreements(*fits()), with_process_noise((4.33, 0.05), converged=False)
+    assert settled_sentences(disagree, failed, (), asked=False) == []
+    assert settled_sentences((), failed, (), asked=True) == []
 
 
 @pytest.mark.parametrize(
@@ -83,12 +86,6 @@ def test_the_filter_decides_between_two_fits_that_disagree(CLa, apart, said):
     assert "no-process-noise" not in short
 
 
-def test_a_filter_that_failed_decides_nothing():
-    disagree, failed = fit_disagreements(*fits()), with_process_noise((4.33, 0.05), converged=False)
-    assert settled_sentences(disagree, failed, (), asked=False) == []
-    assert settled_sentences((), failed, (), asked=True) == []
-
-
 # The causes in a band of frequencies: the truth of a simulated flight, and a size that the band does not confirm
 @pytest.fixture(scope="module")
 def hidden(card):
@@ -101,7 +98,7 @@ def shown(hidden):
     return causes_in_band(hidden[1])
 
 
-def test_the_band_gives_the_size_that_was_hidden(hidden, shown):
+def test_the_band_is_that_of_the_motion_and_gives_the_size_that_was_hidden(hidden, shown):
     (size,) = shown.sizes
     mean, sd = size.in_band
     assert size.cause == "alpha_dot_moment"
@@ -110,10 +107,7 @@ def test_the_band_gives_the_size_that_was_hidden(hidden, shown):
     assert size.apart < 3.0
     (sentence,) = in_band_sentences(shown)
     assert "agree: alpha_dot_moment" in sentence
-
-
-def test_the_band_is_that_of_the_motion(hidden, shown):
-    """From two periods of the shorter manoeuvre; nearly all power of the pitch rate is inside."""
+    # From two periods of the shorter manoeuvre; nearly all power of the pitch rate is inside.
     flights = hidden[1].aerodynamics.state.responses.flights
     assert shown.band == band_of(flights)
     assert shown.band[0] == pytest.approx(2.0 / 90.04, rel=1e-3)
@@ -122,7 +116,7 @@ def test_the_band_is_that_of_the_motion(hidden, shown):
     assert power[frequency <= shown.band[1]].sum() > 0.95 * power.sum()
 
 
-def test_a_size_that_is_not_in_the_band_is_told(hidden):
+def test_sizes_that_are_not_in_the_band_errors_of_sensors_and_no_causes(hidden):
     """As a slow model error would leave it."""
     found = hidden[1]
     (cause,) = found.causes
@@ -132,10 +126,7 @@ def test_a_size_that_is_not_in_the_band_is_told(hidden):
     assert one.apart > 3.0
     shown = causes_in_band(replace(found, causes=(replace(cause, parameters={"Cmadot": off}),)))
     assert "a drift or a slow model error has a part in it" in in_band_sentences(shown)[0]
-
-
-def test_an_error_of_a_sensor_that_was_found_before_keeps_its_value(hidden):
-    """It is no candidate of the coefficients, and the model in the band has it all the same."""
+    # It is no candidate of the coefficients, and the model in the band has it all the same.
     state = hidden[1].aerodynamics.state
     theta = state.theta.copy()
     theta[state.full.columns(["accel_z_bias"])] = 0.3
@@ -143,9 +134,6 @@ def test_an_error_of_a_sensor_that_was_found_before_keeps_its_value(hidden):
     assert model.values(start)["accel_z_bias"] == 0.3
     assert "accel_z_bias" not in model.names
     assert set(model.names) == {p for n in (*state.full.base, *state.active) for p in state.full.parameters_of(n)}
-
-
-def test_without_causes_there_is_nothing_to_fit(hidden):
     assert causes_in_band(replace(hidden[1], causes=())) is None
     assert in_band_sentences(None) == ()
 
@@ -179,8 +167,17 @@ def test_errors_of_first_order_are_those_of_draws(value):
         assert sd == pytest.approx(0.5 * (high - low), rel=0.05), name
 
 
-def test_a_mode_whose_sign_is_open_has_no_time():
+def test_modes_without_a_known_sign_an_error_or_a_converged_fit(flown):
     assert flown_mode("spiral", 0.01 + 0.0j, np.diag([1e-4, 0.0])).quantities == {}
+    fit = flown.fit
+    (mode,) = flown_modes(replace(fit, undetermined=("Mq",)), Steady(1.0, 0.0))
+    assert math.isinf(mode.quantities["period"][1])
+    assert math.isinf(mode.quantities["damping_ratio"][1])
+    assert math.isinf(flown_mode("Dutch roll", 0.1 + 1.0j, np.full((2, 2), np.inf)).quantities["damping_ratio"][1])
+    (same,) = flown_modes(replace(fit, undetermined=("az0",)), Steady(1.0, 0.0))
+    assert math.isfinite(same.quantities["period"][1])
+    assert motion_of(replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
+    assert math.isnan(motion_of(flown).airspeed)  # of a linear card
 
 
 def test_modes_of_a_fit_spread_as_draws_of_its_parameters(flown):
@@ -220,18 +217,3 @@ def test_modes_are_those_of_the_better_fit(flown):
     assert mode.sd == pytest.approx((0.02, float(np.hypot(*(slopes * [0.04, 0.2])))), rel=1e-3)
     worse = motion_of(flown, Mock(spec=ProcessNoise, preferred=False))
     assert (worse.filtered, worse.modes) == (False, motion_of(flown).modes)
-
-
-def test_a_parameter_that_the_record_does_not_determine_leaves_no_error(flown):
-    fit = flown.fit
-    (mode,) = flown_modes(replace(fit, undetermined=("Mq",)), Steady(1.0, 0.0))
-    assert math.isinf(mode.quantities["period"][1])
-    assert math.isinf(mode.quantities["damping_ratio"][1])
-    assert math.isinf(flown_mode("Dutch roll", 0.1 + 1.0j, np.full((2, 2), np.inf)).quantities["damping_ratio"][1])
-    (same,) = flown_modes(replace(fit, undetermined=("az0",)), Steady(1.0, 0.0))
-    assert math.isfinite(same.quantities["period"][1])
-
-
-def test_a_fit_that_did_not_converge_has_no_motion(flown):
-    assert motion_of(replace(flown, fit=replace(flown.fit, status=OutputErrorStatus.NOT_CONVERGED))) is None
-    assert math.isnan(motion_of(flown).airspeed)  # of a linear card

@@ -51,7 +51,7 @@ def state(airspeed=V, alpha=ALPHA, *gusts):
     return jnp.array([airspeed, alpha, THETA, Q, *gusts])
 
 
-def test_without_motion_of_the_air_nothing_changes(systems):
+def test_gusts_act_through_the_flow_alone(systems):
     calm, gusty = systems
     assert gusty.states == (*calm.states, "gust_w", "gust_u")
     rate, outputs = calm.motion(state(), ROW)
@@ -60,10 +60,6 @@ def test_without_motion_of_the_air_nothing_changes(systems):
     np.testing.assert_array_equal(other[4:], 0.0)
     for name, value in outputs.items():
         assert float(same[name]) == pytest.approx(float(value), rel=1e-14, abs=1e-14), name
-
-
-def test_vane_pitot_tube_and_forces_feel_the_flow(systems):
-    calm, gusty = systems
     airspeed, alpha = V + U, ALPHA + W / V
     _, flow = calm.motion(state(airspeed, alpha), ROW)
     _, found = gusty.motion(state(V, ALPHA, W, U), ROW)
@@ -71,10 +67,7 @@ def test_vane_pitot_tube_and_forces_feel_the_flow(systems):
     assert float(found["airspeed"]) == pytest.approx(airspeed, rel=1e-14)
     for name in ("ax", "az", "q_dot", "CL", "CD", "Cm"):
         assert float(found[name]) == pytest.approx(float(flow[name]), rel=1e-12), name
-
-
-def test_the_path_over_ground_follows_from_the_forces(systems):
-    """Newton's second law in axes of the path, written out: alpha-dot = q + (az cos - ax sin + g cos gamma) / V."""
+    # Newton's second law in axes of the path, written out: alpha-dot = q + (az cos - ax sin + g cos gamma) / V.
     _, gusty = systems
     rate, found = gusty.motion(state(V, ALPHA, W, U), ROW)
     g, arm = 9.80665, gusty.aircraft.accelerometer
@@ -174,15 +167,12 @@ def test_the_spread_is_that_of_the_linear_system():
     assert found[0, 1] == pytest.approx(exact[0, 1], rel=four + 0.01)
 
 
-def test_the_gust_itself_grows_exactly():
+def test_calm_air_moves_nothing_and_a_gust_grows_exactly():
     """Its variance from calm air is sigma^2 (1 - exp(-2 a t)), whatever the step."""
     gust = flights(SIGMA)[:, :, 1]
     for k in (1, 20, 100):
         exact = SIGMA**2 * (1.0 - np.exp(-2.0 * LAG * DT * k))
         assert np.var(gust[:, k]) == pytest.approx(exact, rel=4.0 * np.sqrt(2.0 / COUNT))
-
-
-def test_calm_air_moves_nothing():
     assert not flights(0.0).any()
 
 
@@ -242,7 +232,7 @@ def fitted(card, flights, *more):
 
 
 @pytest.mark.verify
-def test_intensity_and_length_are_found(shaken):
+def test_buffet_is_found_in_intensity_and_length_and_counted_once(shaken):
     card, flights, apart = shaken
     assert np.mean(apart < 0.1) > 0.2
     assert np.mean(apart > 0.5) > 0.1
@@ -260,11 +250,7 @@ def test_intensity_and_length_are_found(shaken):
     alike, coloured = (np.abs(neighbour_correlation(one.found)) for one in (found, without))
     assert np.max(alike) < 4.0 / np.sqrt(SHAKEN_N)
     assert coloured[az] > 4.0 / np.sqrt(SHAKEN_N)
-
-
-@pytest.mark.verify
-def test_where_buffet_is_modelled_the_sensors_are_steady(shaken):
-    """Noise that grows as the flow separates stands for buffet: both would count it twice."""
+    # Noise that grows as the flow separates stands for buffet: both would count it twice.
     card, flights, _ = shaken
     for more, grows in (("buffet",), False), ((), True):
         model = model_of(card, *more)

@@ -158,7 +158,7 @@ def uncertain():
     return root @ root.T, rng.normal(size=(7, 5)), rng.uniform(0.1, 2.0, 7), np.arange(7) != 2
 
 
-def test_gains_are_those_of_the_whole_sample(uncertain):
+def test_gains_are_those_of_the_whole_sample_and_ask_no_library(uncertain):
     """P C' S^-1, and the inverse of the unit factor of S: numpy's."""
     P, C, variance, there = uncertain
     gain, innovate = gains(*map(jnp.asarray, (P, C, variance, there)))
@@ -168,10 +168,7 @@ def test_gains_are_those_of_the_whole_sample(uncertain):
     np.testing.assert_allclose(gain[:, there], np.linalg.solve(S, seen @ P).T, atol=1e-12)
     np.testing.assert_array_equal(gain[:, ~there], 0.0)
     np.testing.assert_allclose(innovate[np.ix_(there, there)], np.linalg.inv(factor / np.diag(factor)), atol=1e-12)
-
-
-def test_gains_of_many_samples_ask_no_library_for_them(uncertain):
-    """Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores."""
+    # Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores.
     P, C, variance, there = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in uncertain)
     program = jax.jit(jax.vmap(gains)).lower(P, C, variance, there).as_text()
     assert "custom_call" not in program

@@ -57,7 +57,7 @@ def three():
     return multisines(ONE_PERIOD, PERIOD, BAND, 3)
 
 
-def test_controls_are_orthogonal_and_share_no_frequency(three):
+def test_multisines_are_orthogonal_and_stay_so_through_any_linear_system(three):
     shared = three @ three.T
     np.testing.assert_allclose(shared - np.diag(np.diag(shared)), 0.0, atol=1e-10 * shared[0, 0])
     spectra = np.abs(np.fft.rfft(three)) > 1e-6 * len(ONE_PERIOD)
@@ -65,10 +65,7 @@ def test_controls_are_orthogonal_and_share_no_frequency(three):
     assert np.all(spectra.sum(axis=0) <= 1)
     excited = frequencies[spectra.any(axis=0)]
     np.testing.assert_allclose(excited, np.arange(3, 36) / PERIOD)  # every multiple of 1/T from 0.1 to 1.4 Hz
-
-
-def test_orthogonal_inputs_stay_so_through_any_linear_system(three):
-    """Of a whole period, circular convolution with any response keeps the frequencies."""
+    # Of a whole period, circular convolution with any response keeps the frequencies.
     response = np.exp(-ONE_PERIOD)[None, :] * np.array([[1.0], [-2.0], [0.5]])
     answers = np.fft.irfft(np.fft.rfft(three) * np.fft.rfft(response), len(ONE_PERIOD))
     shared = answers @ answers.T
@@ -85,19 +82,13 @@ def test_peaks_are_small_and_the_signal_begins_at_zero(controls, least):
         assert np.max(np.abs(signal)) == pytest.approx(1.0, abs=1e-2)
 
 
-def test_a_sine_has_the_peak_factor_one():
+def test_multisines_of_the_standard_manoeuvre_and_of_a_narrow_band():
     assert peak_factor(np.sin(2.0 * np.pi * np.arange(1000) / 1000.0)) == pytest.approx(1.0, rel=1e-6)
-
-
-def test_the_standard_manoeuvre_holds_whole_periods():
     time = np.arange(0.0, SECONDS, DT)
     signals = multisine_inputs(time, 3)
     one, two = (signals[:, round(begin / DT) : round((begin + PERIOD) / DT)] for begin in (5.0, 30.0))
     np.testing.assert_allclose(one, two, atol=1e-9)
     assert not np.any(signals[:, time < 5.0 - DT / 2])
     assert not np.any(signals[:, time > 55.0 - DT / 2])
-
-
-def test_a_narrow_band_is_refused():
     with pytest.raises(InputError, match=r"1 multiples of 1/25 s, and 1 multisines need 2 above zero; widen the band"):
         multisines(ONE_PERIOD, PERIOD, (0.1, 0.12), 1)

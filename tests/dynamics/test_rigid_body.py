@@ -88,7 +88,7 @@ def test_a_symmetric_top_precesses_as_the_closed_form_says():
     np.testing.assert_allclose(to_earth(found).apply([1.0, 0.0, 0.0]), around.apply([1.0, 0.0, 0.0]), atol=1e-7)
 
 
-def test_attitude_goes_through_the_vertical():
+def test_attitude_follows_any_rates_through_the_vertical():
     """Two loops at a steady pitch rate begun in a bank: beyond 90 degrees bank and heading turn over by half a turn."""
     n, dt, q = 801, 0.02, 0.8
     system, u = turning(n, p=0.0, q=q, r=0.0)
@@ -98,10 +98,7 @@ def test_attitude_goes_through_the_vertical():
     np.testing.assert_allclose(np.sin(found["theta"]), np.sin(pitch), atol=1e-9)
     np.testing.assert_allclose(np.cos(found["phi"]), np.sign(np.cos(pitch)), atol=1e-9)
     np.testing.assert_allclose(np.cos(found["psi"]), np.sign(np.cos(pitch)), atol=1e-9)
-
-
-def test_attitude_follows_any_rates():
-    """Against the product of rotations by scipy, of which each lasts a sample at the rate of its middle."""
+    # Against the product of rotations by scipy, of which each lasts a sample at the rate of its middle.
     n, dt = 3001, 0.002
     t = np.arange(n) * dt
     rates = {"p": 0.5 * np.sin(2.0 * t), "q": 1.2 + 0.3 * np.cos(t), "r": 0.2 * np.cos(3.0 * t)}
@@ -113,9 +110,6 @@ def test_attitude_follows_any_rates():
         turned = turned * step
     assert float(jnp.abs(found["theta"]).max()) > np.radians(70.0)
     np.testing.assert_allclose((turned.inv() * to_earth(found)[-1]).magnitude(), 0.0, atol=3e-6)
-
-
-def test_bank_and_heading_are_shown_to_the_turn_of_the_record():
     n, dt, r = 401, 0.05, 0.6
     system, u = turning(n, p=0.0, q=0.0, r=r)
     heading = 5.0 * np.pi + 0.2 + r * np.arange(n) * dt

@@ -37,11 +37,8 @@ def test_the_aspect_ratio_is_span_squared_over_wing_area(span):
     assert aircraft.half_span == pytest.approx(25.78 * 0.3048)
 
 
-def test_a_stated_aspect_ratio_holds():
+def test_aspect_ratio_span_and_half_of_it():
     assert parse_aircraft({**STATED, "span": "51.56 ft", "aspect_ratio": 6.5}, "mine").aspect_ratio == 6.5
-
-
-def test_span_and_half_of_it_are_one_constant():
     both = {**STATED, "span": "51.56 ft", "half_span": "20 ft"}
     with pytest.raises(InputError, match=re.escape("has span (51.56 ft) and half_span (20 ft); keep one")):
         parse_aircraft(both, "mine")
@@ -119,27 +116,23 @@ def input_record(**channels):
     return FlightRecord.from_arrays("run", np.arange(N) * 0.04, arrays)
 
 
-def test_a_sum_may_have_factors():
+def test_channels_are_formed_by_sums_and_tables():
     formed = with_sums(input_record(), input_card())
     np.testing.assert_allclose(formed["elevator"], 0.025, rtol=1e-14)
     np.testing.assert_allclose(formed["roll_tail"], 0.015, rtol=1e-14)
-
-
-def test_thrust_is_read_off_tables_of_one_and_of_two_dimensions():
-    """N1 50 % is halfway from 40 to 60, Mach 0.25 a quarter of the way: 400 lbf at Mach 0.2, 300 lbf at 0.4."""
-    formed = with_sums(input_record(), input_card())
+    # N1 50 % is halfway from 40 to 60, Mach 0.25 a quarter of the way: 400 lbf at Mach 0.2, 300 lbf at 0.4.
     np.testing.assert_allclose(formed["thrust_left"], 375.0 * LBF, rtol=1e-12)
     np.testing.assert_allclose(formed["thrust_right"], 3000.0, rtol=1e-12)  # 2500 rpm is halfway
     np.testing.assert_allclose(formed["thrust"], 375.0 * LBF + 3000.0, rtol=1e-12)
     assert channel_units(input_card())["thrust_left"] == "N"
-
-
-def test_the_ends_of_a_table_belong_to_it():
     formed = with_sums(input_record(n1_left=1.0, mach=0.4), input_card())
     np.testing.assert_allclose(formed["thrust_left"], 1600.0 * LBF, rtol=1e-12)
+    formed = with_sums(input_record(thrust_left=1000.0, density=0.9, dynamic_pressure=3000.0), input_card())
+    np.testing.assert_array_equal(formed["thrust_left"], 1000.0)
+    np.testing.assert_array_equal(formed["density"], 0.9)
 
 
-def test_beyond_a_table_its_range_and_the_sample_are_told():
+def test_what_a_table_cannot_give_is_refused():
     n1 = np.full(N, 0.5)
     n1[7:] = 1.045
     with pytest.raises(
@@ -148,15 +141,6 @@ def test_beyond_a_table_its_range_and_the_sample_are_told():
         r"of thrust_left, which goes from 40 to 100 %, 53 of 60 samples in all; extend \[tables.thrust_left\]",
     ):
         with_sums(input_record(n1_left=n1), input_card())
-
-
-def test_what_is_recorded_goes_before_a_table_and_a_rule():
-    formed = with_sums(input_record(thrust_left=1000.0, density=0.9, dynamic_pressure=3000.0), input_card())
-    np.testing.assert_array_equal(formed["thrust_left"], 1000.0)
-    np.testing.assert_array_equal(formed["density"], 0.9)
-
-
-def test_a_record_without_the_entry_of_a_table_has_no_thrust():
     with pytest.raises(InputError, match="no channel thrust_left"):
         with_sums(input_record(n1_left=None), input_card())
 
@@ -188,7 +172,10 @@ def put(*path):
     def edit(table):
         for key in keys:
             table = table[key]
-        table[last] = value
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
 
     return edit
 
@@ -245,41 +232,34 @@ def test_check_finds_a_record_beyond_a_table_not_usable(tmp_path, last, usable):
 
 
 # What cards say of linear systems, of constants and of the way rates are made free of units
-def change(path, value):
-    def edit(table):
-        for key in path[:-1]:
-            table = table[key]
-        if value is None:
-            del table[path[-1]]
-        else:
-            table[path[-1]] = value
-
-    return edit
-
-
 @pytest.mark.parametrize(("edit", "words"), [
-    (change(["linear", "state"], ["alpha"]), "did you mean 'states'"),
-    (change(["linear", "states"], []), "states must be a list"),
-    (change(["linear", "states"], ["q", "q"]), "twice"),
-    (change(["linear", "states"], ["alpha", "q", "theta"]), r"theta, which \[channels\] does not map"),
-    (change(["linear", "rates", "q"], None), r"\[linear.rates.q\] is missing"),
-    (change(["linear", "rates", "p"], {"Lp": "q"}), "unknown state"),
-    (change(["linear", "rates", "q", "Mde"], "rudder"), r"rudder, which \[channels\] does not map"),
-    (change(["linear", "rates", "q", "Mde"], 3.0), "write the channel it multiplies"),
-    (change(["linear", "rates", "q", "Mde"], {"elevator": "big"}), "not a number"),
-    (change(["linear", "rates", "q"], {}), "must be a table of parameters"),
-    (change(["linear", "outputs", "ax"], {"X0": "1"}), r"ax, which \[channels\] does not map"),
-    (change(["linear", "outputs", "q"], {"Xq": "q"}), "is a state"),
-    (change(["linear", "fixed", "Mp"], 1.0), "Mp is a parameter of no row"),
-    (change(["linear", "fixed", "Mq"], "one"), "not a number"),
-    (change(["parameters"], {"Mdelta": {"start": 1.0}}), "unknown parameter 'Mdelta'"),
-    (change(["model"], {"effects": ["attached_lift"]}), r"both \[model\] and \[linear\]"),
-    (change(["channels"], None), r"section \[channels\] is missing"),
-    (change(["constants"], {"alpha": "3 deg"}), "required channel"),
-    (change(["constants"], {"wobble": "3 deg"}), "not a channel of the program"),
-    (change(["constants"], {"density": "0.8"}), "without a unit"),
-    (change(["constants"], {"density": "792 kg/m^3"}), "check its unit"),
-    (change(["constants"], {"time": "1 s"}), "time cannot be constant"),
+    (put("linear", "state", ["alpha"]), "did you mean 'states'"),
+    (put("linear", "states", []), "states must be a list"),
+    (put("linear", "states", ["q", "q"]), "twice"),
+    (put("linear", "states", ["alpha", "q", "theta"]), r"theta, which \[channels\] does not map"),
+    (put("linear", "rates", "q", None), r"\[linear.rates.q\] is missing"),
+    (put("linear", "rates", "p", {"Lp": "q"}), "unknown state"),
+    (put("linear", "rates", "q", "Mde", "rudder"), r"rudder, which \[channels\] does not map"),
+    (put("linear", "rates", "q", "Mde", 3.0), "write the channel it multiplies"),
+    (put("linear", "rates", "q", "Mde", {"elevator": "big"}), "not a number"),
+    (put("linear", "rates", "q", {}), "must be a table of parameters"),
+    (put("linear", "outputs", "ax", {"X0": "1"}), r"ax, which \[channels\] does not map"),
+    (put("linear", "outputs", "q", {"Xq": "q"}), "is a state"),
+    (put("linear", "fixed", "Mp", 1.0), "Mp is a parameter of no row"),
+    (put("linear", "fixed", "Mq", "one"), "not a number"),
+    (put("parameters", {"Mdelta": {"start": 1.0}}), "unknown parameter 'Mdelta'"),
+    (put("model", {"effects": ["attached_lift"]}), r"both \[model\] and \[linear\]"),
+    (put("channels", None), r"section \[channels\] is missing"),
+    (put("constants", {"alpha": "3 deg"}), "required channel"),
+    (put("constants", {"wobble": "3 deg"}), "not a channel of the program"),
+    (put("constants", {"density": "0.8"}), "without a unit"),
+    (put("constants", {"density": "792 kg/m^3"}), "check its unit"),
+    (put("constants", {"time": "1 s"}), "time cannot be constant"),
+    (put("fly", {"output": ["q"]}), "did you mean 'outputs'"),
+    (put("fly", {"outputs": "q"}), r"\[fly\] outputs must be a list"),
+    (put("fly", {"initial_state": ["q"]}), r"\[fly\] initial_state must be a table"),
+    (put("fly", {"initial_state": {"theta": "0 deg"}}), "initial_state has theta, which .channels. does not map"),
+    (put("fly", {"initial_state": {"q": "3 m"}}), r"\[fly\] initial_state q"),
 ])  # fmt: skip
 def test_a_wrong_linear_card_is_one_sentence(edit, words):
     table = copy.deepcopy(tomllib.loads(SHORT_PERIOD))
@@ -290,15 +270,17 @@ def test_a_wrong_linear_card_is_one_sentence(edit, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_linear_card_needs_neither_aircraft_nor_effects():
+def test_a_linear_card_needs_neither_aircraft_nor_effects_nor_alpha():
     card = card_of(SHORT_PERIOD)
     assert card.effects == ()
     assert np.isnan(card.aircraft.mass)  # nothing computed from it could pass for a number
     assert card.linear.inputs == ("elevator",)
     assert card.linear.parameters == ("Z0", "Zalpha", "Zq", "Zde", "M0", "Malpha", "Mq", "Mde", "az0")
+    record = FlightRecord.from_arrays("x", np.arange(60) * 0.04, {"q": np.zeros(60)})
+    assert set(with_sums(record, card_of(SHORT_PERIOD))) == {"q"}
 
 
-def test_a_constant_stands_where_nothing_was_recorded():
+def test_a_channel_is_a_constant_where_nothing_was_recorded_and_no_sum():
     text = SHORT_PERIOD.replace("[linear]", '[constants]\ndensity = "0.0494 lb/ft^3"\naz = "-1 g"\n\n[linear]')
     text = text.replace("[linear]", '[sums]\nthrust = ["density", "az"]\n\n[linear]')
     card = card_of(text)
@@ -310,9 +292,6 @@ def test_a_constant_stands_where_nothing_was_recorded():
     without = with_sums(record_of(true), card)
     np.testing.assert_allclose(without["az"], -9.80665, rtol=1e-12)
     np.testing.assert_allclose(without["thrust"], -9.80665 + 0.0494 * 0.45359237 / 0.3048**3)  # sums come after
-
-
-def test_a_channel_is_a_sum_or_a_constant():
     table = copy.deepcopy(tomllib.loads(SHORT_PERIOD))
     table |= {"sums": {"thrust": ["q"]}, "constants": {"thrust": "5 kN"}}
     with pytest.raises(InputError, match=r"both in \[sums\] and in \[constants\]"):
@@ -338,18 +317,6 @@ def test_rates_are_reduced_as_the_card_says(card):
         parse_card(table, "x", "x.toml")
 
 
-@pytest.mark.parametrize(("given", "told"), [
-    ({"output": ["q"]}, "did you mean 'outputs'"),
-    ({"outputs": "q"}, r"\[fly\] outputs must be a list"),
-    ({"initial_state": ["q"]}, r"\[fly\] initial_state must be a table"),
-    ({"initial_state": {"theta": "0 deg"}}, "initial_state has theta, which .channels. does not map"),
-    ({"initial_state": {"q": "3 m"}}, r"\[fly\] initial_state q"),
-])  # fmt: skip
-def test_a_bad_section_of_a_trajectory_fit_is_refused(given, told):
-    with pytest.raises(InputError, match=told):
-        parse_card(tomllib.loads(SHORT_PERIOD) | {"fly": given}, "x", "x.toml")
-
-
 def test_an_initial_state_is_in_si():
     """A channel of the card's own in its own unit: 10 ft/s are 3.048 m/s."""
     table = tomllib.loads(SHORT_PERIOD)
@@ -358,11 +325,6 @@ def test_an_initial_state_is_in_si():
     found = parse_card(table, "x", "x.toml").fly
     assert found.outputs == ("q",)
     assert found.initial_state == pytest.approx({"alpha": np.deg2rad(2.0), "w": 3.048}, rel=1e-12)
-
-
-def test_a_record_of_a_linear_card_needs_no_alpha():
-    record = FlightRecord.from_arrays("x", np.arange(60) * 0.04, {"q": np.zeros(60)})
-    assert set(with_sums(record, card_of(SHORT_PERIOD))) == {"q"}
 
 
 # [envelope] of a card: units, defaults, and one sentence for what is wrong

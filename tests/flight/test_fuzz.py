@@ -7,6 +7,7 @@ from pathlib import Path
 import fuzzing
 import numpy as np
 import pytest
+import xarray as xr
 from flight_samples import CHANNELS, sound
 from hypothesis import given
 from hypothesis import strategies as st
@@ -42,8 +43,6 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def valid(folder) -> dict[str, bytes]:
-    import xarray as xr
-
     contents = {}
     for suffix in EXAMPLES:
         path = folder / f"valid{suffix}"

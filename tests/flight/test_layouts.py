@@ -85,14 +85,11 @@ def test_columns_between_blanks_with_names_and_units(tmp_path):
     assert [column.label for column in read_raw(path).columns] == [f"{label} raw" for label in LABELS]
 
 
-def test_a_header_that_names_too_few_columns(tmp_path):
+def test_headers_and_first_samples_at_odds_are_told(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(",".join(LABELS[:-2]) + "\n" + columns(table(tmp_path), ","))
     with pytest.raises(InputError, match=rf"header in line 1 names {len(LABELS) - 2} columns.* have {len(LABELS)}"):
         read_record(path, CHANNELS)
-
-
-def test_a_damaged_first_sample_is_not_taken_for_a_preamble(tmp_path):
     lines = (HEADER + columns(table(tmp_path), ",")).splitlines()
     lines[1] = lines[1].rsplit(",", 1)[0]
     (tmp_path / "a.csv").write_text("\n".join(lines))
@@ -132,14 +129,7 @@ def test_marks(cells, marks):
     assert marks_of(cells) == marks
 
 
-def test_marks_that_nothing_tells():
-    with pytest.raises(InputError, match=r"4,562.*decimal comma or stand before thousands"):
-        marks_of(["4,562", "5"])
-    with pytest.raises(InputError, match=r"decimal comma and .* decimal point"):
-        marks_of(["1,5", "0.25"])
-
-
-def test_numbers():
+def test_numbers_and_marks_that_nothing_tells():
     assert number_of("1.5D+02", Marks()) == 150.0
     assert number_of("1.234,5", Marks(",", ".")) == 1234.5
     assert number_of("12'345.5", Marks()) == 12345.5
@@ -147,6 +137,10 @@ def test_numbers():
     for cell in ("1_000", "12:30", "abc", "1 2"):
         with pytest.raises(ValueError, match=r"."):
             number_of(cell, Marks())
+    with pytest.raises(InputError, match=r"4,562.*decimal comma or stand before thousands"):
+        marks_of(["4,562", "5"])
+    with pytest.raises(InputError, match=r"decimal comma and .* decimal point"):
+        marks_of(["1,5", "0.25"])
 
 
 @pytest.mark.parametrize(("cells", "expected"), [
@@ -238,17 +232,14 @@ def quoted_file(folder):
     return path
 
 
-def test_a_header_and_numbers_with_commas_in_quotes(tmp_path):
+def test_commas_in_quotes_are_decimals_separators_or_thousands(tmp_path):
     record = read_record(quoted_file(tmp_path), QUOTED)
     np.testing.assert_allclose(record.time, 0.04 * np.arange(60), atol=1e-12)
     np.testing.assert_allclose(record["alpha"], np.deg2rad(0.5 + 0.01 * np.arange(60)), rtol=1e-12)
     assert record["altitude"][-1] == 5059.0
     labels = [column.label for column in read_raw(tmp_path / "quoted.csv").columns]
     assert labels == ["T", "alpha, left vane", "H"]
-
-
-def test_thousands_are_never_taken_for_decimals(tmp_path):
-    """ "5,000" is five thousand where points stand before decimals, and cannot be told where nothing else speaks."""
+    # "5,000" is five thousand where points stand before decimals, and cannot be told where nothing else speaks.
     path = quoted_file(tmp_path)
     rows = path.read_text().splitlines()
     points = [re.sub(r'"(\d),', r'"\1.', row).replace('"50', '"5,0') for row in rows[1:]]

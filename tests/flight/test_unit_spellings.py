@@ -52,6 +52,7 @@ CASES = [  # heading, channel, SI values, SI size of one of the unit, spellings
     ("EngineRPM", "engine_speed", 200.0 + 9.0 * WAVE, 2.0 * np.pi / 60.0, "rpm RPM rev/min"),
 ]
 SPELLED = [(*case[:4], unit) for case in CASES for unit in case[4].split(" ")]
+PITCHING = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
 
 
 def written(folder, layout, heading, filed, unit):
@@ -61,6 +62,13 @@ def written(folder, layout, heading, filed, unit):
     path = folder / "run.csv"
     path.write_text("\n".join([first, *rows]), encoding="utf-8")
     return path
+
+
+def guesses(folder, header, columns):
+    """What is guessed from a file of these columns: channels by name."""
+    path = folder / "run.csv"
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
+    return guessed(read_raw(path).columns)[0]
 
 
 @pytest.mark.parametrize("layout", ["brackets", "unit row"])
@@ -77,19 +85,15 @@ def test_a_guess_from_the_files_own_unit_passes_the_reader(tmp_path, layout, hea
 def test_the_unit_of_an_angular_acceleration_shows_in_the_rate(tmp_path, unit, scale):
     time = np.arange(400) * 0.04
     rate, slope = 0.1 * np.sin(time), 0.1 * np.cos(time)
-    rows = (f"{t:.2f},{x:.9g},{y:.9g}" for t, x, y in zip(time, rate / DEG, slope / scale, strict=True))
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(["Time [s],Q [deg/s],Qdot", *rows]), encoding="utf-8")
-    assert guessed(read_raw(path).columns)[0]["q_dot"].unit == unit
+    found = guesses(tmp_path, "Time [s],Q [deg/s],Qdot", (time, rate / DEG, slope / scale))
+    assert found["q_dot"].unit == unit
 
 
 @pytest.mark.parametrize(("unit", "size"), [("Pa", 1.0), ("lbf/ft^2", LBF / FT**2)])
 def test_the_unit_of_a_dynamic_pressure_shows_in_the_airspeed(tmp_path, unit, size):
     speed = 80.0 + 5.0 * WAVE
-    rows = (f"{t:.2f},{v:.9g},{x:.9g}" for t, v, x in zip(TIME, speed, 0.5 * 1.1 * speed**2 / size, strict=True))
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join(["Time [s],TAS [m/s],Qbar", *rows]), encoding="utf-8")
-    assert guessed(read_raw(path).columns)[0]["dynamic_pressure"].unit == unit
+    found = guesses(tmp_path, "Time [s],TAS [m/s],Qbar", (TIME, speed, 0.5 * 1.1 * speed**2 / size))
+    assert found["dynamic_pressure"].unit == unit
 
 
 @pytest.mark.parametrize("unit", ["deg", "DEG", "degrees", "°"])
@@ -113,24 +117,18 @@ def test_the_turn_of_the_path_tells_units_that_the_climb_cannot(tmp_path, units,
     climb = 0.87 * V * np.sin(theta - alpha)
     altitude = 2500.0 + 0.05 * np.cumsum(climb)
     columns = (time, np.full(len(time), V / speed), alpha, theta, q, az, altitude / height)
-    path = tmp_path / "run.csv"
-    header = "time,airspeed,alpha,theta,q,az,altitude"
-    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
-    found, _ = guessed(read_raw(path).columns)
+    found = guesses(tmp_path, "time,airspeed,alpha,theta,q,az,altitude", columns)
     assert f"{found['airspeed'].unit} {found['altitude'].unit}" == units
 
 
 def test_noise_tells_neither_the_sign_of_a_rate_nor_that_of_the_elevator(tmp_path):
     """Wings that stay level and an elevator at rest, recorded with noise: the heading alone counts. Ten records."""
     time, rng = np.arange(0.0, 60.0, 0.04), np.random.default_rng(3)
-    header = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
-    path = tmp_path / "run.csv"
     for _ in range(10):
         noise = 0.05 * rng.standard_normal((6, len(time)))
         noise[2] += np.cos(0.5 * time)
         noise[3] += 2.0 * np.sin(0.5 * time)
-        np.savetxt(path, np.stack([time, *noise], axis=1), delimiter=",", header=header, comments="", fmt="%.6g")
-        found, _ = guessed(read_raw(path).columns)
+        found = guesses(tmp_path, PITCHING, [time, *noise])
         assert [found[name].sign for name in ("p", "q", "elevator")] == [1, 1, 1]
         assert "changes" not in found["p"].evidence
         assert "follows" not in found["elevator"].evidence
@@ -143,10 +141,7 @@ def test_the_sign_of_a_rate_and_of_an_elevator_that_move_is_told(tmp_path, sign)
     columns = (sign * np.gradient(roll, time), roll, q, -3.75 * np.cos(0.8 * time), 2.0 * np.sin(0.3 * time))
     elevator = -sign * 0.4 * np.gradient(q, time)
     table = np.stack([*columns, elevator], axis=1) + 0.05 * rng.standard_normal((len(time), 6))
-    path = tmp_path / "run.csv"
-    header = "Time [s],RollRate [deg/s],Roll [deg],PitchRate [deg/s],Pitch [deg],AoA [deg],Elevator [deg]"
-    np.savetxt(path, np.column_stack([time, table]), delimiter=",", header=header, comments="", fmt="%.6g")
-    found, _ = guessed(read_raw(path).columns)
+    found = guesses(tmp_path, PITCHING, [time, *table.T])
     assert [found[name].sign for name in ("p", "q", "elevator")] == [sign, 1, sign]
 
 
@@ -156,10 +151,7 @@ def test_a_heading_in_radians_makes_no_degrees_of_the_rest(tmp_path, size, unit)
     time = np.arange(0.0, 40.0, 0.05)
     heading = np.mod(3.0 + 0.2 * time, 2.0 * np.pi)
     small = [0.1 + 0.05 * np.sin(f * time) for f in (0.5, 0.7, 0.9)]
-    columns = np.stack([time, heading / size, *(x / size for x in small)], axis=1)
-    path = tmp_path / "run.csv"
-    np.savetxt(path, columns, delimiter=",", header="time,yaw,pitch,roll,alpha", comments="", fmt="%.9g")
-    found, _ = guessed(read_raw(path).columns)
+    found = guesses(tmp_path, "time,yaw,pitch,roll,alpha", [time, heading / size, *(x / size for x in small)])
     assert {found[name].unit for name in ("psi", "theta", "phi", "alpha")} == {unit}
 
 
@@ -193,11 +185,10 @@ def _turns(size=1.0):
 
 def _units_guessed(folder, columns, headings):
     """Units of channels whose headings state none unless `headings` does, with noise of 2 % of each signal."""
-    rng, path = np.random.default_rng(5), folder / "run.csv"
+    rng = np.random.default_rng(5)
     noisy = [x if n == "time" else x + 0.02 * np.std(x) * rng.standard_normal(len(x)) for n, x in columns.items()]
     header = ",".join(headings.get(name, name) for name in columns)
-    np.savetxt(path, np.stack(noisy, axis=1), delimiter=",", header=header, comments="", fmt="%.9g")
-    return {name: guess.unit for name, guess in guessed(read_raw(path).columns)[0].items()}
+    return {name: guess.unit for name, guess in guesses(folder, header, noisy).items()}
 
 
 @pytest.mark.parametrize("degrees", [(), ("phi", "theta"), ("p", "q"), ("phi", "theta", "p", "q")])

@@ -72,30 +72,31 @@ def test_a_fixed_initial_state_is_flown_and_given_no_freedom():
     np.testing.assert_allclose(found.information, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
     free = fit_output_error(flown_of(noisy(4)))
     assert np.all(found.crb <= free.crb * 1.02)  # a state that is known leaves more to say of the rest
-
-
-def test_without_a_given_value_a_fixed_state_is_the_first_sample():
     record = noisy(4)
     flown = flown_of(record, fixed={"q": 0.02})
     theta = jnp.asarray([p.start for p in flown.dynamics.free])
     begin = trajectories(flown, theta, jnp.zeros((1, 2))).trajectory.states[0, 0]
     np.testing.assert_array_equal(begin, [record["alpha"][0], 0.02])
-
-
-def test_an_initial_state_of_no_state_is_refused():
     with pytest.raises(InputError, match="az, which is no state of the model; there are alpha, q"):
         flown_of(noisy(4), fixed={"az": 1.0})
+
+
+def held_flight(u, dt):
+    """Angle of attack and pitch rate where the elevator is held between samples: a matrix exponential each."""
+    A, B = SYSTEM
+    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
+    x = [np.array(BEGIN)]
+    for value in u[:-1]:
+        x.append(step[:2] @ [*x[-1], value, 1.0])
+    return np.array(x)
 
 
 def test_held_inputs_are_a_zero_order_hold():
     """Against one matrix exponential a sample; the derivative by the initial state against differences."""
     n, dt = 120, 0.04
     u = np.random.default_rng(2).normal(0.0, 0.03, n)
-    A, B = SYSTEM
-    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
-    x = [np.array(BEGIN)]
-    for value in u[:-1]:
-        x.append(step[:2] @ [*x[-1], value, 1.0])
+    A = SYSTEM[0]
+    x = held_flight(u, dt)
     dynamics = linear_dynamics(card_of(SHORT_PERIOD))
     system = dynamics.system(SHORT_PERIOD_TRUTH | {"Zq": 1.0}, NO_AIRCRAFT)
     inputs = {"elevator": jnp.asarray(u), "1": jnp.ones(n)}
@@ -107,19 +108,14 @@ def test_held_inputs_are_a_zero_order_hold():
     slope = jax.jvp(last, (jnp.array(BEGIN),), (jnp.array([1.0, 0.0]),))[1]
     np.testing.assert_allclose(slope, [expm(A * dt * k)[:, 0] for k in range(n)], rtol=0.0, atol=1e-6)
     linear = integrate(system, jnp.array(BEGIN), inputs, dt).states
-    assert np.abs(linear - np.array(x)).max() > 1e-3
+    assert np.abs(linear - x).max() > 1e-3
 
 
 def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
     """Mde from a digital actuator's record without noise; linear between samples it is off by more."""
     n, dt = 200, 0.04
     u = np.repeat(np.random.default_rng(7).normal(0.0, 0.03, n // 10), 10)
-    A, B = SYSTEM
-    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
-    x = [np.array(BEGIN)]
-    for value in u[:-1]:
-        x.append(step[:2] @ [*x[-1], value, 1.0])
-    states = np.array(x)
+    states = held_flight(u, dt)
     record = record_of({"alpha": states[:, 0], "q": states[:, 1], "elevator": u})
     off = {}
     for held in (True, False):
@@ -262,14 +258,11 @@ def test_the_growth_of_noise_is_found(growth):
     np.testing.assert_allclose(noise_growth[0, APART == 0.0], 1.0)
 
 
-def test_nothing_missed_does_not_grow_and_growth_has_an_end():
+def test_growth_has_an_end_and_segments_left_out_no_say():
     inside = np.ones((1, N), bool)
     assert not SeparatedFlow(np.zeros((1, N, 1)), APART[None], inside).growths().any()
     only = (APART[None, :, None] + 1e-9) * np.ones((1, N, 1))
     assert SeparatedFlow(only, APART[None], inside).growths() == pytest.approx(MAX_GROWTH, rel=1e-3)
-
-
-def test_a_segment_that_is_left_out_has_no_say():
     residual = np.random.default_rng(1).standard_normal((2, N, 1))
     residual[1] *= 1.0 + GROWTH * APART[:, None]
     parts = SeparatedFlow(residual, np.stack([APART, APART]), np.ones((2, N), bool))

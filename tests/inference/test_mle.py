@@ -34,7 +34,7 @@ def published_fit(attas, model):
     return fit_mle(model, attas)
 
 
-def test_published_estimates_and_bounds(published_fit):
+def test_published_estimates_bounds_cost_and_fit(published_fit, attas, model):
     r = published_fit
     assert r.status is MleStatus.CONVERGED
     assert set(r.names) == set(PUBLISHED)
@@ -42,19 +42,28 @@ def test_published_estimates_and_bounds(published_fit):
         value, deviation = PUBLISHED[name]
         assert abs(estimate - value) < 0.3 * deviation, name
         assert crb == pytest.approx(deviation, rel=0.015), name
-
-
-def test_published_cost_and_fit(published_fit):
     assert published_fit.det_R == pytest.approx(1.2076e-11, rel=1e-3)
     for name, (r, rmse) in PUBLISHED_FIT.items():
         assert published_fit.fit[name].r == pytest.approx(r, abs=2e-4)
         assert published_fit.fit[name].rmse == pytest.approx(rmse, rel=1e-3)
-
-
-def test_published_program_stopped_above_our_optimum(published_fit, attas, model):
     theta = jnp.asarray([PUBLISHED[name][0] for name in model.names])
     residual = attas.measured - model.predicted(theta, attas.signals, attas.aircraft)
     assert published_fit.det_R <= float(jnp.prod(jnp.mean(residual**2, axis=0)))
+    costs = [cost for cost, _ in published_fit.starts]
+    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
+        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
+    )
+    assert len(costs) > 3
+    # Finite differences of the cost vanish at the optimum, to the scale of one bound.
+    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
+    for i, crb in enumerate(published_fit.crb):
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[i] += sign * 0.05 * crb
+            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
+            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
+    again = descend(model, attas, theta)
+    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
 
 
 @pytest.mark.parametrize("manoeuvre", [0, 1])
@@ -64,14 +73,6 @@ def test_each_real_manoeuvre_alone_finds_a_stall(attas, model, manoeuvre):
     assert r.status is MleStatus.CONVERGED
     alpha_star = r.estimate[r.names.index("alpha_star")]
     assert 0.2 < alpha_star < 0.4
-
-
-def test_no_fitted_cost_is_below_ours_from_another_start(attas, published_fit):
-    costs = [cost for cost, _ in published_fit.starts]
-    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
-        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
-    )
-    assert len(costs) > 3
 
 
 def simulated(observations, model, noise, seed):
@@ -127,7 +128,7 @@ def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
     assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
 
 
-def test_a_record_that_never_stalls_says_so(clean, model):
+def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model):
     calm = clean.subset(np.flatnonzero(np.asarray(clean.signals["alpha"]) < 0.13))
     data = simulated(calm, model, NOISE, 3)
     r = fit_mle(model, data)
@@ -135,16 +136,10 @@ def test_a_record_that_never_stalls_says_so(clean, model):
         "not identified" in w or "never approached" in w for w in r.warnings()
     )
     assert told
-
-
-def test_twin_a_record_that_stalls_is_silent_about_it(clean, model):
     r = fit_mle(model, simulated(clean, model, NOISE, 3))
     assert r.status is MleStatus.CONVERGED
     assert not any("not identified" in w or "never approached" in w for w in r.warnings())
-
-
-def test_a_parameter_at_a_bound_of_zero_has_a_deviation_and_no_share_of_it(clean, model):
-    """tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate."""
+    # tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate.
     r = fit_mle(model, simulated(clean, model, NOISE, 3), extra_starts=0)
     at = r.names.index("tau2")
     zero = replace(r, estimate=np.where(np.arange(len(r.names)) == at, 0.0, r.estimate))
@@ -152,7 +147,7 @@ def test_a_parameter_at_a_bound_of_zero_has_a_deviation_and_no_share_of_it(clean
     assert expected in zero.warnings()
 
 
-def test_an_unused_parameter_makes_the_information_singular(clean):
+def test_singular_information_and_bounds_are_reported(clean, model):
     """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
     model = Model.of(
         ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
@@ -162,11 +157,6 @@ def test_an_unused_parameter_makes_the_information_singular(clean):
     r = fit_mle(model, flat, extra_starts=0)
     assert r.status is MleStatus.SINGULAR
     assert np.all(np.isnan(r.crb))
-
-
-def test_bounds_are_respected_and_reported(clean, model):
-    from dataclasses import replace
-
     tight = replace(
         model,
         parameters=tuple(p.changed(bounds=(30.0, 60.0), start=40.0) if p.name == "a1" else p for p in model.parameters),
@@ -175,19 +165,6 @@ def test_bounds_are_respected_and_reported(clean, model):
     assert r.status is MleStatus.AT_BOUND
     assert r.at_bound == ("a1",)
     assert r.estimate[r.names.index("a1")] == 30.0
-
-
-def test_gauss_newton_reaches_a_stationary_point(attas, model, published_fit):
-    """Finite differences of the cost vanish at the optimum, to the scale of one bound."""
-    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
-    for i, crb in enumerate(published_fit.crb):
-        for sign in (1, -1):
-            moved = theta.copy()
-            moved[i] += sign * 0.05 * crb
-            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
-            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
-    again = descend(model, attas, theta)
-    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
 
 
 # Estimates without the bias from recording noise: simulated truth, records without noise, an identity
@@ -221,15 +198,12 @@ def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
     assert np.all(rest[large] < 0.5 * biased[large])
 
 
-def test_without_noise_nothing_moves(card, model):
+def test_without_noise_or_at_a_bound_nothing_moves(card, model):
     records = flown(card, 11, 0.0)
     mle = fit_mle(model, observe(records, card, model), extra_starts=0)
     freed = without_noise_bias(mle, records, card, model)
     assert freed.bias is not None
     assert np.all(np.abs(freed.bias) < 0.05 * mle.crb_corrected)
-
-
-def test_a_fit_at_a_bound_is_left_as_it_is(card, model):
     records = flown(card, 11, 1.0)
     mle = fit_mle(model, observe(records, card, model), extra_starts=0)
     bounded = replace(mle, status=MleStatus.AT_BOUND)

@@ -143,7 +143,7 @@ def test_shares_of_the_true_filter_are_nominal(flown):
             assert share.sd == pytest.approx(np.sqrt(level * (1.0 - level) / one.count), rel=0.6)
 
 
-def test_a_filter_that_is_told_half_the_noise_is_not_calibrated(flown):
+def test_a_filter_that_is_told_wrong_noise_is_not_calibrated(flown):
     found = predicted(flown, 0.5)
     assert found.status == "not_calibrated"
     for one in (*found.outputs.values(), found.together):
@@ -151,9 +151,6 @@ def test_a_filter_that_is_told_half_the_noise_is_not_calibrated(flown):
         assert one.ratio[0] > 1.1
         for share in one.shares:
             assert share.share * one.count < binom.interval(0.999, one.count, share.level)[0]
-
-
-def test_a_filter_that_is_told_four_times_the_noise_is_too_wide(flown):
     found = predicted(flown, 4.0)
     assert found.status == "not_calibrated"
     assert {one.calibration for one in found.outputs.values()} <= {Calibration.TOO_WIDE, Calibration.COLOURED}
@@ -209,7 +206,7 @@ def test_two_sensors_of_one_signal_know_no_more_than_one():
         assert both.sd == pytest.approx(one.sd, rel=0.3)
 
 
-def test_what_was_not_measured_does_not_count():
+def test_what_counts_in_a_score_and_what_is_too_few():
     """Every second sample, a short segment, and an output that was never measured."""
     z = white(2, 2, 500, 2)
     z[:, ::2, 0] = z[:, :, 1] = np.nan
@@ -220,9 +217,6 @@ def test_what_was_not_measured_does_not_count():
     assert found.outputs["y0"].count == len(kept) == 300
     assert found.outputs["y0"].shares[1].share == np.mean(np.abs(kept) < norm.ppf(0.95))
     assert np.isnan(probability_transform(innovations(z))[0, 0, 0])
-
-
-def test_too_few_are_not_judged():
     found = judged(3.0 * white(3, 1, 20, 1))
     assert found.status == "undecided"
     assert found.outputs["y0"].quantiles.shape[1] == 4
@@ -357,7 +351,7 @@ def test_scores_do_not_depend_on_the_unit(seed):
     assert b.rmse == pytest.approx(57.3 * a.rmse)
 
 
-def test_constant_channels_are_named_not_silent():
+def test_constant_channels_and_bad_samples_are_named():
     z = np.linspace(0.0, 1, 20)
     flat = np.full(20, 0.1)
     assert score(flat, z).status is ScoreStatus.constant_measurement
@@ -365,6 +359,11 @@ def test_constant_channels_are_named_not_silent():
     assert math.isnan(score(z, flat).r)
     assert math.isfinite(score(z, flat).r2)
     assert score(np.zeros(5), np.zeros(5)).theil == 0.0
+    z = np.zeros(6)
+    y = z.copy()
+    y[4] = np.nan
+    with pytest.raises(InputError, match="sample 4"):
+        score(z, y)
 
 
 @pytest.mark.parametrize(("z", "y"), [(np.zeros(4), np.zeros(5)), (np.zeros(1), np.zeros(1))])
@@ -373,24 +372,13 @@ def test_shapes_that_do_not_match_are_refused(z, y):
         score(z, y)
 
 
-def test_a_bad_sample_is_named():
-    z = np.zeros(6)
-    y = z.copy()
-    y[4] = np.nan
-    with pytest.raises(InputError, match="sample 4"):
-        score(z, y)
-
-
-def test_coverage_of_a_known_predictive_distribution():
+def test_coverage_of_a_known_distribution_and_what_cannot_be_counted():
     rng = np.random.default_rng(11)
     z, draws = rng.normal(size=20000), rng.normal(size=(2000, 1)) * np.ones(20000)
     for level, share in interval_coverage(z, draws).items():
         assert share == pytest.approx(level, abs=0.03)
     narrow = interval_coverage(z, 0.5 * draws)
     assert narrow[0.95] == pytest.approx(0.673, abs=0.04)  # P(|z| < 0.98)
-
-
-def test_coverage_refuses_what_it_cannot_count():
     with pytest.raises(InputError, match="measurements"):
         interval_coverage(np.zeros(4), np.zeros((10, 5)))
     with pytest.raises(InputError, match="levels"):

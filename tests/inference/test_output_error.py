@@ -61,7 +61,7 @@ def lateral():
     return fit_output_error(flown_of(LATERAL, lateral_flight(LATERAL_TRUTH), 2))
 
 
-def test_the_short_period_is_recovered_from_a_start_of_zeros(short_period):
+def test_short_period_and_lateral_motion_are_recovered(short_period, lateral):
     _, found = short_period
     assert found.status is OutputErrorStatus.CONVERGED
     assert set(found.names) == set(SHORT_PERIOD_TRUTH)
@@ -71,9 +71,6 @@ def test_the_short_period_is_recovered_from_a_start_of_zeros(short_period):
         assert found.estimate[k] == pytest.approx(SHORT_PERIOD_TRUTH[name], rel=0.05)
     np.testing.assert_allclose(np.sqrt(found.R), [NOISE[name] for name in found.flown.outputs], rtol=0.1)
     assert found.held_by_prior == ()
-
-
-def test_lateral_motion_is_recovered(lateral):
     assert lateral.status is OutputErrorStatus.CONVERGED
     assert np.all(np.abs(scores(lateral, LATERAL_TRUTH)) < 4.0)
     for name in ("Lp", "Lda", "Nr", "Nbeta"):
@@ -153,7 +150,7 @@ def test_deviations_are_those_of_a_fisher_information_by_differences():
     np.testing.assert_allclose(got, expected, rtol=0.01)
 
 
-def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
+def test_what_the_record_does_not_move_and_what_is_held(short_period):
     prior = """
     [parameters.Mde]
     start = 0.0
@@ -177,9 +174,6 @@ def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
         k = found.names.index(name)
         assert abs(found.estimate[k] - truth[name]) < 4.0 * found.sd[k] < 0.4 * abs(truth[name])
     assert "Mde" not in short_period[1].held_by_prior
-
-
-def test_a_parameter_that_is_held_keeps_its_value(short_period):
     flown, free = short_period
     found = fit_output_error(flown, start=free.estimate, held={"Mde": -2.0})
     k = found.names.index("Mde")

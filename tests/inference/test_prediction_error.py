@@ -74,7 +74,7 @@ def flown():
     return segments(join([record], card, ()), dynamics, fixed=card.fly.initial_state)
 
 
-def test_the_truth_is_recovered(flown):
+def test_the_truth_is_recovered_and_without_process_noise_the_fit_is_worse(flown):
     """Every parameter within 3.5 standard errors; process and measurement noise within 3.5 of their own."""
     found = fit_prediction_error(flown, np.full(2, 0.2), 4.0 * R[[0, 1, 2]], priors=False)
     assert found.status is PredictionErrorStatus.CONVERGED
@@ -91,6 +91,11 @@ def test_the_truth_is_recovered(flown):
     for c in range(3):
         white = e[used[:, c], c]
         assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 4.0 / np.sqrt(len(white))
+    # F of 0 is held; the likelihood of a disturbed flight is far lower without it.
+    still = fit_prediction_error(flown, np.zeros(2), 20.0 * R, priors=False)
+    free = fit_prediction_error(flown, F, R, priors=False)
+    np.testing.assert_array_equal(still.F, 0.0)
+    assert free.log_likelihood - still.log_likelihood > 100.0
 
 
 def test_the_gradient_is_that_of_finite_differences(flown):
@@ -101,14 +106,6 @@ def test_the_gradient_is_that_of_finite_differences(flown):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)
         difference = (problem.cost(point + h) - problem.cost(point - h)) / (2.0 * h.sum())
         assert g == pytest.approx(difference, rel=1e-4, abs=1e-3), i
-
-
-def test_without_process_noise_the_fit_says_so(flown):
-    """F of 0 is held; the likelihood of a disturbed flight is far lower without it."""
-    still = fit_prediction_error(flown, np.zeros(2), 20.0 * R, priors=False)
-    free = fit_prediction_error(flown, F, R, priors=False)
-    np.testing.assert_array_equal(still.F, 0.0)
-    assert free.log_likelihood - still.log_likelihood > 100.0
 
 
 @pytest.mark.skipif(not BOOK.is_dir(), reason="needs ../shared/book")
@@ -283,6 +280,11 @@ def test_the_density_is_the_likelihood_of_the_fit_and_the_priors(scalar, fitted)
     slope = knee * (1.0 - np.exp(-x[1:] / knee))  # of knee log(1 + exp(u)) by u
     whole = fitted.log_likelihood + priors + np.log(slope).sum()
     assert float(density(u)) == pytest.approx(whole, rel=1e-8)
+    # A fit without process noise is no point of a lognormal.
+    density = innovations_posterior(scalar[0], np.array([3e-4]))
+    x = density.start(replace(fitted, F=np.zeros(1)))
+    assert x[1] == pytest.approx(0.3 * 3e-4**0.5 * np.exp(-2.0 * SPREAD))
+    assert np.isfinite(float(density(density.unconstrain(jnp.asarray(x)))))
 
 
 @pytest.mark.recovery
@@ -383,16 +385,13 @@ def both(flown, x):
     return lean, jnp.sum(jax.vmap(log_likelihood)(found))
 
 
-def test_the_lean_likelihood_is_the_filter_s(pendulum):
+def test_the_lean_likelihood_is_the_filter_s_and_its_gradient_that_of_differences(pendulum):
     rng = np.random.default_rng(1)
     for _ in range(3):
         x = jnp.asarray([4.0, 0.3, 0.05, 0.2, 0.01, 0.01, 0.02] * rng.uniform(0.5, 1.5, 7))
         lean, whole = both(pendulum.nameless, x)
         assert float(lean) == pytest.approx(float(whole), rel=1e-10)
-
-
-def test_its_gradient_is_that_of_finite_differences(pendulum):
-    """Of a motion and outputs that bend, and of noise that depends on state and parameters."""
+    # Of a motion and outputs that bend, and of noise that depends on state and parameters.
     flown = pendulum.nameless
     value = eqx.filter_jit(lambda x: innovations_density(flown, NoisePoint(x[:2], x[2:4], x[4:]), jnp.ones(2)))
     x = np.array([4.0, 0.3, 0.05, 0.2, 0.01, 0.01, 0.02])
@@ -401,11 +400,3 @@ def test_its_gradient_is_that_of_finite_differences(pendulum):
         h = 1e-5 * x[i] * (np.arange(len(x)) == i)
         difference = (value(jnp.asarray(x + h)) - value(jnp.asarray(x - h))) / (2.0 * h.sum())
         assert float(gradient[i]) == pytest.approx(float(difference), rel=1e-6, abs=1e-4), i
-
-
-def test_a_noise_that_vanishes_begins_inside_its_prior(scalar, fitted):
-    """A fit without process noise is no point of a lognormal."""
-    density = innovations_posterior(scalar[0], np.array([3e-4]))
-    x = density.start(replace(fitted, F=np.zeros(1)))
-    assert x[1] == pytest.approx(0.3 * 3e-4**0.5 * np.exp(-2.0 * SPREAD))
-    assert np.isfinite(float(density(density.unconstrain(jnp.asarray(x)))))

@@ -11,6 +11,7 @@ import xarray as xr
 from jax.scipy.special import logsumexp
 from jax.scipy.stats import norm
 from scipy.optimize import minimize_scalar
+from scipy.stats import multivariate_normal
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
@@ -164,10 +165,8 @@ def test_thinning_stays_within_manoeuvres(clean):
 
 
 @pytest.mark.parametrize("colour", list(Colour))
-def test_density_is_that_of_the_multivariate_normal(thinned, model, colour):
+def test_density_is_that_of_the_multivariate_normal_and_standardises_its_noise(thinned, model, colour):
     """Sum of the conditional densities against scipy's joint density of each manoeuvre and coefficient."""
-    from scipy.stats import multivariate_normal
-
     short = thinned.subset(np.concatenate([np.arange(40), np.flatnonzero(thinned.manoeuvre == 1)[:30]]))
     density = Density(short, model, Noise(colour))
     rng = np.random.default_rng(8)
@@ -186,10 +185,6 @@ def test_density_is_that_of_the_multivariate_normal(thinned, model, colour):
             covariance = values[f"sigma_{k}"] ** 2 * rho**lag * np.outer(noise_growth, noise_growth)
             expected += multivariate_normal(cov=covariance).logpdf(residual[at, i])
     assert float(density.log_likelihood(x)) == pytest.approx(expected, rel=1e-10)
-
-
-@pytest.mark.parametrize("colour", list(Colour))
-def test_simulated_noise_standardises_to_what_made_it(thinned, model, colour):
     density = Density(thinned, model, Noise(colour))
     values = TRUTH | COLOURED | {f"buffet_{k}": 1.5 for k in ("CL", "CD", "Cm")}
     x = jnp.asarray([values[name] for name in density.names])
@@ -199,8 +194,6 @@ def test_simulated_noise_standardises_to_what_made_it(thinned, model, colour):
 
 
 def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
-    import jax
-
     density = Density(thinned, model, Noise(Colour.BUFFET_AR1))
     rng = np.random.default_rng(4)
     x = jnp.asarray(density.sample_prior(rng, 1)[0])
@@ -254,7 +247,7 @@ def _parabola():
     )  # fmt: skip
 
 
-def test_a_parabola_has_its_known_maximum(card):
+def test_a_parabola_has_its_known_maximum_and_one_beyond_the_record_is_flagged(card):
     rng = np.random.default_rng(0)
     c = rng.uniform(20.0, 30.0, 300)
     b = c * rng.uniform(0.2, 0.3, 300)
@@ -265,6 +258,17 @@ def test_a_parabola_has_its_known_maximum(card):
     assert (found.alpha_max.low, found.alpha_max.median, found.alpha_max.high) == pytest.approx((low, median, high))
     assert found.at_edge == 0.0
     assert found.seen
+    draws = np.array([[0.5 * c, c] for c in (20.0, 25.0)])  # at 0.5 rad, 29 deg, where nobody flew
+    found = stall_of(Model.of([_parabola()]), draws, FLOWN, card.aircraft)
+    assert found.at_edge == 1.0
+    assert not found.seen
+    assert found.alpha_max.high == pytest.approx(np.deg2rad(22.0))
+    x = np.linspace(0.0, 1.0, 11)
+    rows = np.stack([1.0 - (x - 0.33) ** 2, x, -x])
+    peak, place, edge = maxima(x, rows)
+    assert peak == pytest.approx([1.0, 1.0, 0.0])
+    assert place == pytest.approx([0.33, 1.0, 0.0])
+    assert edge.tolist() == [False, True, True]
 
 
 def test_kirchhoffs_stall_by_another_search(card, model):
@@ -287,23 +291,6 @@ def test_kirchhoffs_stall_by_another_search(card, model):
     assert np.all(falling <= still)  # late reattachment: less attached flow at the same angle
     assert np.array_equal(rising, still)  # one-sided as published
     assert np.any(falling < still - 0.01)
-
-
-def test_a_maximum_beyond_the_record_is_flagged(card):
-    draws = np.array([[0.5 * c, c] for c in (20.0, 25.0)])  # at 0.5 rad, 29 deg, where nobody flew
-    found = stall_of(Model.of([_parabola()]), draws, FLOWN, card.aircraft)
-    assert found.at_edge == 1.0
-    assert not found.seen
-    assert found.alpha_max.high == pytest.approx(np.deg2rad(22.0))
-
-
-def test_maxima_between_points_and_at_edges():
-    x = np.linspace(0.0, 1.0, 11)
-    rows = np.stack([1.0 - (x - 0.33) ** 2, x, -x])
-    peak, place, edge = maxima(x, rows)
-    assert peak == pytest.approx([1.0, 1.0, 0.0])
-    assert place == pytest.approx([0.33, 1.0, 0.0])
-    assert edge.tolist() == [False, True, True]
 
 
 # The search for the mode that holds most: closed-form mixtures, and stalls of which the truth is known
@@ -379,13 +366,10 @@ def test_it_is_a_bijection_with_the_stated_slope(knee, upper):
     np.testing.assert_allclose(log_slope, jnp.log(slope), rtol=1e-9)
 
 
-def test_small_values_are_logarithms_and_large_ones_the_parameter():
+def test_a_knee_is_a_logarithm_below_the_parameter_above_and_a_logit_where_wide():
     p = parameter(0.1, np.inf)
     np.testing.assert_allclose(to_unbounded(p, jnp.asarray(2.0 + 1e-7)), np.log(1e-6), atol=1e-6)
     np.testing.assert_allclose(to_unbounded(p, jnp.asarray(4.0)), 2.0 / 0.1, rtol=1e-6)
-
-
-def test_a_wide_knee_is_the_logit():
     x = jnp.asarray([2.1, 3.0, 4.5])
     np.testing.assert_allclose(
         to_unbounded(parameter(3.0 - 1e-12, 5.0), x), to_unbounded(parameter(9.0, 5.0), x), rtol=1e-9

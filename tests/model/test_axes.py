@@ -54,26 +54,24 @@ def candidates(card, axes) -> CandidateModel:
     return candidate_model(Model.of(names, fixed, axes), flights)
 
 
-def test_a_longitudinal_card_knows_no_lateral_effect(card):
+def test_cards_of_each_axis_have_its_candidates_and_no_others(card):
     found = candidates(card, (Axis.LONGITUDINAL,))
     assert sorted(e.name for e in found.candidates) == LONGITUDINAL_CANDIDATES
     assert found.not_testable == {}
     lateral = {name for name, effect in CATALOGUE.items() if effect.axes == (Axis.LATERAL,)}
     assert {"roll_damping", "sideslip_yaw", "rudder_side_force"} <= lateral
     assert not lateral & {e.name for e in found.model.effects}
-
-
-def test_a_card_of_both_axes_has_the_candidates_of_both(card):
     found = {e.name for e in candidates(card, BOTH).candidates}
     assert found >= {*LONGITUDINAL_CANDIDATES, "roll_damping", "aileron_yaw", "spoiler_roll", "side_force_offset"}
-
-
-def test_a_lateral_card_lacks_what_adds_to_lift_drag_and_pitching_moment(card):
     found = candidates(card, (Axis.LATERAL,))
     assert found.model.coefficients == LATERAL
     names = {e.name for e in found.model.effects} | set(found.not_testable)
     assert {"roll_damping", "sideslip_bias", "mass_scale", "roll_rate_bias"} <= names
     assert not {"pitch_rate_lift", "kirchhoff_lift", "thrust_moment", "elevator_lift", "mach_drag"} & names
+    with pytest.raises(InputError, match=r'effect roll_damping acts on Cl .* add "lateral" to the axes'):
+        Model.of([*card.effects, "roll_damping"])
+    with pytest.raises(InputError, match="effect pitch_damping acts on Cm of the longitudinal axis"):
+        Model.of(["roll_damping", "pitch_damping"], axes=(Axis.LATERAL,))
 
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
@@ -83,13 +81,6 @@ def test_what_adds_to_coefficients_of_one_axis_acts_on_it(effect):
         assert effect.axes == (BOTH if added & set(NAMES) else (Axis.LATERAL,))
     if effect.stage > Stage.AIRCRAFT and added and added <= {*NAMES, "CL_attached"}:
         assert effect.axes == (Axis.LONGITUDINAL,)
-
-
-def test_a_model_refuses_an_effect_of_an_axis_that_it_lacks(card):
-    with pytest.raises(InputError, match=r'effect roll_damping acts on Cl .* add "lateral" to the axes'):
-        Model.of([*card.effects, "roll_damping"])
-    with pytest.raises(InputError, match="effect pitch_damping acts on Cm of the longitudinal axis"):
-        Model.of(["roll_damping", "pitch_damping"], axes=(Axis.LATERAL,))
 
 
 TERMS = ["roll_damping", "sideslip_roll", "yaw_damping", "rudder_side_force", "pitch_damping"]
@@ -146,7 +137,7 @@ def difference(s, aircraft) -> np.ndarray:
     return 0.012 + roll + 0.2 * np.asarray(s["beta"]) - 0.3 * np.asarray(s["aileron"])
 
 
-def test_each_wing_has_the_static_separation_of_its_own_incidence(card):
+def test_each_wing_has_its_own_separation_and_rolls_and_yaws_as_strips_do(card):
     s = signals()
     model, v = model_and_values(card, tau1=0.0, tau2=0.0)
     known = model.flow(v, s, card.aircraft)
@@ -156,12 +147,8 @@ def test_each_wing_has_the_static_separation_of_its_own_incidence(card):
     np.testing.assert_allclose(known["X_difference"], right - left, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(model.static_separation(v, s, card.aircraft), known["X"], rtol=1e-14)
     assert np.abs(right - left).max() > 0.2
-
-
-def test_lift_and_drag_of_the_two_wings_roll_and_yaw_as_strips_of_half_the_area_do(card):
-    """Force of either wing at 4/(3 pi) of the half span, moment r x F about body axes in N m."""
+    # Force of either wing at 4/(3 pi) of the half span, moment r x F about body axes in N m.
     s, a = signals(), card.aircraft
-    model, v = model_and_values(card, tau1=0.0, tau2=0.0)
     known = model.flow(v, s, a)
     alpha, half = np.asarray(s["alpha"]), difference(s, a) / 2.0
     pressure_area, roll, yaw = 1234.0, 0.0, 0.0
@@ -187,7 +174,7 @@ def test_a_wing_that_stalls_first_drops_and_is_dragged_back(card):
     assert np.max(known["Cl"]) > 50.0 * known["Cl"][np.argmin(s["alpha"])]
 
 
-def test_wings_that_are_alike_are_one_to_the_last_bit(card):
+def test_wings_that_are_alike_are_one_and_computed_once(card):
     s = signals()
     one = Model.of([*card.effects], axes=BOTH)
     v = {k: jnp.asarray(x) for k, x in (TRUTH | {"tau1": 12.0}).items()}
@@ -197,10 +184,7 @@ def test_wings_that_are_alike_are_one_to_the_last_bit(card):
         for name in ("X", "CL", "CD", "Cm", "Cl", "Cn", "X_difference"):
             np.testing.assert_array_equal(found[name], expected[name], name)
 
-
-def test_without_an_effect_that_tells_them_apart_nothing_is_computed_twice(card):
-    """The program of a model of one axis is that of the same effects before wings were known: one X."""
-
+    # The program of a model of one axis is that of the same effects before wings were known: one X.
     def steps(model, values):
         program = jax.make_jaxpr(lambda s: model.flow(values, s, card.aircraft)["CL"])(signals())
         return str(program).count("logistic")
@@ -213,7 +197,7 @@ def test_without_an_effect_that_tells_them_apart_nothing_is_computed_twice(card)
     assert steps(*model_and_values(card)) == 2
 
 
-def test_either_wing_lags_by_itself_behind_its_own_static_point(card):
+def test_either_wing_lags_by_itself_and_without_lag_gives_the_mean(card):
     s, lag = signals(), 20.0
     model, v = model_and_values(card, tau1=lag)
     static, _ = model_and_values(card, tau1=0.0)
@@ -225,9 +209,6 @@ def test_either_wing_lags_by_itself_behind_its_own_static_point(card):
     )
     np.testing.assert_allclose(after["X"], (right + left) / 2.0, rtol=1e-9)
     np.testing.assert_allclose(after["X_difference"], right - left, atol=1e-12)
-
-
-def test_a_simulation_without_lag_gives_the_mean_and_gets_the_difference(card):
     s, (_, v) = signals(), model_and_values(card, tau1=0.0)
     model = Model.of([*card.effects, *TELL_APART, *WINGS], {"tau1": 0.0}, BOTH)
     whole = model.flow(v, s, card.aircraft)

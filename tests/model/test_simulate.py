@@ -104,7 +104,7 @@ def test_wings_level_equations_are_the_symmetric_ones(card):
         assert rates.q == pytest.approx((qS * a.chord * Cm_cg + 9e3 * a.engine[2]) / a.Iy, rel=1e-10)
 
 
-def test_a_body_without_forces_keeps_its_energy(card):
+def test_energy_changes_by_the_work_of_the_side_force_alone(card):
     """Rolling does no work: V^2/2 + g h is constant in a parabola with any bank angle."""
     model = Model.of([BARE])
     phi, _ = weave(150)
@@ -112,10 +112,7 @@ def test_a_body_without_forces_keeps_its_energy(card):
     energy = 0.5 * flight["airspeed"] ** 2 + GRAVITY * flight["altitude"]
     assert float(jnp.ptp(flight["altitude"])) > 10.0
     np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
-
-
-def test_with_sideslip_only_the_side_force_works(card):
-    """d/dt (V^2/2 + g h) = side force x side velocity, and the side force is what `ay` records at the CG."""
+    # d/dt (V^2/2 + g h) = side force x side velocity, and the side force is what `ay` records at the CG.
     model, n = Model.of([BARE]), 150
     phi, beta = weave(n)
     aircraft = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
@@ -150,7 +147,7 @@ def test_steady_level_turn(card, degrees):
     np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
 
 
-def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
+def test_the_record_obeys_rigid_body_kinematics_and_gives_the_coefficients_back(card, stall):
     """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
     s = stall
     d = {
@@ -175,10 +172,7 @@ def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
     for name, (derivative, equation) in found.items():
         error = float(jnp.sqrt(jnp.mean((derivative - equation)[INNER] ** 2)))
         assert error < 2e-3 * float(jnp.std(derivative[INNER])), name
-
-
-def test_coefficients_come_back_with_lateral_motion(card, stall):
-    """What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing."""
+    # What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing.
     n = len(stall["alpha"])
     ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
     found = coefficients(condition_joined(stall, *ends), card.aircraft)

@@ -81,7 +81,7 @@ def test_a_control_that_pitches_up_is_moved_the_other_way(card):
         np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
 
 
-def test_a_model_without_an_elevator_is_flown_by_its_stabilizer(card):
+def test_a_model_is_flown_by_its_stabilizer_or_cannot_be_trimmed(card):
     model = pitched_by(card, "stabilizer_trim")
     flown, refused = standard(model, card)
     assert not refused
@@ -91,9 +91,6 @@ def test_a_model_without_an_elevator_is_flown_by_its_stabilizer(card):
     begin = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
     assert doublet["alpha"][:25] == pytest.approx(begin.alpha, abs=np.deg2rad(0.1))
     assert np.ptp(doublet["alpha"]) > np.deg2rad(1.0)
-
-
-def test_a_model_that_no_control_pitches_cannot_be_trimmed(card):
     with pytest.raises(InputError, match="neither elevator nor stabilizer pitches it"):
         trimmed(pitched_by(card), values(), card.aircraft, AIRSPEED, ALTITUDE)
 
@@ -147,18 +144,12 @@ def test_level_flight_is_that_of_a_solver_of_its_own():
     assert found.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
 
 
-def test_one_engine_without_a_rudder_is_no_steady_straight_flight():
+def test_what_cannot_be_held_or_asked_for_is_refused():
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n not in ("rudder_yaw", "rudder_roll")]
     assert abs(trimmed_six(effects).state["phi"]) < 1e-9
     with pytest.raises(InputError, match="no steady flight at 120 m/s and 4000 m that elevator, aileron can hold"):
         trimmed_six(effects, unequal=1.0)
-
-
-def test_what_no_wing_carries_is_refused():
     with pytest.raises(InputError, match="no steady flight at 30 m/s"):
         trimmed_six(airspeed=30.0)
-
-
-def test_two_of_sideslip_bank_and_turn_rate_are_given():
     with pytest.raises(InputError, match="two of sideslip, bank and turn rate"):
         Condition(SPEED, HEIGHT, bank=0.1)

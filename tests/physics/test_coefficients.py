@@ -22,10 +22,11 @@ from bayes_aero.physics.coefficients import (
 from bayes_aero.physics.filters import smooth
 from bayes_aero.physics.frames import body_from_lift_drag, lift_drag_from_body
 from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.simulate.demo import TRUTH
 
 
 # Coefficients: rotations, propagated noise, and the way back from a simulated flight
-def test_rotation_is_its_own_inverse_and_keeps_length():
+def test_rotation_is_its_own_inverse_and_the_lever_arm_a_cross_product():
     rng = np.random.default_rng(1)
     CX, CZ, alpha = (jnp.asarray(rng.normal(size=20)) for _ in range(3))
     CL, CD = lift_drag_from_body(CX, CZ, alpha)
@@ -34,9 +35,6 @@ def test_rotation_is_its_own_inverse_and_keeps_length():
     # At zero incidence drag acts backward and lift upward.
     CL, CD = lift_drag_from_body(jnp.asarray(-0.1), jnp.asarray(-0.5), jnp.asarray(0.0))
     assert (float(CL), float(CD)) == (0.5, 0.1)
-
-
-def test_lever_arm_is_omega_dot_cross_r_plus_omega_cross_omega_cross_r():
     rng = np.random.default_rng(2)
     omega, omega_dot, r = rng.normal(size=(3, 3))
     found = lever_arm(Rotation(*map(jnp.asarray, (*omega, *omega_dot))), tuple(map(float, r)))
@@ -51,8 +49,6 @@ def _conditioned(channels, dt):
 
 def test_coefficients_come_back_from_a_simulated_flight(clean, model):
     """The simulator writes accelerations from the model; reconstruction must give the model back."""
-    from bayes_aero.simulate.demo import TRUTH
-
     truth = jnp.asarray([TRUTH[name] for name in model.names])
     modelled = np.asarray(model.predicted(truth, clean.signals, clean.aircraft))
     error = np.abs(np.asarray(clean.measured) - modelled)
@@ -153,21 +149,15 @@ def flight(a: Aircraft, true=TRUE) -> dict:
     return found | {"thrust_left": THRUST[0], "thrust_right": THRUST[1]}
 
 
-def test_all_six_come_back_from_a_rigid_body_with_a_full_inertia_tensor():
+def test_coefficients_come_back_from_a_rigid_body_six_or_three():
     signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items()}
     found = coefficients(signals, AIRCRAFT)._asdict()
     for name, value in TRUE.items():
         assert float(found[name][0]) == pytest.approx(value, abs=1e-13), name
-
-
-def test_without_the_lateral_accelerometer_there_are_three():
     signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items() if name != "ay"}
     found = coefficients(signals, AIRCRAFT)
     assert found.CY is found.Cl is found.Cn is None
     assert float(found.CL[0]) == pytest.approx(TRUE["CL"], abs=1e-13)
-
-
-def test_thrust_of_one_engine_alone_yaws_only_where_both_are_recorded():
     signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items()}
     total = {name: x for name, x in signals.items() if name != "thrust_left"}
     area = 0.5 * 0.8 * 130.0**2 * 64.0

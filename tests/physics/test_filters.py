@@ -117,14 +117,11 @@ def test_advance_is_of_third_order_on_a_sine(share):
     assert error(0.04) / error(0.02) == pytest.approx(2.0**3, rel=0.1)
 
 
-def test_advance_moves_whole_samples_exactly_and_holds_the_ends():
+def test_advance_moves_whole_samples_and_its_slope_is_the_time_derivative():
     x, dt = sine(20, 0.25), jnp.full(20, 0.25)
     later, earlier = (filters.advance(x, jnp.asarray(s), dt, *inside(20)) for s in (0.75, -0.5))
     np.testing.assert_array_equal(later, np.concatenate([x[3:], np.repeat(x[-1], 3)]))
     np.testing.assert_array_equal(earlier, np.concatenate([np.repeat(x[0], 2), x[:-2]]))
-
-
-def test_slope_of_advance_in_the_delay_is_the_time_derivative():
     dt = 0.02
     n = 200
 
@@ -173,18 +170,14 @@ def flight():
     return card, Model.from_card(card), flown
 
 
-def test_it_is_nearer_the_truth_than_the_vane(flight):
+def test_alpha_dot_is_nearer_the_truth_than_the_vane_and_holds_no_noise_of_lift(flight):
     card, model, flown = flight
     error = {}
     for forming in Forming:
         found = np.asarray(observe([flown.record], card, model, forming).signals["alpha_dot"])
         error[forming] = np.sqrt(np.mean((found - flown.flown["alpha_dot"])[INNER] ** 2))
     assert error[Forming.MATCHED] < 0.3 * error[Forming.PUBLISHED]
-
-
-def test_it_holds_no_noise_of_the_measured_lift(flight):
-    """Noise on az moves the measured CL; what it moves in alpha-dot must not follow it."""
-    card, model, flown = flight
+    # Noise on az moves the measured CL; what it moves in alpha-dot must not follow it.
     record = flown.record
     noise = 0.5 * np.random.default_rng(1).standard_normal(record.n)
     channels = dict(record.channels) | {"az": record["az"] + noise}

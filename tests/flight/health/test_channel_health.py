@@ -218,12 +218,17 @@ def test_units_are_named_alone(names, unit, size, seed):
     assert re.findall(r'unit = "([^"]+)"', finding.sentence) == [unit]
 
 
-def test_a_factor_between_two_units_is_neither():
+def test_units_that_are_not_advised():
     """An airspeed in ft/s that is 4.75 % too large is as near to km/h: 3.44 times as large as in m/s."""
     record = flight(0, seconds=30.0)
     (finding,) = refuted(changed(record, airspeed=1.0475 * record["airspeed"] / FOOT), card())[0]
     assert finding.fault == "factor"
     assert "airspeed is 3.4" in finding.sentence
+    record = flight(2)
+    wrong = changed(record, airspeed=record["airspeed"] * KNOT)  # the file is in m/s, the card says kt
+    (finding,) = [f for f in channel_health([wrong], card(airspeed={"unit": "kt"})) if f.grave]
+    assert 'unit = "m/s"' in finding.sentence
+    assert 'unit = "kt"' not in finding.sentence
 
 
 def gusty(record, size=1.5):
@@ -296,14 +301,6 @@ def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     assert channel_health([record], replace(card(), effects=("attached_lift", "accel_y_bias"))) == ()
 
 
-def test_a_unit_that_the_card_has_already_is_not_advised():
-    record = flight(2)
-    wrong = changed(record, airspeed=record["airspeed"] * KNOT)  # the file is in m/s, the card says kt
-    (finding,) = [f for f in channel_health([wrong], card(airspeed={"unit": "kt"})) if f.grave]
-    assert 'unit = "m/s"' in finding.sentence
-    assert 'unit = "kt"' not in finding.sentence
-
-
 def test_specific_force_without_gravity():
     record = flight(3)
     sin, cos = np.sin(record["theta"]), np.cos(record["theta"])
@@ -336,9 +333,12 @@ def test_scattered_dropouts_to_a_constant(name, value):
     assert f"{len(spots)} of {record.n}" in finding.sentence
 
 
-def test_a_dropout_of_a_second():
+def test_a_dropout_of_a_second_and_a_rate_that_is_no_divisor():
     record = flight(5)
     assert told(changed(record, alpha=put(record["alpha"], slice(500, 525), -0.5))) == [("dropout", "alpha")]
+    record = flight(9, 0.02)
+    x = record["q"][(np.floor(record.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)]
+    assert told(changed(record, q=x)) == [("held", "q")]
 
 
 @pytest.mark.parametrize("name", ["alpha", "theta", "q", "airspeed", "az", "beta", "elevator"])
@@ -514,7 +514,7 @@ def test_peaks_of_a_rounded_attitude_are_not_saturated(step, dt):
         assert saturated(changed(record, **rounded), card()) == []
 
 
-def test_a_dead_heading_is_told_and_left_out_of_the_flight_path():
+def test_headings_that_are_dead_or_wrap():
     record = flight(14)
     (finding,) = channel_health([changed(record, psi=np.full(record.n, 0.3))], card())
     assert (finding.fault, finding.channel, finding.grave) == ("frozen", "psi", False)
@@ -523,12 +523,10 @@ def test_a_dead_heading_is_told_and_left_out_of_the_flight_path():
         ours = replace(card(), constants={"density": 0.8})
         states[name] = path_states(despiked(join([changed(record, psi=psi)], ours, PATH_CORE))[0])
     assert states["alive"] == (*states["dead"], "psi")
-
-
-def test_a_channel_held_at_a_rate_that_is_no_divisor():
-    record = flight(9, 0.02)
-    x = record["q"][(np.floor(record.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)]
-    assert told(changed(record, q=x)) == [("held", "q")]
+    psi = 3.0 + record["psi"]
+    (finding,) = channel_health([changed(record, psi=(psi + np.pi) % (2 * np.pi) - np.pi)], card())
+    assert (finding.fault, finding.channel, finding.grave) == ("wrapped", "psi", False)
+    assert "360 deg" in finding.sentence
 
 
 @pytest.mark.parametrize("digits", [None, {"q": np.deg2rad(0.1)}])
@@ -553,7 +551,7 @@ def test_an_elevator_that_is_positive_trailing_edge_up():
     assert "sign = -1 at elevator" in finding.sentence
 
 
-def test_air_data_in_other_units():
+def test_air_data_and_time_in_other_units():
     record = flight(13)
     temperature = 288.15 - 0.0065 * record["altitude"]
     pressure = 101325.0 * (temperature / 288.15) ** 5.25588
@@ -568,17 +566,16 @@ def test_air_data_in_other_units():
     (finding,) = channel_health([changed(record, **air, calibrated_airspeed=ias / KNOT)], card(**units, **speed))
     assert 'unit = "kt" for calibrated_airspeed' in finding.sentence
     assert not finding.grave  # nothing is computed from it
+    record = flight(22, 0.2)
+    (finding,) = [
+        f
+        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
+        if f.fault == "unit"
+    ]
+    assert 'unit = "s" for it on the card' in finding.sentence
 
 
-def test_a_heading_that_wraps():
-    record = flight(14)
-    psi = 3.0 + record["psi"]
-    (finding,) = channel_health([changed(record, psi=(psi + np.pi) % (2 * np.pi) - np.pi)], card())
-    assert (finding.fault, finding.channel, finding.grave) == ("wrapped", "psi", False)
-    assert "360 deg" in finding.sentence
-
-
-def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
+def test_time_on_the_ground_and_idle_flight():
     record, rng = flight(15), np.random.default_rng(0)
     on = {k: np.full(500, x[0]) + 1e-3 * rng.standard_normal(500) for k, x in record.channels.items()}
     on["airspeed"], on["az"] = 4.0 + 0.3 * rng.standard_normal(500), -G + 0.02 * rng.standard_normal(500)
@@ -588,9 +585,6 @@ def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
     assert (finding.fault, finding.begin) == ("ground", 0.0)
     assert finding.end == pytest.approx(499 * 0.04, abs=0.5)
     assert "cut" in finding.sentence
-
-
-def test_idle_flight_is_a_note():
     record, rng = flight(16), np.random.default_rng(0)
     calm = {
         k: x[-1] + 1e-4 * rng.standard_normal(1500)
@@ -604,7 +598,7 @@ def test_idle_flight_is_a_note():
     assert finding.begin == pytest.approx(60.0, abs=6.0)
 
 
-def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
+def test_records_given_twice_and_records_of_two_rates():
     one, other = flight(17), flight(18)
     assert told(one, changed(other, "other")) == []
     assert told(one, changed(one, "again")) == [("same_record", "record")]
@@ -616,6 +610,10 @@ def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
     tail = FlightRecord.from_arrays("tail", np.arange(1000) * 0.04, {
         k: np.concatenate([one[k][-400:], other[k][:600]]) for k in one.channels})  # fmt: skip
     assert ("same_record", "record") in told(one, tail)
+    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
+    assert finding.fault == "rates"
+    assert "25 Hz" in finding.sentence
+    assert "100 Hz" in finding.sentence
 
 
 @pytest.mark.parametrize(("every", "step"), [(1, 2e-3), (1, 2e-2), (2, 0.0), (5, 1e-3)])
@@ -633,13 +631,6 @@ def test_a_copy_with_fewer_digits_or_at_a_part_of_the_rate_is_no_new_flight(ever
     assert not [f for f in channel_health([one, copied(other)], card()) if f.fault == "same_record"]
 
 
-def test_two_rates_are_said_in_hertz():
-    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
-    assert finding.fault == "rates"
-    assert "25 Hz" in finding.sentence
-    assert "100 Hz" in finding.sentence
-
-
 @pytest.mark.parametrize(("seconds", "short"), [(2.4, True), (4.0, True), (8.0, False)])
 def test_a_record_must_cover_what_the_aircraft_does(seconds, short):
     assert (("short", "record") in told(flight(21, seconds=seconds))) == short
@@ -653,13 +644,3 @@ def test_what_is_needed_is_never_what_there_is(seconds):
     assert float(has) < float(needed)
     asked = [float(x) for x in re.findall(r"([\d.]+) s", too_short(2.0 * DEFAULT.shortest_part * DEFAULT.gap - 0.01))]
     assert asked[0] < asked[1]
-
-
-def test_time_in_seconds_that_the_card_takes_for_milliseconds():
-    record = flight(22, 0.2)
-    (finding,) = [
-        f
-        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
-        if f.fault == "unit"
-    ]
-    assert 'unit = "s" for it on the card' in finding.sentence

@@ -36,7 +36,7 @@ def test_value_is_the_gaussian_density_of_the_full_covariance(problem, seed, d):
     assert log_density(theta, data, Priors.flat()).value == pytest.approx(exact, rel=1e-10)
 
 
-def test_one_and_two_points_in_closed_form():
+def test_one_and_two_points_in_closed_form_and_what_cannot_be_factorised():
     theta = np.log([0.7, 0.3, 1.1, 0.9, 0.2])
     s0, s1, sf, length, sn = np.exp(theta)
     x, y = np.array([[0.4], [-1.0]]), np.array([0.8, -0.1])
@@ -49,6 +49,11 @@ def test_one_and_two_points_in_closed_form():
     quadratic = (b * 0.64 + a * 0.01 + 2 * c * 0.08) / determinant
     expected = -0.5 * (quadratic + np.log(determinant)) - np.log(2 * np.pi)
     assert log_density(theta, ReducedData.of(x, y), Priors.flat()).value == pytest.approx(expected, rel=1e-12)
+    x = np.repeat(np.linspace(-1, 1, 30), 2)[:, None]  # every sample twice
+    theta = np.array([0.0, 0.0, 0.0, 3.0, -25.0])  # and no noise to tell them apart
+    out = log_density(theta, ReducedData.of(x, np.sin(x[:, 0])), Priors.flat())
+    assert not out.ok
+    assert np.isnan(out.value)
 
 
 @pytest.mark.parametrize("priors", [Priors.flat(), Priors()], ids=["flat", "default"])
@@ -96,14 +101,6 @@ def test_value_and_gradient_are_scikit_learns(problem):
     np.testing.assert_allclose(ours.gradient, per * gradient, rtol=1e-6, atol=1e-8)
 
 
-def test_what_cannot_be_factorised_says_so():
-    x = np.repeat(np.linspace(-1, 1, 30), 2)[:, None]  # every sample twice
-    theta = np.array([0.0, 0.0, 0.0, 3.0, -25.0])  # and no noise to tell them apart
-    out = log_density(theta, ReducedData.of(x, np.sin(x[:, 0])), Priors.flat())
-    assert not out.ok
-    assert np.isnan(out.value)
-
-
 # Hyperparameter priors are densities of the logarithm, and refuse nonsense
 PROPER = [
     HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("inverse-gamma", 3.0, 2.0),
@@ -112,13 +109,9 @@ PROPER = [
 
 
 @pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
-def test_density_of_the_logarithm_integrates_to_one(prior):
+def test_priors_integrate_to_one_and_draws_follow_them(prior):
     mass, _ = quad(lambda t: float(jnp.exp(prior.log_density(jnp.asarray(t)))), -15, 8, limit=200)
     assert mass == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
-def test_draws_follow_the_density(prior):
     t = np.asarray(prior.sample(jax.random.PRNGKey(4), (4000,)))
     mean, _ = quad(lambda s: s * float(jnp.exp(prior.log_density(jnp.asarray(s)))), -15, 8, limit=200)
     assert t.mean() == pytest.approx(mean, abs=5 * t.std() / np.sqrt(t.size))
@@ -132,15 +125,12 @@ def test_a_frechet_prior_charges_for_what_is_shorter_than_its_scale():
     assert float(at_scale - at_half) == pytest.approx(2.0**10 - 1.0 - 10.0 * np.log(2.0))
 
 
-def test_theta_is_laid_out_as_the_priors_are():
+def test_priors_are_laid_out_as_theta_and_refuse_nonsense():
     priors, d = Priors(), 3
     theta = jnp.linspace(-1, 1, 2 * d + 3)
     parts = [float(p.log_density(t)) for p, t in zip(priors.per_parameter(d), theta, strict=True)]
     assert float(priors.log_density(theta)) == pytest.approx(sum(parts))
     assert priors.sample(jax.random.PRNGKey(0), d, 7).shape == (7, 2 * d + 3)
-
-
-def test_nonsense_is_refused():
     with pytest.raises(InputError, match="positive"):
         HyperPrior("half-normal", -1.0)
     with pytest.raises(InputError, match="improper"):
@@ -157,7 +147,7 @@ def together(w, u):
     return jnp.concatenate([w, u[:-1], (w[-1] + 0.5 * u[-1])[None]])
 
 
-def problem(seed, d):
+def statistics_of(seed, d):
     """Statistics of d inputs, an output with a linear and a curved part, at random length scales."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((80, d))
@@ -170,7 +160,7 @@ def problem(seed, d):
 @pytest.mark.parametrize("d", [1, 4])
 def test_derivatives_are_those_of_the_density(priors, d):
     rng = np.random.default_rng(4132)
-    u, stats = problem(rng.integers(2**31), d)
+    u, stats = statistics_of(rng.integers(2**31), d)
     w = rng.uniform(-1.5, 1.0, d + 2)
     found = slopes(w, u, stats, 80.0, priors)
 
@@ -194,7 +184,7 @@ def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
     rng = np.random.default_rng(4132)
     for _ in range(5):
         d = int(rng.integers(1, 6))
-        u, stats = problem(rng.integers(2**31), d)
+        u, stats = statistics_of(rng.integers(2**31), d)
         start = rng.uniform(-3.0, 2.0, d + 2)
         w, found = best_sizes(start, u, stats, 80.0, priors)
         assert np.all((w >= SD_BOUNDS[0]) & (w <= SD_BOUNDS[1]))

@@ -36,7 +36,7 @@ def case():
     return data, best, sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
 
 
-def test_it_is_accepted_with_its_error_measured(case):
+def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
     data, _, sampled = case
     weighted = sampled.weighted
     assert sampled.status is SampleStatus.accepted
@@ -46,6 +46,10 @@ def test_it_is_accepted_with_its_error_measured(case):
     assert np.max(sampled.chains.rhat) < 1.01
     at = weighted.theta[1, 5]
     assert weighted.exact[1, 5] == pytest.approx(log_density(at, data, Priors()).value, abs=1e-9)
+    data, best, sampled = case
+    again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+    np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
+    assert again.weighted.k_hat == sampled.weighted.k_hat
 
 
 def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
@@ -87,13 +91,6 @@ def _nuts_on_the_exact_density(theta, root, data):
     starts = jax.random.normal(jax.random.PRNGKey(8), (LENGTH.chains, len(theta)))
     driver.run(jax.random.PRNGKey(9), init_params=starts, extra_fields=("potential_energy",))
     return driver
-
-
-def test_the_same_seed_gives_the_same_numbers(case):
-    data, best, sampled = case
-    again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
-    np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
-    assert again.weighted.k_hat == sampled.weighted.k_hat
 
 
 @pytest.mark.forgets
@@ -236,16 +233,12 @@ def test_derivatives_of_the_outputs_are_finite_differences(problem):
     np.testing.assert_allclose(at(u)[1], numeric, rtol=1e-5, atol=1e-6)
 
 
-def test_held_back_points_are_predicted(trained):
+def test_what_the_emulator_was_trained_with_is_predicted_again(trained):
     points, emulator = trained
     for p in points[40:]:
         logdet, gram, _ = emulator(jnp.asarray(p.u))
         assert float(logdet) == pytest.approx(p.stats.logdet, abs=0.02)
         np.testing.assert_allclose(gram, p.stats.gram, rtol=1e-2, atol=1e-2 * np.max(p.stats.gram))
-
-
-def test_outside_its_data_it_is_held_and_fenced(trained):
-    points, emulator = trained
     far = jnp.asarray(points[0].u + 5.0)
     farther = emulator.centre + 3.0 * (far - emulator.centre)
     (a, _, near_penalty), (b, _, far_penalty) = emulator(far), emulator(farther)
@@ -253,26 +246,17 @@ def test_outside_its_data_it_is_held_and_fenced(trained):
     assert float(far_penalty) < float(near_penalty) < -10
     assert np.all(np.isfinite(jax.grad(lambda u: emulator(u)[2])(far)))
     assert float(emulator(emulator.centre)[2]) == 0.0
-
-
-def test_the_degree_falls_to_what_the_points_carry(trained):
     points, _ = trained
     few = fit_emulator(points[:8], np.zeros(8))  # 32 rows: quadratic in three variables has 10 terms, cubic 20
     corner = np.asarray(few.coefficients)[:4, :4]
     assert np.count_nonzero(few.coefficients) <= 10 * few.coefficients.shape[-1]
     assert np.all(np.isfinite(corner))
-
-
-def test_improbable_points_neither_bend_it_nor_support_it(trained):
     points, emulator = trained
     junk = [p._replace(u=p.u + 3.0) for p in points[40:50]]
     again = fit_emulator([*points[:40], *junk], np.append(np.zeros(40), np.full(10, -1e4)))
     at = jnp.asarray(points[55].u)
     assert float(again(at)[0]) == pytest.approx(float(emulator(at)[0]), abs=0.05)
     assert float(again(jnp.asarray(junk[0].u))[2]) < -10
-
-
-def test_values_without_derivatives_train_it_too(trained):
     points, _ = trained
     mixed = [*points[:20], *(p._replace(gradient=None) for p in points[20:50])]
     emulator = fit_emulator(mixed, np.zeros(50))
