@@ -101,11 +101,17 @@ def test_faults_disagree_and_the_channel_is_named(sound, card, name):
     assert all(d.rms > d.permitted > 0.0 for d in found.departures)
 
 
-def test_where_a_vane_froze_is_said_in_seconds(sound, card):
+def test_where_a_vane_froze_and_what_cannot_be_checked_is_said(sound, card):
     found = consistency([changed(sound, **frozen(sound))], card, seek=False)
     there = [d for d in found.departures if d.channel == "alpha"]
     begin, end = sound.time[900], sound.time[1100]
     assert any(d.begin < end and begin < d.end and d.end - d.begin < 40.0 for d in there)
+    without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != "altitude"})]
+    found = consistency(without, card, seek=False)
+    assert found.agreement is Agreement.AGREE
+    assert found.unchecked == ("altitude",)
+    without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != "theta"})]
+    assert consistency(without, card).agreement is Agreement.NOT_CHECKED
 
 
 def test_light_turbulence_is_permitted_and_a_gust_of_one_channel_is_not(sound, card):
@@ -161,15 +167,6 @@ def test_a_known_error_explains_and_a_stated_one_is_taken_out(card, sound):
     assert consistency([biased], stated, seek=False).agreement is Agreement.AGREE
 
 
-def test_what_cannot_be_checked_is_said(sound, card):
-    without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != "altitude"})]
-    found = consistency(without, card, seek=False)
-    assert found.agreement is Agreement.AGREE
-    assert found.unchecked == ("altitude",)
-    without = [FlightRecord.from_arrays("a", sound.time, {k: v for k, v in sound.channels.items() if k != "theta"})]
-    assert consistency(without, card).agreement is Agreement.NOT_CHECKED
-
-
 def test_a_lateral_accelerometer_that_does_not_fit_is_no_wind(card):
     """Two simulated records, elsewhere, whose lateral acceleration does not fit their sideslip, bank and rates."""
     paths = [SHARED / "records" / f"side_force_{i}.asc" for i in (1, 2)]
@@ -188,7 +185,7 @@ def quiet(card):
     return join(hidden_records({}, seed=12, noise="white", sensor_noise=0.0, disturbance=0.0), card)
 
 
-def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
+def test_kinematics_of_the_path_are_those_of_the_flown_flights(quiet, card):
     signals = quiet.with_slopes(quiet.channels)
     rates = path_rates(signals, card.aircraft)
     start, first = quiet.channels["start"], quiet.channels["first"]
@@ -199,12 +196,8 @@ def test_recorded_path_is_the_integral_of_its_rates(quiet, card):
         off = np.abs(np.asarray(found - signals[name]))
         assert off.max() < tolerance[name], name
         assert np.ptp(np.asarray(signals[name])) > 20 * tolerance[name], name
-
-
-def test_the_vane_tells_the_lateral_force_that_the_accelerometer_felt(quiet, card):
-    """The flights were made with the body's equations: v-dot + r u - p w less gravity, and the sensor off the CG."""
+    # The flights were made with the body's equations: v-dot + r u - p w less gravity, and the sensor off the CG.
     ends = (quiet.channels[name] for name in ("dt", "first", "last"))
-    signals = quiet.with_slopes(quiet.channels)
     signals["beta_dot"] = differentiate_joined(quiet.channels["beta"], *ends)
     rates = Rotation(*(signals[name] for name in ("p", "q", "r", "p_dot", "q_dot", "r_dot")))
     felt = {
@@ -215,6 +208,15 @@ def test_the_vane_tells_the_lateral_force_that_the_accelerometer_felt(quiet, car
     assert np.ptp(np.asarray(felt["ay"])) > 1.0
     off = np.abs(np.asarray(found - felt["ay"]))
     assert np.quantile(off, 0.99) < 0.01 * np.ptp(np.asarray(felt["ay"]))
+    # No force but gravity: V dV + g dh = 0 whatever the attitude.
+    rng = np.random.default_rng(5)
+    n = 50
+    s = {name: jnp.asarray(rng.uniform(-0.3, 0.3, n)) for name in ("p", "q", "r", "phi", "theta", "alpha", "beta")}
+    s |= {name: jnp.zeros(n) for name in ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")}
+    s["airspeed"] = jnp.asarray(rng.uniform(50, 120, n))
+    at_cg = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
+    rates = path_rates(s, at_cg)
+    np.testing.assert_allclose(s["airspeed"] * rates["airspeed"] + 9.80665 * rates["altitude"], 0.0, atol=1e-9)
 
 
 def test_alpha_dot_has_the_gyro_s_noise_and_not_its_offset(quiet):
@@ -235,18 +237,6 @@ def test_alpha_dot_has_the_gyro_s_noise_and_not_its_offset(quiet):
     off = channels | {"q": channels["q"] + 0.01, "az": channels["az"] + 0.4}
     moved = np.asarray(quiet.with_slopes(off)["alpha_dot"]) - found
     assert np.abs(moved[inner]).max() < 1e-4  # of 0.016 rad/s that the two offsets make together
-
-
-def test_a_drag_free_fall_keeps_its_energy(card):
-    """No force but gravity: V dV + g dh = 0 whatever the attitude."""
-    rng = np.random.default_rng(5)
-    n = 50
-    s = {name: jnp.asarray(rng.uniform(-0.3, 0.3, n)) for name in ("p", "q", "r", "phi", "theta", "alpha", "beta")}
-    s |= {name: jnp.zeros(n) for name in ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")}
-    s["airspeed"] = jnp.asarray(rng.uniform(50, 120, n))
-    at_cg = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
-    rates = path_rates(s, at_cg)
-    np.testing.assert_allclose(s["airspeed"] * rates["airspeed"] + 9.80665 * rates["altitude"], 0.0, atol=1e-9)
 
 
 def test_spikes_are_replaced_and_steps_and_sharp_peaks_are_not(quiet):

@@ -217,7 +217,7 @@ def on(both, flights, values) -> Extension:
     return Extension(state, fit, state, fit, (), {}, PAIR, ())
 
 
-def test_two_terms_that_cancel_are_known_by_their_sum(both):
+def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     """In a doublet the flight path bends little: alpha-dot is pitch rate, and large opposite terms are their sum."""
     flown = standard(both, (*PAIR, "sideslip_drag")).flown
     doublet = flown["elevator_doublet"]
@@ -237,10 +237,7 @@ def test_two_terms_that_cancel_are_known_by_their_sum(both):
     turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
     assert not cancelling(turn, PAIR)  # it has pitch rate at constant alpha
     assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
-
-
-def test_own_share_is_one_over_the_variance_inflation(both):
-    """Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread."""
+    # Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread.
     found = on(both, both.responses.flights, {"CLq": 4.0})
     state, fit = found.state, found.fit
     own = int(state.full.columns(["CLq"])[0])

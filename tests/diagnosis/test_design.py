@@ -100,16 +100,13 @@ def test_sideslip_needs_a_sideslip(state, flights):
     assert max(found, key=lambda name: found[name]["sideslip_drag", "mach_drag"]) == "sideslip"
 
 
-def test_trim_is_level_flight(state):
+def test_trim_is_level_flight_and_commands_begin_there(state):
     model, aircraft = state.full.model, state.responses.flights.aircraft
     values = dict(zip(model.names, map(float, state.theta), strict=True))
     trim = trimmed(model, values, aircraft, 95.0, 5200.0)
     CL = aircraft.mass * GRAVITY / (0.5 * 0.7198 * 95.0**2 * aircraft.wing_area)  # density of the ICAO table
     assert trim.alpha == pytest.approx((CL - TRUTH["CL0"]) / (TRUTH["CLa"] + 0.297 * TRUTH["CLaM"]), abs=0.01)
     assert 5e3 < trim.thrust < 4e4
-
-
-def test_commands_begin_at_trim_and_scale():
     time = np.arange(-5.0, 60.02, 0.04)
     trim = Trim(0.1, 2e4, -0.02)
 
@@ -274,7 +271,7 @@ def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(poi
     assert np.all(np.diag(first.matrix) <= np.diag(told.matrix) * (1.0 + 1e-9))
 
 
-def test_points_decide_what_the_records_leave_open_by_inputs_that_the_card_allows(chosen, point_state):
+def test_points_decide_what_the_records_leave_open_inside_the_envelope(chosen, point_state):
     assert {frozenset(q.effects) for q in chosen.questions} == {RATE_SET, DRAGS}
     place = [frozenset(q.effects) for q in chosen.questions].index(DRAGS)
     assert chosen.present[place] == 0.0  # no record has sideslip
@@ -287,9 +284,6 @@ def test_points_decide_what_the_records_leave_open_by_inputs_that_the_card_allow
     assert "computer" in chosen.refused["multisine"]
     found = next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
     assert "multisine" not in found.refused
-
-
-def test_every_point_stays_inside_the_envelope(point_state, chosen):
     quiet = {"load_factor": (0.85, 1.25), "altitude_loss": (-np.inf, 200.0)}
     allowed = Envelope(DEFAULT_RANGES | quiet, tuple(quiet))
     found = next_test_points(point_state, SETS, allowed)

@@ -41,7 +41,7 @@ def found(record, hfb320):
     return result, fits[0][1]
 
 
-def test_gusts_and_what_is_on_the_card_are_estimated_and_leave_white_innovations(found):
+def test_gusts_and_the_hidden_effect_are_found_beside_what_is_on_the_card(found):
     _, fit = found
     known = dict(zip(fit.names, zip(fit.estimate, fit.sd, strict=True), strict=True))
     for name, truth in (("vertical_gust", GUST["w"]), ("longitudinal_gust", GUST["u"])):
@@ -61,9 +61,6 @@ def test_gusts_and_what_is_on_the_card_are_estimated_and_leave_white_innovations
     assert noise.of_innovations
     assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
     assert noise.coloured == ()
-
-
-def test_the_hidden_effect_is_named_first_and_the_parameters_are_the_aircraft_s(found):
     result, _ = found
     assert [stage for stage, _ in result.stages] == [INNOVATIONS]
     assert result.model.steps[0].chosen == "alpha_squared_moment"

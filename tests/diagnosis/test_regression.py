@@ -212,11 +212,9 @@ def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
     )
     variance_inflation = rng.uniform(1.0, 9.0)
     state = part(
-        SelectionState,
-        responses=SimpleNamespace(manoeuvre=manoeuvre),
-        variance_inflation=variance_inflation,
+        SelectionState, responses=SimpleNamespace(manoeuvre=manoeuvre), variance_inflation=variance_inflation,
         outputs=NAMES,
-    )
+    )  # fmt: skip
     density = []
     for left in (before, after):
         deviation = np.sqrt(np.mean((left.residual / noise_growth) ** 2, axis=0)) * noise_growth

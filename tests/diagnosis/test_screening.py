@@ -329,14 +329,9 @@ def test_deviations_are_those_of_fits_without_each_stretch():
     fit = Products.of(residual, S, folds).fit(np.arange(k + count), np.zeros(k + count), precision, known)
     fit = replace(fit, variance=known)
     state = part(
-        SelectionState,
-        S=S,
-        residual=residual,
-        noise_growth=np.ones((n, 2)),
-        folds=folds,
-        precision=precision,
+        SelectionState, S=S, residual=residual, noise_growth=np.ones((n, 2)), folds=folds, precision=precision,
         nuisance=count,
-    )
+    )  # fmt: skip
     object.__setattr__(state, "theta", np.zeros(k))
     flights = SimpleNamespace(lengths=[length] * count)
     object.__setattr__(state, "responses", SimpleNamespace(jackknife_blocks=stretch, flights=flights))

@@ -78,7 +78,7 @@ def test_a_product_has_the_value_and_the_unit_of_its_factors(factors, name, unit
     assert term.evaluate(SIGNALS, AIRCRAFT)[0] == pytest.approx(value, rel=1e-12)
 
 
-def test_the_library_has_every_product_to_third_order():
+def test_the_library_has_every_product_to_third_order_with_the_symmetry_of_the_aircraft():
     """Of k quantities (k + 3 choose 3) - 1 products; of separated flow the product with at most two of the others."""
     found = terms(separated=False)
     products = [t for t in found.values() if all(f.cost == 1 for f in t.factors)]
@@ -88,10 +88,7 @@ def test_the_library_has_every_product_to_third_order():
     flown = [t for t in terms().values() if {f.name for f in t.factors} <= {*longitudinal, "(1 - X)"}]
     assert len([t for t in flown if "(1 - X)" in t.name]) == 1 + 4 + 10
     assert "mach" not in found
-
-
-def test_terms_keep_the_symmetry_of_the_aircraft():
-    """Seen in a mirror CL, CD and Cm stay the same, and CY, Cl and Cn change sign: so does every term of theirs."""
+    # Seen in a mirror CL, CD and Cm stay the same, and CY, Cl and Cn change sign: so does every term of theirs.
     mirror = {name: -x if name in ("beta", "p", "r", "aileron", "rudder") else x for name, x in SIGNALS.items()}
     for lateral in (False, True):
         for name, term in terms(lateral=lateral).items():
@@ -200,7 +197,7 @@ def flown(card, model, records) -> tuple[OutputError, np.ndarray]:
     return responses, np.array([TRUTH.get(p.name, p.start) for p in model.free])
 
 
-def test_a_term_that_the_card_has_flies_as_its_parameter(hfb320):
+def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_that_a_file_states(hfb320, tmp_path):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
     responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)])
     added = AddedCoefficients(responses, theta)
@@ -208,10 +205,7 @@ def test_a_term_that_the_card_has_flies_as_its_parameter(hfb320):
     at = np.array([responses.model.names.index("Cmde")])
     known = responses.linearise(theta, at)[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
-
-
-def test_a_term_flies_to_first_order_as_the_effect_that_a_file_states(hfb320, tmp_path):
-    """Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear."""
+    # Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear.
     model = Model.from_card(hfb320)
     term = Term((BY_NAME["alpha"], BY_NAME["alpha"], BY_NAME["qhat"]))
     path, step = tmp_path / "found.py", 1e-3
@@ -269,12 +263,28 @@ def short(hfb320):
     return in_gusts(hfb320, seconds=15.0, seeds=TWO[:1])
 
 
-def test_a_term_that_the_card_has_is_foreseen_as_its_parameter(short):
+def test_terms_change_innovations_as_the_parameter_of_the_card_and_the_effect_of_a_file(short, tmp_path):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
     responses, theta = short
     (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: signals["elevator"][None])
     known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())  # the card's tail arm is 1e9 m
+    # Central differences of innovations with the effect, the gains held; between samples alpha elevator is linear.
+    term = Term((BY_NAME["alpha"], BY_NAME["elevator"]))
+    path, step = tmp_path / "found.py", 1e-3
+    path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
+    model = responses.model.extended(*own_effects([path]).values())
+    windows = replace(responses.windows, dynamics=replace(responses.windows.dynamics, model=model))
+    wider = replace(responses, windows=windows, model=model)
+    aircraft = responses.flights.aircraft
+    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: term.evaluate(signals, aircraft)[None])
+    at = model.names.index(own_effects([path]).popitem()[1].parameters[0].name)
+
+    def residual(size):
+        return np.asarray(wider.evaluate(np.insert(theta, at, size))[0])
+
+    known = (residual(-step) - residual(step)) / (2.0 * step)
+    np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
 
 
 @pytest.mark.verify
@@ -348,26 +358,6 @@ def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample
     x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
     single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
     assert state.least_share(mean) == pytest.approx(single, rel=0.03)
-
-
-def test_a_term_changes_innovations_as_the_effect_that_a_file_states(short, tmp_path):
-    """Central differences of innovations with the effect, the gains held; between samples alpha elevator is linear."""
-    responses, theta = short
-    term = Term((BY_NAME["alpha"], BY_NAME["elevator"]))
-    path, step = tmp_path / "found.py", 1e-3
-    path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
-    model = responses.model.extended(*own_effects([path]).values())
-    windows = replace(responses.windows, dynamics=replace(responses.windows.dynamics, model=model))
-    wider = replace(responses, windows=windows, model=model)
-    aircraft = responses.flights.aircraft
-    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: term.evaluate(signals, aircraft)[None])
-    at = model.names.index(own_effects([path]).popitem()[1].parameters[0].name)
-
-    def residual(size):
-        return np.asarray(wider.evaluate(np.insert(theta, at, size))[0])
-
-    known = (residual(-step) - residual(step)) / (2.0 * step)
-    np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
 
 
 def begun(responses, theta):

@@ -203,15 +203,11 @@ def test_errors_beyond_the_noise_decide_the_verdict():
     noise, more = (finding.Tested({"alpha": OutputMiss(1.0, x, x)}) for x in (1.0, 3.0))
     never = finding.Tested({})
     assert [as_tested(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
-        Verdict.EXPLAINED,
-        Verdict.PARTLY_EXPLAINED,
-        Verdict.PARTLY_EXPLAINED,
-    ]
+        Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED, Verdict.PARTLY_EXPLAINED,
+    ]  # fmt: skip
     assert [as_tested(Verdict.NO_EFFECT, t) for t in (noise, more, never)] == [
-        Verdict.NO_EFFECT,
-        Verdict.UNDECIDED,
-        Verdict.NO_EFFECT,
-    ]
+        Verdict.NO_EFFECT, Verdict.UNDECIDED, Verdict.NO_EFFECT,
+    ]  # fmt: skip
     assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
     assert [
         diagnosis_results.tested_results(t, finding.TRAJECTORIES)["within_noise"] for t in (noise, more, never)

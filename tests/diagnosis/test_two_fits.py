@@ -30,20 +30,13 @@ def fits(status=MleStatus.CONVERGED, converged=True, at_bound=(), held=()):
     """Of the HFB-320: CLa differs, Cmq not so much; CD0 is in one of them alone."""
     parameters = [SimpleNamespace(name=name, unit=unit) for name, unit in (("CLa", "1/rad"), ("Cmq", "1/rad"))]
     one = Mock(
-        spec=MleResult,
-        status=status,
-        names=("CLa", "Cmq", "CD0"),
-        estimate=np.array([4.34, -35.2, 0.03]),
-        crb_corrected=np.array([0.14, 3.0, 0.001]),
-        at_bound=(),
-    )
+        spec=MleResult, status=status, names=("CLa", "Cmq", "CD0"), estimate=np.array([4.34, -35.2, 0.03]),
+        crb_corrected=np.array([0.14, 3.0, 0.001]), at_bound=(),
+    )  # fmt: skip
     fit = SimpleNamespace(
-        parameters=parameters,
-        estimate=np.array([3.37, -25.3]),
-        sd_corrected=np.array([0.15, 2.0]),
-        at_bound=at_bound,
-        held_by_prior=held,
-    )
+        parameters=parameters, estimate=np.array([3.37, -25.3]), sd_corrected=np.array([0.15, 2.0]),
+        at_bound=at_bound, held_by_prior=held,
+    )  # fmt: skip
     return one, Mock(spec=TrajectoryFit, fit=fit, converged=converged)
 
 
@@ -180,7 +173,7 @@ def test_modes_without_a_known_sign_an_error_or_a_converged_fit(flown):
     assert math.isnan(motion_of(flown).airspeed)  # of a linear card
 
 
-def test_modes_of_a_fit_spread_as_draws_of_its_parameters(flown):
+def test_modes_spread_as_draws_of_the_parameters_of_the_better_fit(flown):
     """Linear short period: eigenvalues in closed form, of draws from the covariance of the estimates."""
     (mode,) = flown_modes(flown.fit, Steady(1.0, 0.0))
     names = list(flown.fit.names)
@@ -195,10 +188,7 @@ def test_modes_of_a_fit_spread_as_draws_of_its_parameters(flown):
     ):
         assert value == pytest.approx(np.median(drawn), rel=5e-3)
         assert sd == pytest.approx(0.5 * np.diff(np.quantile(drawn, [0.1587, 0.8413]))[0], rel=0.05)
-
-
-def test_modes_are_those_of_the_better_fit(flown):
-    """Linear short period again, of the estimates and the covariance of a fit with process noise."""
+    # Linear short period again, of the estimates and the covariance of a fit with process noise.
     found = dict(zip(flown.fit.names, flown.fit.estimate, strict=True)) | {"Zalpha": -1.3, "Mq": -1.1, "Malpha": -9.0}
     names = list(found)[::-1]  # in another order
     sd = {"Zalpha": 0.0, "Mq": 0.04, "Malpha": 0.2}

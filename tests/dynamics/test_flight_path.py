@@ -105,16 +105,13 @@ def agree(found, sd, expected, names):
         assert sd[ours] == pytest.approx(published["std"], rel=0.05), ours
 
 
-def test_biases_from_given_initial_states_are_those_published(flights, published):
+def test_biases_and_calibration_of_the_first_case_are_those_published(flights, published):
     """TC22, as published."""
     case = published["TC22"]["methods"]
     det_R, found, sd = fitted(flights, BIASES, fixed=beginnings(case["oem_gauss_newton"]))
     agree(found, sd, case["independent_optimum"], BIASES)
     assert det_R == pytest.approx(case["independent_optimum"]["det_R"], rel=0.01)
-
-
-def test_calibration_and_initial_states_are_those_published(flights, published):
-    """TC22 with factors and biases of the flow angles and all initial states free."""
+    # TC22 with factors and biases of the flow angles and all initial states free.
     expected = published["TC22"]["methods"]["independent_optimum_calibration_and_initial_state_free"]
     det_R, found, sd = fitted(flights, (*BIASES, *CALIBRATION))
     agree(found, sd, expected, BIASES)

@@ -156,7 +156,7 @@ def flights(sigma):
     return np.asarray(found)
 
 
-def test_the_spread_is_that_of_the_linear_system():
+def test_the_spread_is_that_of_the_linear_system_and_a_gust_grows_exactly():
     A = np.array([[-RATE, GAIN], [0.0, -LAG]])
     exact = solve_continuous_lyapunov(A, -np.diag([0.0, 2.0 * LAG * SIGMA**2]))
     assert exact[1, 1] == pytest.approx(SIGMA**2)
@@ -165,10 +165,7 @@ def test_the_spread_is_that_of_the_linear_system():
     four = 4.0 * np.sqrt(2.0 / COUNT)  # standard errors of a variance; the step of 0.02 s adds 1 %
     assert np.diag(found) == pytest.approx(np.diag(exact), rel=four + 0.01)
     assert found[0, 1] == pytest.approx(exact[0, 1], rel=four + 0.01)
-
-
-def test_calm_air_moves_nothing_and_a_gust_grows_exactly():
-    """Its variance from calm air is sigma^2 (1 - exp(-2 a t)), whatever the step."""
+    # Its variance from calm air is sigma^2 (1 - exp(-2 a t)), whatever the step.
     gust = flights(SIGMA)[:, :, 1]
     for k in (1, 20, 100):
         exact = SIGMA**2 * (1.0 - np.exp(-2.0 * LAG * DT * k))

@@ -63,14 +63,9 @@ def compiled(system, start, P0, inputs, z, F, R):
 def filtered(system, record, F=F, R=R, P0=P0, start=START):
     inputs, z = record
     return compiled(
-        system,
-        jnp.asarray(start),
-        jnp.asarray(P0),
-        {"de": jnp.asarray(inputs["de"])},
-        jnp.asarray(z),
-        jnp.asarray(F),
-        R,
-    )
+        system, jnp.asarray(start), jnp.asarray(P0), {"de": jnp.asarray(inputs["de"])}, jnp.asarray(z),
+        jnp.asarray(F), R,
+    )  # fmt: skip
 
 
 def discrete(system, inputs):
@@ -113,7 +108,7 @@ def test_a_linear_system_agrees_with_statsmodels(system, record):
     np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
 
 
-def test_innovations_are_white_and_of_their_variance(system, record):
+def test_innovations_are_white_and_without_process_noise_those_of_output_error(system, record):
     """Of a record that was made by the same model."""
     found = filtered(system, record)
     used = np.asarray(found.used)
@@ -123,10 +118,7 @@ def test_innovations_are_white_and_of_their_variance(system, record):
         e = scaled[used[:, c], c]
         assert np.mean(e**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(e)))
         assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 4.0 / np.sqrt(len(e))
-
-
-def test_without_process_noise_and_with_a_known_start_it_is_output_error(system, record):
-    """Innovations are the residuals of the simulation, their variance that of the measurement."""
+    # Innovations are the residuals of the simulation, their variance that of the measurement.
     inputs, z = record
     found = filtered(system, record, F=np.zeros(2), P0=np.zeros((2, 2)))
     flown = integrate(system, jnp.asarray(START), {"de": jnp.asarray(inputs["de"])}, DT)
@@ -202,19 +194,11 @@ def drawn():
     normal = lambda *shape: jnp.asarray(rng.normal(size=shape))
     residual = jnp.where(jnp.asarray(rng.random((W, SAMPLES, C)) < 0.2), jnp.nan, normal(W, SAMPLES, C))
     lin = Linearised(
-        0.1 * normal(W, SAMPLES, S),
-        0.1 * normal(W, SAMPLES, S),
-        0.1 * normal(W, SAMPLES, S),
-        0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S),
-        jnp.zeros((W, SAMPLES, S, 0)),
-        residual,
-        normal(W, SAMPLES, C, S),
-        jnp.zeros((W, SAMPLES, C, 0)),
-        0.1 * normal(W, S),
-        jnp.zeros((W, S, 0)),
-        1.0 + 0.1 * jnp.abs(normal(W, SAMPLES, C)),
-        jnp.zeros((W, SAMPLES, C, 0)),
-    )
+        0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S),
+        0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S), jnp.zeros((W, SAMPLES, S, 0)), residual,
+        normal(W, SAMPLES, C, S), jnp.zeros((W, SAMPLES, C, 0)), 0.1 * normal(W, S), jnp.zeros((W, S, 0)),
+        1.0 + 0.1 * jnp.abs(normal(W, SAMPLES, C)), jnp.zeros((W, SAMPLES, C, 0)),
+    )  # fmt: skip
     decay = jnp.zeros((W, SAMPLES, S)).at[..., 2].set(0.5)
     noise = Disturbances(
         jnp.abs(normal(W, SAMPLES, S)), 0.1 + jnp.abs(normal(W, SAMPLES, C)), jnp.eye(S) + jnp.zeros((W, S, S)), decay

@@ -58,7 +58,7 @@ def to_earth(found):
     return Rotation.from_euler("ZYX", np.stack([found[n] for n in ("psi", "theta", "phi")], axis=1))
 
 
-def test_a_body_without_torque_keeps_its_angular_momentum_and_energy():
+def test_without_torque_momentum_stays_and_a_symmetric_top_precesses():
     """Tumbling through the vertical, about no principal axis."""
     n, dt = 1501, 0.01
     system, u = turning(n)
@@ -70,10 +70,7 @@ def test_a_body_without_torque_keeps_its_angular_momentum_and_energy():
     fixed = to_earth(found).apply(momentum)
     np.testing.assert_allclose(fixed, np.broadcast_to(fixed[0], fixed.shape), atol=1e-7 * np.linalg.norm(momentum[0]))
     assert np.ptp(spin, axis=0).min() > 0.3
-
-
-def test_a_symmetric_top_precesses_as_the_closed_form_says():
-    """Iy = Iz: p stays, q and r turn back at (Iz - Ix)/Iy p; the axis goes round the angular momentum at |H|/Iy."""
+    # Iy = Iz: p stays, q and r turn back at (Iz - Ix)/Iy p; the axis goes round the angular momentum at |H|/Iy.
     n, dt, p = 1001, 0.01, 2.0
     top = Plane(**six.ATTACHED, Iy=4e5, Iz=4e5, Ixz=0.0)
     system, u = turning(n, top)
@@ -313,13 +310,9 @@ def model_and_values(plane=PLANE, effects=(*STALL, *APART)):
     """The aircraft's own model: the left half stalls `first`, so that the right less the left incidence is less."""
     model = six.model(effects)
     known = six.values(
-        plane,
-        model,
-        wing_asymmetry=-plane.first,
-        roll_station=plane.station / (plane.b / 2.0),
-        sideslip_incidence=2.0 * plane.dihedral,
-        alpha_star=plane.alpha_star - plane.first / 2.0,
-    )
+        plane, model, wing_asymmetry=-plane.first, roll_station=plane.station / (plane.b / 2.0),
+        sideslip_incidence=2.0 * plane.dihedral, alpha_star=plane.alpha_star - plane.first / 2.0,
+    )  # fmt: skip
     return model, {name: x for name, x in known.items() if name in {p.name for p in model.parameters}}
 
 

@@ -13,14 +13,11 @@ from bayes_aero.flight.record import FlightRecord
 
 # A small sound record, the card's channels for it, and what is said of a bad one
 CHANNELS = (
-    Channel("time", "s", "T", 1),
-    Channel("alpha", "deg", "ALCG", 2),
-    Channel("q", "deg/s", "QRGY", 3),
-    Channel("airspeed", "kt", "VTAS", 4),
-    Channel("density", "kg/m^3", "RHO", 5),
+    Channel("time", "s", "T", 1), Channel("alpha", "deg", "ALCG", 2), Channel("q", "deg/s", "QRGY", 3),
+    Channel("airspeed", "kt", "VTAS", 4), Channel("density", "kg/m^3", "RHO", 5),
     Channel("static_pressure", "hPa", "PSTAT", 6, required=False),
     Channel("strain", "mm", "GAUGE_7", 7, required=False),
-)
+)  # fmt: skip
 
 
 def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:

@@ -116,7 +116,7 @@ def input_record(**channels):
     return FlightRecord.from_arrays("run", np.arange(N) * 0.04, arrays)
 
 
-def test_channels_are_formed_by_sums_and_tables():
+def test_channels_are_formed_by_sums_and_tables_and_check_says_so():
     formed = with_sums(input_record(), input_card())
     np.testing.assert_allclose(formed["elevator"], 0.025, rtol=1e-14)
     np.testing.assert_allclose(formed["roll_tail"], 0.015, rtol=1e-14)
@@ -130,6 +130,10 @@ def test_channels_are_formed_by_sums_and_tables():
     formed = with_sums(input_record(thrust_left=1000.0, density=0.9, dynamic_pressure=3000.0), input_card())
     np.testing.assert_array_equal(formed["thrust_left"], 1000.0)
     np.testing.assert_array_equal(formed["density"], 0.9)
+    said = card_sentences_of(input_card())
+    assert "sum from the card: elevator = 0.5 elevator_left + 0.5 elevator_right" in said
+    assert "sum from the card: roll_tail = 0.5 elevator_left - 0.5 elevator_right" in said
+    assert "table from the card: thrust_left over n1_left (40 to 100 %), mach (0.2 to 0.4)" in said
 
 
 def test_what_a_table_cannot_give_is_refused():
@@ -208,13 +212,6 @@ def test_a_wrong_entry_is_one_sentence(edit, words):
         input_card(edit=edit)
     assert "x.toml" in str(caught.value) or "channel" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_check_says_what_the_card_forms():
-    said = card_sentences_of(input_card())
-    assert "sum from the card: elevator = 0.5 elevator_left + 0.5 elevator_right" in said
-    assert "sum from the card: roll_tail = 0.5 elevator_left - 0.5 elevator_right" in said
-    assert "table from the card: thrust_left over n1_left (40 to 100 %), mach (0.2 to 0.4)" in said
 
 
 @pytest.mark.parametrize(("last", "usable"), [(99.0, True), (108.0, False)])

@@ -77,7 +77,7 @@ def test_a_sheet_with_preamble_units_and_blank_cells():
     assert "row 4 is taken for the first of the table" in opened.remarks[1]
 
 
-def test_tables_of_a_workbook_are_found():
+def test_tables_of_a_workbook_are_found_and_three_decimals_are_no_thousands():
     first, second = ([["time", "x"]] + [[0.04 * k, factor * k] for k in range(60)] for factor in (1, 2))
     opened = open_excel(workbook(("One", first), ("Two", second)))
     np.testing.assert_array_equal(values_of(opened, x="x")["x"].values, np.arange(60.0))
@@ -86,12 +86,16 @@ def test_tables_of_a_workbook_are_found():
     late = [[0.04 * k] if k < 10 else [0.04 * k, k, 1] for k in range(70)]
     opened = open_excel(workbook(("Data", notes + late)))
     assert [(heading.names, heading.unit) for heading in opened.headings] == [
-        (("time",), "s"),
-        (("x",), "m"),
-        (("y",), None),
-    ]
+        (("time",), "s"), (("x",), "m"), (("y",), None),
+    ]  # fmt: skip
     x = values_of(opened, time="time", x="x")["x"].values
     np.testing.assert_array_equal(x, np.r_[np.full(10, np.nan), np.arange(10.0, 70.0)])
+    # Beside a text cell with a decimal comma, 1.234 in a text file would be 1234.
+    rows = [["time", "x"]] + [[k / 8 + 1.0, f"{k},5"] for k in range(60)]
+    opened = open_excel(workbook(("Data", rows)))
+    with pytest.raises(InputError, match="decimal comma"):
+        values_of(opened, time="time", x="x")
+    np.testing.assert_array_equal(values_of(opened, time="time")["time"].values, np.arange(60) / 8 + 1.0)
 
 
 @pytest.mark.parametrize("part", ["date", "clock", "duration"])
@@ -108,15 +112,6 @@ def test_dates_and_times_of_a_sheet_are_seconds_from_the_first(part):
     opened = open_excel(workbook(("Data", [["time", "x"]] + [[stamp, k] for k, stamp in enumerate(stamps)])))
     found = values_of(opened, time="time", x="x")
     np.testing.assert_allclose(found["time"].values, 0.04 * np.arange(60), atol=1e-9)
-
-
-def test_three_decimals_are_no_thousands():
-    """Beside a text cell with a decimal comma, 1.234 in a text file would be 1234."""
-    rows = [["time", "x"]] + [[k / 8 + 1.0, f"{k},5"] for k in range(60)]
-    opened = open_excel(workbook(("Data", rows)))
-    with pytest.raises(InputError, match="decimal comma"):
-        values_of(opened, time="time", x="x")
-    np.testing.assert_array_equal(values_of(opened, time="time")["time"].values, np.arange(60) / 8 + 1.0)
 
 
 def test_workbooks_that_are_old_or_unpack_without_end_are_refused(monkeypatch):

@@ -76,13 +76,17 @@ def test_what_stands_above_the_samples(tmp_path, above):
     same(path)
 
 
-def test_columns_between_blanks_with_names_and_units(tmp_path):
+def test_columns_between_blanks_in_utf16_and_without_a_name(tmp_path):
     path = tmp_path / "a.asc"
     body = columns(table(tmp_path), "   ")
     path.write_text("Date file: flight\n7 variables\n\n  " + "   ".join(LABELS) + "\n" + body)
     same(path)
     path.write_text("   ".join(f"{label} raw" for label in LABELS) + "\n" + body)  # names of two words
     assert [column.label for column in read_raw(path).columns] == [f"{label} raw" for label in LABELS]
+    text = HEADER.strip() + ",\n" + columns(table(tmp_path), ",").replace("\n", ",\n")
+    (tmp_path / "a.csv").write_text(text, encoding="utf-16")
+    same(tmp_path / "a.csv")
+    assert [column.label for column in read_raw(tmp_path / "a.csv").columns] == LABELS
 
 
 def test_headers_and_first_samples_at_odds_are_told(tmp_path):
@@ -96,7 +100,7 @@ def test_headers_and_first_samples_at_odds_are_told(tmp_path):
     told(tmp_path / "a.csv", CHANNELS, "line 2", f"{len(LABELS) - 1} columns", "complete or delete")
 
 
-def test_fortran_exponents_and_overflows(tmp_path):
+def test_thousands_fortran_exponents_and_overflows(tmp_path):
     frame = table(tmp_path)
     path = tmp_path / "a.asc"
     rows = ["  ".join(f"{x:.9E}".replace("E", "D") for x in row) for row in frame.to_numpy()]
@@ -106,10 +110,6 @@ def test_fortran_exponents_and_overflows(tmp_path):
     path.write_text("\n".join(rows))
     told(path, CHANNELS, CHANNELS[2].name, "sample 30", "resampling")
     same(path, resample=0.04)
-
-
-def test_thousands(tmp_path):
-    frame = table(tmp_path)
     path = tmp_path / "a.csv"
     big = [f"{1000.0 * k + 4562:,.0f}" for k in range(len(frame))]
     text = frame.assign(H=big).to_csv(index=False, sep=";")
@@ -177,13 +177,9 @@ def test_several_rates_are_interpolated_on_request(tmp_path):
     frame.loc[np.arange(len(frame)) % 5 != 0, "H"] = np.nan
     frame.to_csv(tmp_path / "a.csv", index=False)
     told(
-        tmp_path / "a.csv",
-        channels,
-        "altitude",
-        "of 5 Hz in a file of several rates",
-        "25 Hz the fastest",
+        tmp_path / "a.csv", channels, "altitude", "of 5 Hz in a file of several rates", "25 Hz the fastest",
         "--resample 0.04",
-    )
+    )  # fmt: skip
     record = read_record(tmp_path / "a.csv", channels, resample=0.04)
     np.testing.assert_allclose(record["altitude"], 5000.0 + 100.0 * np.sin(0.5 * record.time), atol=0.02)
     assert "missing samples of altitude (5 Hz in a file of 25 Hz)" in record.remarks[0]
@@ -203,13 +199,6 @@ def test_a_unit_in_the_heading_counts(tmp_path):
     told(tmp_path / "a.csv", [*CHANNELS, wrong], "in 'kt' according to the file", "correct the card")
     record = read_record(tmp_path / "a.csv", [*CHANNELS, Channel("calibrated_airspeed", "kt", "IAS (kt)")])
     assert record["calibrated_airspeed"][0] == pytest.approx(200.0 * 1852.0 / 3600.0, rel=1e-9)
-
-
-def test_utf16_and_a_column_without_name(tmp_path):
-    text = HEADER.strip() + ",\n" + columns(table(tmp_path), ",").replace("\n", ",\n")
-    (tmp_path / "a.csv").write_text(text, encoding="utf-16")
-    same(tmp_path / "a.csv")
-    assert [column.label for column in read_raw(tmp_path / "a.csv").columns] == LABELS
 
 
 def test_a_table_of_two_columns():
@@ -232,7 +221,7 @@ def quoted_file(folder):
     return path
 
 
-def test_commas_in_quotes_are_decimals_separators_or_thousands(tmp_path):
+def test_quoted_cells_with_commas_are_read_and_their_errors_placed(tmp_path):
     record = read_record(quoted_file(tmp_path), QUOTED)
     np.testing.assert_allclose(record.time, 0.04 * np.arange(60), atol=1e-12)
     np.testing.assert_allclose(record["alpha"], np.deg2rad(0.5 + 0.01 * np.arange(60)), rtol=1e-12)
@@ -249,6 +238,13 @@ def test_commas_in_quotes_are_decimals_separators_or_thousands(tmp_path):
     told(path, (QUOTED[0], QUOTED[2]), "'5,059'", "decimal comma", "thousands")
     path.write_text("\n".join(["T,H", *(f'{i},"0,{i:03d}"' for i in range(60))]))  # no thousands begin with 0
     assert read_record(path, (QUOTED[0], QUOTED[2]))["altitude"][59] == 0.059
+    lines = path.read_text().splitlines()
+    lines[20] = '"0,76","a, b",5019'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "channel alpha", "line 21", "column 2", "sample 19")
+    lines[20] = '"0,76","0,69"'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "line 21", "2 columns where 3")
 
 
 @pytest.mark.parametrize("row", [0, 1, 30, 60])
@@ -259,17 +255,6 @@ def test_a_quote_that_is_not_closed(tmp_path, row):
     lines[row] = lines[row][:at] + lines[row][at + 1 :]
     path.write_text("\n".join(lines))
     told(path, QUOTED, f"line {row + 1} has a quote that is not closed", "close it")
-
-
-def test_errors_in_quoted_files_name_the_column_in_the_file(tmp_path):
-    path = quoted_file(tmp_path)
-    lines = path.read_text().splitlines()
-    lines[20] = '"0,76","a, b",5019'
-    path.write_text("\n".join(lines))
-    told(path, QUOTED, "channel alpha", "line 21", "column 2", "sample 19")
-    lines[20] = '"0,76","0,69"'
-    path.write_text("\n".join(lines))
-    told(path, QUOTED, "line 21", "2 columns where 3")
 
 
 # Headings of files that nobody here has written
@@ -310,10 +295,8 @@ def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
     path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
     found, _ = guessed(read_raw(path).columns)
     assert {name: guess.column.number for name, guess in found.items()} == {
-        "time": 1,
-        f"{whole}_right": 2,
-        f"{whole}_left": 3,
-    }
+        "time": 1, f"{whole}_right": 2, f"{whole}_left": 3,
+    }  # fmt: skip
 
 
 def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):

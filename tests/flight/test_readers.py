@@ -272,7 +272,7 @@ def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
     told(path, CHANNELS, "claims", "-v7")
 
 
-def test_matlab_v73(tmp_path):
+def test_matlab_v73_and_absurd_claims_of_hdf5(tmp_path):
     r = sound()
     path = tmp_path / "v73.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -284,6 +284,11 @@ def test_matlab_v73(tmp_path):
     np.testing.assert_allclose(read_record(path, TWO)["alpha"], r["alpha"], rtol=1e-15)
     told(path, [*TWO, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
     told(path, [*TWO, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
+    path = tmp_path / "huge.nc"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("T", shape=(10**12,), chunks=(1000,), dtype="f8")
+    assert path.stat().st_size < 100_000
+    told(path, [Channel("time", "s", "T")], "channel time", "1000000000000 samples", "damaged")
 
 
 def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
@@ -297,15 +302,7 @@ def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatc
     told(path, CHANNELS, "h5py is not installed", "install h5py")
 
 
-def test_absurd_claims_take_no_memory(tmp_path):
-    path = tmp_path / "huge.nc"
-    with h5py.File(path, "w") as file:
-        file.create_dataset("T", shape=(10**12,), chunks=(1000,), dtype="f8")
-    assert path.stat().st_size < 100_000
-    told(path, [Channel("time", "s", "T")], "channel time", "1000000000000 samples", "damaged")
-
-
-def test_netcdf_conventions(tmp_path):
+def test_netcdf_conventions_and_what_are_no_measured_numbers(tmp_path):
     r = sound()
     packed = np.round(np.rad2deg(r["alpha"]) / 0.001).astype("i4")
     packed[7] = -9999
@@ -316,6 +313,20 @@ def test_netcdf_conventions(tmp_path):
         data.to_netcdf(path, engine=engine)
         told(path, TWO, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
         data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
+    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
+    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
+    for about, words in (
+        (flags, ("channel flap", "flags", "flag_meanings")),
+        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
+        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
+    ):
+        for engine in ("h5netcdf", "scipy"):
+            path = tmp_path / f"{engine}.nc"
+            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
+            data = xr.Dataset(columns)
+            data["FLAP"].attrs = about
+            data.to_netcdf(path, engine=engine)
+            told(path, card, *words)
 
 
 PACKED = {
@@ -370,24 +381,6 @@ def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
     read = {column.label: column.values for column in read_raw(path).columns}
     for case, name, right in zip(PACKED, names, UNPACKED, strict=True):
         np.testing.assert_allclose(read[name], right, rtol=1e-14, err_msg=case)
-
-
-def test_netcdf_refuses_what_are_no_measured_numbers(tmp_path):
-    r = sound()
-    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
-    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
-    for about, words in (
-        (flags, ("channel flap", "flags", "flag_meanings")),
-        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
-        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
-    ):
-        for engine in ("h5netcdf", "scipy"):
-            path = tmp_path / f"{engine}.nc"
-            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
-            data = xr.Dataset(columns)
-            data["FLAP"].attrs = about
-            data.to_netcdf(path, engine=engine)
-            told(path, card, *words)
 
 
 def test_netcdf_of_the_classic_format_and_times_since_a_date(tmp_path):

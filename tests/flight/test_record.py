@@ -22,7 +22,7 @@ from bayes_aero.flight.record import FlightRecord
 
 
 # FlightRecord: immutable, named, in SI; and its resampling
-def test_what_a_record_holds_and_carries():
+def test_what_a_record_and_a_window_of_it_hold():
     record = sound()
     assert len(record) == record.n == 120
     assert record.dt == pytest.approx(0.04, rel=1e-12)
@@ -37,6 +37,14 @@ def test_what_a_record_holds_and_carries():
     again = pickle.loads(pickle.dumps(record))
     assert again.sha256 == record.sha256
     np.testing.assert_array_equal(again["alpha"], record["alpha"])
+    part = record.window(1.0, 3.0)
+    assert part.n == 51
+    np.testing.assert_allclose(part.time[[0, -1]], [1.0, 3.0])
+    np.testing.assert_array_equal(part["q"], record["q"][25:76])
+    assert part.sha256 == record.sha256
+    assert part.name != record.name
+    with pytest.raises(InputError, match="no sample between 9 and 10 s"):
+        record.window(9, 10)
 
 
 def test_a_record_is_immutable_and_refuses_odd_arrays():
@@ -61,18 +69,6 @@ def test_a_record_is_immutable_and_refuses_odd_arrays():
             FlightRecord.from_arrays("r", np.arange(3.0), channels)
     with pytest.raises(InputError, match="two are needed"):
         _ = FlightRecord.from_arrays("r", np.zeros(1), {}).dt
-
-
-def test_window():
-    record = sound()
-    part = record.window(1.0, 3.0)
-    assert part.n == 51
-    np.testing.assert_allclose(part.time[[0, -1]], [1.0, 3.0])
-    np.testing.assert_array_equal(part["q"], record["q"][25:76])
-    assert part.sha256 == record.sha256
-    assert part.name != record.name
-    with pytest.raises(InputError, match="no sample between 9 and 10 s"):
-        record.window(9, 10)
 
 
 def uneven(n: int = 400) -> FlightRecord:
@@ -315,11 +311,9 @@ def flown(duration: float, airspeed: float, rest: float = 0.0) -> dict[str, np.n
         np.where((t > b) & (t < b + 2), 0.05, np.where((t >= b + 2) & (t < b + 4), -0.05, 0)) for b in (5, 45)
     )
     return {
-        "time": t,
-        "elevator": doublet + 1e-4 * rng.standard_normal(len(t)),
-        "q": 0.8 * doublet + 1e-3 * rng.standard_normal(len(t)),
-        "airspeed": np.full(len(t), airspeed) + rest,
-    }
+        "time": t, "elevator": doublet + 1e-4 * rng.standard_normal(len(t)),
+        "q": 0.8 * doublet + 1e-3 * rng.standard_normal(len(t)), "airspeed": np.full(len(t), airspeed) + rest,
+    }  # fmt: skip
 
 
 def test_manoeuvres_and_parts_in_flight_are_proposed():
@@ -331,6 +325,7 @@ def test_manoeuvres_and_parts_in_flight_are_proposed():
         assert begin - 4.0 < proposal.begin < begin
         assert begin + 4.0 < proposal.end < begin + 9.0
         assert record.window(proposal.begin, proposal.end).n > 150
+    data = flown(70.0, 100.0)
     data["airspeed"][:1000] = 1.0  # 40 s on the ground
     record = FlightRecord.from_arrays("day", data.pop("time"), data)
     flights = [p for p in proposals(record, CARD) if p.what == "in flight"]

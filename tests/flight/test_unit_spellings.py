@@ -254,23 +254,14 @@ def flown() -> pd.DataFrame:
     climb = speed * np.sin(theta - alpha)
     return pd.DataFrame(
         {
-            "time_s": t,
-            "AoA_deg": alpha / DEG,
-            "theta_deg": theta / DEG,
-            "phi_deg": 0.3 * np.sin(0.4 * t),
-            "AOS_deg": 0.1 * np.sin(0.5 * t),
-            "p_deg_s": 0.12 * np.cos(0.4 * t),
-            "q_deg_s": q / DEG,
-            "r_deg_s": 0.05 * np.cos(0.5 * t),
-            "ax_g": np.sin(theta),
-            "ay_g": 0.001 * np.sin(0.5 * t),
-            "az_g": -np.cos(theta) - 3.0 * q,
-            "TAS_kts": speed / KT,
-            "alt_ft": (3000.0 + np.cumsum(climb) * 0.05) / FT,
-            "elev_deg": -4.0 * np.gradient(q, t) / DEG,
+            "time_s": t, "AoA_deg": alpha / DEG, "theta_deg": theta / DEG, "phi_deg": 0.3 * np.sin(0.4 * t),
+            "AOS_deg": 0.1 * np.sin(0.5 * t), "p_deg_s": 0.12 * np.cos(0.4 * t), "q_deg_s": q / DEG,
+            "r_deg_s": 0.05 * np.cos(0.5 * t), "ax_g": np.sin(theta), "ay_g": 0.001 * np.sin(0.5 * t),
+            "az_g": -np.cos(theta) - 3.0 * q, "TAS_kts": speed / KT,
+            "alt_ft": (3000.0 + np.cumsum(climb) * 0.05) / FT, "elev_deg": -4.0 * np.gradient(q, t) / DEG,
             "thrust_lbf": 9000.0 / LBF + 10.0 * np.sin(0.1 * t),
         }
-    )
+    )  # fmt: skip
 
 
 def excel(frame: pd.DataFrame) -> bytes:

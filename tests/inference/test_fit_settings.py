@@ -91,7 +91,7 @@ def held_flight(u, dt):
     return np.array(x)
 
 
-def test_held_inputs_are_a_zero_order_hold():
+def test_held_inputs_are_a_zero_order_hold_and_find_the_truth():
     """Against one matrix exponential a sample; the derivative by the initial state against differences."""
     n, dt = 120, 0.04
     u = np.random.default_rng(2).normal(0.0, 0.03, n)
@@ -109,10 +109,7 @@ def test_held_inputs_are_a_zero_order_hold():
     np.testing.assert_allclose(slope, [expm(A * dt * k)[:, 0] for k in range(n)], rtol=0.0, atol=1e-6)
     linear = integrate(system, jnp.array(BEGIN), inputs, dt).states
     assert np.abs(linear - x).max() > 1e-3
-
-
-def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
-    """Mde from a digital actuator's record without noise; linear between samples it is off by more."""
+    # Mde from a digital actuator's record without noise; linear between samples it is off by more.
     n, dt = 200, 0.04
     u = np.repeat(np.random.default_rng(7).normal(0.0, 0.03, n // 10), 10)
     states = held_flight(u, dt)
@@ -125,7 +122,7 @@ def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
     assert off[False] > 10.0 * off[True]
 
 
-def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviation():
+def test_without_priors_nothing_but_the_record_counts():
     """An elevator at rest: its two derivatives; all else is known as well as if they were not there."""
     channels = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
     record = record_of(channels | {"elevator": np.zeros(200)}, noise=NOISE, rng=np.random.default_rng(3))
@@ -144,9 +141,6 @@ def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviati
     told = json.loads(as_json(fly_results(found, card_of(SHORT_PERIOD), [record], {})))
     assert told["parameters"]["Mde"]["sd_corrected"] is None
     assert told["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
-
-
-def test_without_priors_a_wrong_prior_has_no_say():
     table = tomllib.loads(SHORT_PERIOD)
     table["parameters"] = {"Mq": {"prior": {"family": "normal", "location": 5.0, "scale": 0.001}}}
     wrong = parse_card(table, "x", "x.toml")

@@ -130,7 +130,7 @@ def test_errors_of_an_output_do_not_know_the_other_outputs_of_their_sample(flown
     assert np.std(known[:, -1]) < 0.99 * np.std(errors[:, -1])
 
 
-def test_shares_of_the_true_filter_are_nominal(flown):
+def test_filters_are_calibrated_only_with_the_true_noise(flown):
     """Within exact binomial bounds of 99.9 %, for every output, level, and all together."""
     found = predicted(flown, 1.0)
     assert found.status == "calibrated"
@@ -141,9 +141,6 @@ def test_shares_of_the_true_filter_are_nominal(flown):
             low, high = binom.interval(0.999, one.count, level)
             assert low <= round(share.share * one.count) <= high
             assert share.sd == pytest.approx(np.sqrt(level * (1.0 - level) / one.count), rel=0.6)
-
-
-def test_a_filter_that_is_told_wrong_noise_is_not_calibrated(flown):
     found = predicted(flown, 0.5)
     assert found.status == "not_calibrated"
     for one in (*found.outputs.values(), found.together):
@@ -251,14 +248,9 @@ def measured(colour: Colour, size: float = 1.0) -> tuple[Density, np.ndarray]:
     start = np.arange(COUNT) % (COUNT // 2) == 0
     signals = {"alpha": jnp.asarray(0.1 + 0.05 * np.sin(t)), "dt": jnp.full(COUNT, 0.04), "start": jnp.asarray(start)}
     empty = Observations(
-        signals=signals,
-        measured=jnp.zeros((COUNT, 3)),
-        start=jnp.asarray(start),
-        manoeuvre=np.cumsum(start) - 1,
-        time=t,
-        aircraft=read_card("attas").aircraft,
-        names=("a", "b"),
-    )
+        signals=signals, measured=jnp.zeros((COUNT, 3)), start=jnp.asarray(start), manoeuvre=np.cumsum(start) - 1,
+        time=t, aircraft=read_card("attas").aircraft, names=("a", "b"),
+    )  # fmt: skip
     density = Density(empty, model, Noise(colour))
     noise = {"sigma": 0.02, "rho": 0.9, "buffet": 0.0}
     x = np.array([noise.get(n.split("_")[0], TRUTH.get(n, 0.1)) for n in density.names])
@@ -330,28 +322,13 @@ def test_bars_outside_are_counted():
 
 
 # The scores against hand-worked numbers and their own definitions
-def test_scores_of_a_hand_worked_case():
-    # z = 1 2 3 4, y = 1 2 3 5: SSE 1, SST 5, rms z = sqrt(7.5), rms y = sqrt(9.75)
+def test_scores_of_a_hand_worked_case_constant_channels_and_bad_samples():
     s = score(np.array([1.0, 2, 3, 4]), np.array([1.0, 2, 3, 5]))
     assert s.rmse == pytest.approx(0.5)
     assert s.r2 == pytest.approx(0.8)
     assert s.theil == pytest.approx(0.5 / (math.sqrt(7.5) + math.sqrt(9.75)))
     assert s.r == pytest.approx(6.5 / math.sqrt(5 * 8.75))
     assert s.status is ScoreStatus.ok
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_scores_do_not_depend_on_the_unit(seed):
-    rng = np.random.default_rng(seed)
-    z, e = rng.normal(size=(2, 200))
-    a, b = score(z, z + 0.3 * e), score(57.3 * z, 57.3 * (z + 0.3 * e))
-    assert b.r == pytest.approx(a.r)
-    assert b.theil == pytest.approx(a.theil)
-    assert b.r2 == pytest.approx(a.r2)
-    assert b.rmse == pytest.approx(57.3 * a.rmse)
-
-
-def test_constant_channels_and_bad_samples_are_named():
     z = np.linspace(0.0, 1, 20)
     flat = np.full(20, 0.1)
     assert score(flat, z).status is ScoreStatus.constant_measurement
@@ -364,6 +341,17 @@ def test_constant_channels_and_bad_samples_are_named():
     y[4] = np.nan
     with pytest.raises(InputError, match="sample 4"):
         score(z, y)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scores_do_not_depend_on_the_unit(seed):
+    rng = np.random.default_rng(seed)
+    z, e = rng.normal(size=(2, 200))
+    a, b = score(z, z + 0.3 * e), score(57.3 * z, 57.3 * (z + 0.3 * e))
+    assert b.r == pytest.approx(a.r)
+    assert b.theil == pytest.approx(a.theil)
+    assert b.r2 == pytest.approx(a.r2)
+    assert b.rmse == pytest.approx(57.3 * a.rmse)
 
 
 @pytest.mark.parametrize(("z", "y"), [(np.zeros(4), np.zeros(5)), (np.zeros(1), np.zeros(1))])

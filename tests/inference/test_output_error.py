@@ -201,13 +201,15 @@ def test_segments_that_do_not_count_have_no_say(short_period):
     assert not beside.columns[~first].any()
 
 
-def test_a_bound_in_the_way_is_said():
+def test_a_bound_in_the_way_is_said_and_a_bias_of_nothing_refused():
     text = SHORT_PERIOD + "\n[parameters.Mq]\nstart = -0.3\nbounds = [-0.8, 0.0]\n"
     flown = flown_of(text, short_period_flight(SHORT_PERIOD_TRUTH), 1)
     found = fit_output_error(flown, start=np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names]))
     assert found.status is OutputErrorStatus.AT_BOUND
     assert found.at_bound == ("Mq",)
     assert found.estimate[found.names.index("Mq")] == -0.8
+    with pytest.raises(InputError, match="altitude cannot have a bias"):
+        fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
 
 
 def test_an_aircraft_that_cannot_fly_the_record_is_said(card):
@@ -362,11 +364,6 @@ def test_a_second_of_flight_without_input_is_fitted_and_says_what_it_cannot_tell
     assert {"Zde", "Mde", "az0"} <= set(found.held_by_prior)
     for array in (found.estimate, found.sd, found.sd_corrected, found.departure, found.rms):
         assert np.all(np.isfinite(array))
-
-
-def test_a_bias_of_what_was_not_recorded_is_refused():
-    with pytest.raises(InputError, match="altitude cannot have a bias"):
-        fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
 
 
 @pytest.mark.verify

@@ -164,7 +164,7 @@ def test_steps_that_go_too_far_are_shortened(times):
     assert here.cost < 0.01
 
 
-def test_a_step_in_its_room_meets_the_conditions_of_karush_kuhn_and_tucker():
+def test_bounded_steps_are_optimal_and_corrected_curvatures_stay_positive():
     rng = np.random.default_rng(2)
     for _ in range(20):
         factor = rng.standard_normal((8, 8)) * np.logspace(0.0, 4.0, 8)
@@ -179,9 +179,6 @@ def test_a_step_in_its_room_meets_the_conditions_of_karush_kuhn_and_tucker():
         assert np.all(left[low & ~high] < tolerance)
         assert np.all(left[high & ~low] > -tolerance)
         assert low.any() or high.any()
-
-
-def test_a_corrected_curvature_has_the_change_of_the_gradient_and_stays_positive():
     rng = np.random.default_rng(5)
     for _ in range(20):
         factor, step = rng.standard_normal((6, 6)), rng.standard_normal(6)
@@ -264,7 +261,7 @@ def scalar_likelihood(z, de, a, f, sigma):
     return total
 
 
-def test_the_density_is_the_likelihood_of_the_fit_and_the_priors(scalar, fitted):
+def test_the_density_is_that_of_the_fit_and_short_chains_say_so(scalar, fitted):
     """Likelihood to 1e-8 of the fit's; priors by SciPy's distributions."""
     R = np.array([3e-4])
     density = innovations_posterior(scalar[0], R)
@@ -285,6 +282,12 @@ def test_the_density_is_the_likelihood_of_the_fit_and_the_priors(scalar, fitted)
     x = density.start(replace(fitted, F=np.zeros(1)))
     assert x[1] == pytest.approx(0.3 * 3e-4**0.5 * np.exp(-2.0 * SPREAD))
     assert np.isfinite(float(density(density.unconstrain(jnp.asarray(x)))))
+    # One ensemble of a hundred steps misses the effective sample size.
+    length = PosteriorLength(NutsLength(2, WarmUp(200), 1), EnsembleLength(1, 100))
+    found = sample_innovations(scalar[0], fitted, np.array([3e-4]), seed=1, length=length)["emcee"]
+    assert found.tree.attrs["steps"] == 100
+    assert min(m.ess for m in found.marginals.values()) < 400.0
+    assert found.status is PosteriorStatus.NOT_CONVERGED
 
 
 @pytest.mark.recovery
@@ -312,15 +315,6 @@ def test_both_samplers_find_the_posterior_by_quadrature(scalar, fitted):
             sd = np.sqrt(np.sum(weight * (grid - mean) ** 2))
             assert abs(found.mean - mean) < 4.0 * sd / np.sqrt(found.ess_bulk), (posterior.engine, name)
             assert found.sd == pytest.approx(sd, rel=0.1), (posterior.engine, name)
-
-
-def test_short_chains_say_so(scalar, fitted):
-    """One ensemble of a hundred steps misses the effective sample size."""
-    length = PosteriorLength(NutsLength(2, WarmUp(200), 1), EnsembleLength(1, 100))
-    found = sample_innovations(scalar[0], fitted, np.array([3e-4]), seed=1, length=length)["emcee"]
-    assert found.tree.attrs["steps"] == 100
-    assert min(m.ess for m in found.marginals.values()) < 400.0
-    assert found.status is PosteriorStatus.NOT_CONVERGED
 
 
 class _Pendulum(System):

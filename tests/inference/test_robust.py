@@ -36,7 +36,7 @@ def test_the_mean_of_a_first_order_autoregression(rho):
     assert np.mean(found) == pytest.approx((1.0 + rho) / (1.0 - rho) / n, rel=0.15)
 
 
-def test_noise_that_grows_with_the_sensitivity_in_blocks_of_a_fifth_of_a_second():
+def test_noise_that_grows_and_few_blocks_widen_the_variance():
     """Var = sum x^2 sigma(x)^2 / (sum x^2)^2, here three times what one variance for all samples gives."""
     rng, n = np.random.default_rng(6), 4000
     x = rng.standard_normal(n)
@@ -48,11 +48,8 @@ def test_noise_that_grows_with_the_sensitivity_in_blocks_of_a_fifth_of_a_second(
     assert found > 2.5 * np.mean(noise**2) / np.sum(x**2)
     noise = np.random.default_rng(8).standard_normal((500, 1))
     assert variance(np.ones(500), noise, dt=0.04)[1] == 100
-
-
-def test_few_blocks_widen_by_students_t():
-    """12 blocks for one parameter: over many records the variance is s^2/n times that of t with 11 degrees over 1.96^2,
-    and HC3 adds the leverage of each block."""
+    # 12 blocks for one parameter: over many records the variance is s^2/n times that of t with 11 degrees over
+    # 1.96^2, and HC3 adds the leverage of each block.
     rng, n, found = np.random.default_rng(7), 12, []
     for _ in range(2000):
         noise = rng.standard_normal(n)

@@ -137,7 +137,7 @@ def difference(s, aircraft) -> np.ndarray:
     return 0.012 + roll + 0.2 * np.asarray(s["beta"]) - 0.3 * np.asarray(s["aileron"])
 
 
-def test_each_wing_has_its_own_separation_and_rolls_and_yaws_as_strips_do(card):
+def test_each_wing_stalls_by_itself_and_rolls_and_yaws_as_strips_do(card):
     s = signals()
     model, v = model_and_values(card, tau1=0.0, tau2=0.0)
     known = model.flow(v, s, card.aircraft)
@@ -162,10 +162,7 @@ def test_each_wing_has_its_own_separation_and_rolls_and_yaws_as_strips_do(card):
     span = 2.0 * a.half_span
     np.testing.assert_allclose(known["Cl"], roll / pressure_area / span, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(known["Cn"], yaw / pressure_area / span, rtol=1e-7, atol=1e-12)
-
-
-def test_a_wing_that_stalls_first_drops_and_is_dragged_back(card):
-    """Right first: rolls and yaws to the right, most of all about the stall angle."""
+    # Right first: rolls and yaws to the right, most of all about the stall angle.
     s = signals() | dict.fromkeys(("p", "beta", "aileron"), jnp.zeros(N))
     model, v = model_and_values(card, {"wing_asymmetry": 0.01})
     known = model.flow(v, s, card.aircraft)

@@ -189,16 +189,13 @@ def other_stall(card):
     return model, values() | {"k": jnp.asarray(30.0), "alpha_half": jnp.asarray(0.22)}
 
 
-def test_the_slow_stall_goes_beyond_the_break_angle_of_any_stall_model(card):
+def test_other_laws_of_the_stall_are_flown_and_fitted_by_their_own_break_angle(card, clean):
     model, v = other_stall(card)
     found = fly_standard(model, v, card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
     assert not found.refused
     flown, stall = found.channels, found.channels["slow_stall"]
     assert stall["alpha"].max() > 0.22
     assert stall["X"].min() < 0.5 < flown["elevator_doublet"]["X"].min()
-
-
-def test_a_fit_that_saw_no_stall_tells_of_the_break_angle_of_its_own_model(card, clean):
     model, _ = other_stall(card)
     alpha = np.asarray(clean.signals["alpha"])
     fit = fit_mle(model, clean.subset(np.flatnonzero(alpha < 0.13)), extra_starts=0)

@@ -44,16 +44,9 @@ def constants() -> dict:
 
 
 BARE = Effect(
-    "bare",
-    Kind.AERODYNAMICS,
-    Stage.TOTAL,
-    "Constant coefficients.",
-    (),
-    (),
-    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")},
-    Example({}, {}, {}, "-"),
-    "-",
-)
+    "bare", Kind.AERODYNAMICS, Stage.TOTAL, "Constant coefficients.", (), (),
+    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")}, Example({}, {}, {}, "-"), "-",
+)  # fmt: skip
 
 
 def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:

@@ -141,11 +141,9 @@ def test_level_flight_in_trim_goes_on_and_without_forces_it_is_a_parabola(card):
     values |= {"Cm0": Cm + 0.5 * alpha, "Cma": -0.5, "Cmq": -8.0, "Cmde": -0.7}
     n = 1501
     flight = fly(
-        system(LINEAR, a, **values),
-        start(V, alpha, alpha, 0.0, h),
-        inputs(n, elevator=jnp.zeros(n), thrust=jnp.full(n, T)),
-        DT,
-    )
+        system(LINEAR, a, **values), start(V, alpha, alpha, 0.0, h),
+        inputs(n, elevator=jnp.zeros(n), thrust=jnp.full(n, T)), DT,
+    )  # fmt: skip
     for name, value in {"airspeed": V, "alpha": alpha, "theta": alpha, "q": 0.0, "altitude": h}.items():
         np.testing.assert_allclose(flight.outputs[name], value, rtol=1e-9, atol=1e-9, err_msg=name)
     nothing, n = dict.fromkeys(("CL0", "CLa", "CD0", "Cm0", "Cma", "Cmq", "Cmde"), 0.0), 200

@@ -55,11 +55,18 @@ def standard(model, card):
     return found.channels, found.refused
 
 
-def test_the_command_of_attached_flow_is_the_elevator_of_the_textbook(card):
+def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):
     alpha = jnp.asarray([0.05, 0.1, 0.2])
     shares, command = lead(Model.of(card.effects), values(), card.aircraft, alpha, AIRSPEED, ALTITUDE)
     np.testing.assert_array_equal(shares, [1.0, 0.0])
     np.testing.assert_allclose(command, -(TRUTH["Cm0"] + TRUTH["Cma"] * alpha) / TRUTH["Cmde"], rtol=1e-14)
+    usual, refused = standard(Model.of(card.effects), card)
+    own, refused_own = standard(pitched_by(card, STICK), card)
+    assert not refused
+    assert not refused_own
+    for name, channels in usual.items():
+        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
+        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
 
 
 @pytest.mark.parametrize("mach", [None, 0.3])
@@ -69,16 +76,6 @@ def test_at_level_speed_the_attached_lift_carries_the_weight(card, mach):
     CL = TRUTH["CL0"] + (TRUTH["CLa"] + TRUTH["CLaM"] * (mach or speed / sound)) * 0.1
     lift = 0.5 * density * speed**2 * card.aircraft.wing_area * CL
     assert lift == pytest.approx(card.aircraft.mass * GRAVITY, rel=1e-9)
-
-
-def test_a_control_that_pitches_up_is_moved_the_other_way(card):
-    usual, refused = standard(Model.of(card.effects), card)
-    own, refused_own = standard(pitched_by(card, STICK), card)
-    assert not refused
-    assert not refused_own
-    for name, channels in usual.items():
-        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
-        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
 
 
 def test_a_model_is_flown_by_its_stabilizer_or_cannot_be_trimmed(card):
@@ -136,15 +133,12 @@ def test_nothing_changes_in_steady_flight(condition):
             assert found.state[state] == condition[name]
 
 
-def test_level_flight_is_that_of_a_solver_of_its_own():
+def test_level_flight_is_found_and_what_cannot_be_held_is_refused():
     x, controls = stranger_six.level(PLANE, SPEED, HEIGHT)
     found = trimmed_six()
     assert found.state["alpha"] == pytest.approx(np.arctan2(x[2], x[0]), rel=1e-6)
     assert found.controls["elevator"] == pytest.approx(controls[0], rel=1e-5)
     assert found.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
-
-
-def test_what_cannot_be_held_or_asked_for_is_refused():
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n not in ("rudder_yaw", "rudder_roll")]
     assert abs(trimmed_six(effects).state["phi"]) < 1e-9
     with pytest.raises(InputError, match="no steady flight at 120 m/s and 4000 m that elevator, aileron can hold"):

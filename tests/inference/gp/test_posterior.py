@@ -107,7 +107,7 @@ def test_it_samples_as_before_after_compiled_programs_were_given_back():
     np.testing.assert_array_equal(after.chains.theta, before.chains.theta)
 
 
-def test_a_stand_in_much_too_narrow_is_refused(case):
+def test_a_stand_in_that_is_too_narrow_or_cannot_learn_is_refused(case, monkeypatch):
     """Draws squeezed to a third around the optimum, with the density they then have."""
     data, best, sampled = case
     theta, _ = thin(sampled.chains, 400)
@@ -117,10 +117,7 @@ def test_a_stand_in_much_too_narrow_is_refused(case):
     assert judged.k_hat > judged.k_limit
     assert judged.status is SampleStatus.pareto_k
     assert "Refused" in judged.status.value
-
-
-def test_a_stand_in_that_cannot_learn_is_refused(case, monkeypatch):
-    """The emulator replaced by one that is wrong about the noise: every round fails, none is used silently."""
+    # The emulator replaced by one that is wrong about the noise: every round fails, none is used silently.
     data, best, _ = case
     honest = course.fit_emulator
 
@@ -148,9 +145,17 @@ def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
 
 
 # The search finds the optimum it should, from bad starts too, and says how it ended
-def test_u_and_w_are_theta(problem):
+def test_theta_and_derivatives_of_the_outputs_are_what_they_stand_for(problem):
     _, theta = problem(0, d=4)
     np.testing.assert_allclose(assemble(theta[:6], noise_to_signal(theta)), theta, atol=1e-14)
+    data, theta = problem(8, n=50, d=2)
+    u = noise_to_signal(theta)
+
+    def at(v):
+        return outputs(ExactPoint(v, *stats_and_gradient(v, data)))
+
+    numeric = [(at(u + s)[0] - at(u - s)[0]) / 2e-5 for s in 1e-5 * np.eye(u.size)]
+    np.testing.assert_allclose(at(u)[1], numeric, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -164,7 +169,7 @@ def test_the_full_gradient_vanishes_at_the_optimum(problem, seed):
     assert best.value > log_density(theta, data, Priors()).value
 
 
-def test_several_starts_find_the_good_one_of_two_optima():
+def test_searches_from_several_starts_end_at_the_better_optimum_or_at_a_bound():
     """Two explanations of one record: a slow trend with much noise, or a fast wave with little."""
     rng = np.random.default_rng(2)
     x = np.sort(rng.uniform(-1.7, 1.7, 60))[:, None]
@@ -175,9 +180,6 @@ def test_several_starts_find_the_good_one_of_two_optima():
     assert found[0].value > slow.value + 10  # a single start from the slow side is poor
     assert np.exp(found[0].u[0]) < 0.5 < np.exp(slow.u[0])
     assert [o.value for o in found] == sorted((o.value for o in found), reverse=True)
-
-
-def test_an_input_that_does_nothing_is_reported_at_its_bound_under_a_flat_prior():
     rng = np.random.default_rng(5)
     x = rng.normal(size=(80, 2))
     data = ReducedData.of(x, np.sin(2 * x[:, 0]) + 0.1 * rng.normal(size=80))
@@ -220,17 +222,6 @@ def trained(problem):
         u = centre + 0.15 * rng.normal(size=centre.size)
         points.append(ExactPoint(u, *stats_and_gradient(u, data)))
     return points, fit_emulator(points[:40], np.zeros(40))
-
-
-def test_derivatives_of_the_outputs_are_finite_differences(problem):
-    data, theta = problem(8, n=50, d=2)
-    u = noise_to_signal(theta)
-
-    def at(v):
-        return outputs(ExactPoint(v, *stats_and_gradient(v, data)))
-
-    numeric = [(at(u + s)[0] - at(u - s)[0]) / 2e-5 for s in 1e-5 * np.eye(u.size)]
-    np.testing.assert_allclose(at(u)[1], numeric, rtol=1e-5, atol=1e-6)
 
 
 def test_what_the_emulator_was_trained_with_is_predicted_again(trained):
