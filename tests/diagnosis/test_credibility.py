@@ -293,10 +293,8 @@ def test_yaw_of_the_size_of_the_roll_rate_has_no_cause_in_the_catalogue(tmp_path
     """It is structure of Cn, which no effect that the catalogue has for a symmetric aircraft explains."""
     rng = np.random.default_rng([seed, 71])
     plane = RollYaw(**asdict(drawn(rng, **six_axes.ATTACHED)))
-    path = tmp_path / "another.toml"
-    path.write_text(six_axes.card_text(plane), encoding="utf-8")
     records = [six_axes.record(kind, fly(plane, kind, rng), rng) for kind in ("elevator", "aileron", "rudder")]
-    found = diagnose(records, read_card(str(path)), gains_wanted=False)
+    found = diagnose(records, six_axes.card_in(tmp_path, plane), gains_wanted=False)
     assert found.verdict is Verdict.UNEXPLAINED
     assert found.causes == ()
     assert {one.coefficient for one in found.unknown} == {"Cn"}

@@ -22,7 +22,6 @@ from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.envelope import DEFAULT_RANGES, Envelope, excursion
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
@@ -144,9 +143,7 @@ PLANE = Plane(**six.ATTACHED)
 @pytest.fixture(scope="module")
 def state_six(tmp_path_factory):
     """The card's model at the truth of an aileron and a rudder manoeuvre, with a few candidates."""
-    path = tmp_path_factory.mktemp("card") / "another.toml"
-    path.write_text(six.card_text(PLANE), encoding="utf-8")
-    card, rng, records = read_card(str(path)), np.random.default_rng(1), []
+    card, rng, records = six.card_in(tmp_path_factory.mktemp("card"), PLANE), np.random.default_rng(1), []
     for kind in ("aileron", "rudder"):
         channels = six.recorded(stranger_six.fly(PLANE, kind, rng), rng)
         channels["thrust"] = channels["thrust_left"] + channels["thrust_right"]

@@ -191,13 +191,15 @@ FORMS = {
 }  # fmt: skip
 
 
+SLOWER = [(speed, "elevator") for speed in (190.0, 120.0, 90.0, 75.0) for _ in range(2)]
+
+
 def polynomial_fighter(folder, plane, plan, rng, seconds, *axes):
     """A linear card and records of manoeuvres (speed, kind)."""
     effects = six_axes.LONGITUDINAL + (six_axes.LATERAL if len(axes) > 1 else ())
-    (folder / "card.toml").write_text(six_axes.card_text(plane, effects, axes), encoding="utf-8")
     flights = [fly(plane, kind, rng, seconds=seconds, V=speed) for speed, kind in plan]
     records = [six_axes.record(f"m{k}_{speed:.0f}", flights[k], rng) for k, (speed, _) in enumerate(plan)]
-    return records, read_card(str(folder / "card.toml"))
+    return records, six_axes.card_in(folder, plane, effects, axes)
 
 
 @pytest.mark.recovery
@@ -207,8 +209,9 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path):
     With the linear card `drag_offset` and `flow_separation` explain most of what is left, and CL differs between
     manoeuvres, whose angles of attack do. None of that is there. CZq is -30 per q c/2V: lift by pitch rate is 15 qhat.
     """
-    plan = [(speed, "elevator") for speed in (190.0, 120.0, 90.0, 75.0) for _ in range(2)]
-    records, card = polynomial_fighter(tmp_path, Fighter(), plan, np.random.default_rng([1, 54]), 10.0, "longitudinal")
+    records, card = polynomial_fighter(
+        tmp_path, Fighter(), SLOWER, np.random.default_rng([1, 54]), 10.0, "longitudinal"
+    )
     found = diagnose(records, card, seed=1, gains_wanted=False, process_noise=False)
     assert not found.causes
     assert not any(structure.offsets for structure in found.unknown)
@@ -221,8 +224,9 @@ def test_a_wrong_form_of_the_coefficients_is_no_stall_and_no_camber(tmp_path):
 @pytest.mark.verify
 def test_a_wrong_form_is_no_camber_where_trajectories_are_compared(tmp_path):
     """The same fighter without accelerometers. Forms are sought to first order there, so few of them are sure."""
-    plan = [(speed, "elevator") for speed in (190.0, 120.0, 90.0, 75.0) for _ in range(2)]
-    records, card = polynomial_fighter(tmp_path, Fighter(), plan, np.random.default_rng([1, 54]), 10.0, "longitudinal")
+    records, card = polynomial_fighter(
+        tmp_path, Fighter(), SLOWER, np.random.default_rng([1, 54]), 10.0, "longitudinal"
+    )
     kept = [{name: x for name, x in r.channels.items() if name not in ("ax", "ay", "az")} for r in records]
     flown = [FlightRecord.from_arrays(r.name, r.time, x) for r, x in zip(records, kept, strict=True)]
     found = diagnose(flown, card, seed=1, gains_wanted=False, process_noise=False)
@@ -326,10 +330,8 @@ def set_between(seed: int):
 
 @pytest.fixture(scope="module")
 def linear_card(tmp_path_factory):
-    path = tmp_path_factory.mktemp("card") / "card.toml"
-    text = six_axes.card_text(Plane(**six_axes.ATTACHED), six_axes.LONGITUDINAL, ("longitudinal",))
-    path.write_text(text, encoding="utf-8")
-    return read_card(str(path))
+    folder, plane = tmp_path_factory.mktemp("card"), Plane(**six_axes.ATTACHED)
+    return six_axes.card_in(folder, plane, six_axes.LONGITUDINAL, ("longitudinal",))
 
 
 @pytest.mark.recovery
@@ -365,9 +367,7 @@ def searched(tmp_path, seed, times, left_out=None, scale=1.0):
     rng = np.random.default_rng([seed, 17])
     plane, keep = drawn(rng, **six_axes.ATTACHED), np.exp(-DT / SLOW)
     effects = [e for e in (*six_axes.LONGITUDINAL, *six_axes.LATERAL) if e != left_out]
-    path = tmp_path / "another.toml"
-    path.write_text(six_axes.card_text(plane, effects), encoding="utf-8")
-    card, records = read_card(str(path)), []
+    card, records = six_axes.card_in(tmp_path, plane, effects), []
     for kind in ("elevator", "aileron", "rudder"):
         flight = fly(plane, kind, rng, dt=DT, seconds=26.0)
         flight["ay"] = scale * flight["ay"]

@@ -97,12 +97,11 @@ def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(h
     """
     plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n != hidden]
-    (tmp_path / "plane.toml").write_text(six.card_text(plane, effects), encoding="utf-8")
     seen, records = 0.8 if hidden == "sideslip_scale" else 1.0, []
     for kind in ("elevator", "aileron", "rudder"):
         flight = stranger_six.fly(plane, kind, rng, gust=0.7)
         records.append(six.record(kind, {**flight, "beta": seen * flight["beta"]}, rng))
-    card = read_card(str(tmp_path / "plane.toml"))
+    card = six.card_in(tmp_path, plane, effects)
     found = diagnose(records, card, process_noise=True, gains_wanted=False, settings=DiagnosisSettings(max_effects=2))
     truth = {"rudder_yaw": ("Cndr", plane.Cndr), "sideslip_scale": ("sideslip_scale", seen - 1.0)}
     assert [c.name for c in found.causes] == [hidden] * (hidden is not None)

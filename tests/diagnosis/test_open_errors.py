@@ -22,7 +22,6 @@ from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.joined_records import joined
@@ -289,15 +288,13 @@ def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
     """By kinematics, in flights of a simulator that shares no code: velocities and accelerations of a rigid body."""
     rng = np.random.default_rng(41)
     plane = drawn(rng, **six_axes.ATTACHED)
-    path = tmp_path / "another.toml"
-    path.write_text(six_axes.card_text(plane), encoding="utf-8")
     records = []
     for kind in ("aileron", "rudder", "elevator"):
         flight = fly(plane, kind, rng)
         dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
         flight |= BESIDE[name][1](flight, dot) if name else {}
         records.append(six_axes.record(kind, flight, rng))
-    found = screen_sensor_errors(records, read_card(str(path)))
+    found = screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
     assert found.causes == (() if name is None else (name,))
     if name is not None:
         size = found.sizes[name]

@@ -292,8 +292,7 @@ def test_terms_change_innovations_as_the_parameter_of_the_card_and_the_effect_of
 def test_a_term_of_six_degrees_of_freedom_flies_and_is_foreseen_as_its_parameter(tmp_path, gusts):
     """Cn += Cndr rudder; compilation takes most of a minute."""
     plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
-    (tmp_path / "plane.toml").write_text(six.card_text(plane), encoding="utf-8")
-    card = read_card(str(tmp_path / "plane.toml"))
+    card = six.card_in(tmp_path, plane)
     records = [six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)]
     model = Model.from_card(card)
     known = {p.name: getattr(plane, p.name) for p in model.free}
@@ -321,8 +320,7 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
     """
     plane, rng = stranger_six.Plane(tau1=20.0), np.random.default_rng(3)
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL, *six.STALL) if n not in MORE]
-    (tmp_path / "plane.toml").write_text(six.card_text(plane, effects), encoding="utf-8")
-    card = read_card(str(tmp_path / "plane.toml"))
+    card = six.card_in(tmp_path, plane, effects)
     flight = stranger_six.fly(plane, "stall_in_bank", rng, gust=0.7)
     records = [six.record("stall", {name: x[-100:] for name, x in flight.items()}, rng)]
     known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}

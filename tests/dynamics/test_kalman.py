@@ -205,11 +205,9 @@ def drawn():
     )
     start = normal(W, S, S, M)
     slopes = Disturbances(
-        normal(W, SAMPLES, S, M),
-        normal(W, SAMPLES, C, M),
-        start + jnp.swapaxes(start, 1, 2),
+        normal(W, SAMPLES, S, M), normal(W, SAMPLES, C, M), start + jnp.swapaxes(start, 1, 2),
         jnp.zeros((W, SAMPLES, S, M)).at[..., 2, :].set(normal(W, SAMPLES, M)),
-    )
+    )  # fmt: skip
     return lin, noise, slopes
 
 

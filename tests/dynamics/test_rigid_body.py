@@ -23,7 +23,6 @@ from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import coefficients
@@ -41,8 +40,12 @@ def body(plane, model=None, **options):
     return RigidBody(model, six.values(plane, model), six.aircraft(plane), **options)
 
 
+def start_of(system, **start):
+    return jnp.array([float(start.get(name, 0.0)) for name in system.start])
+
+
 def state_at_start(system, **start):
-    return system.state_at_start(jnp.array([float(start.get(name, 0.0)) for name in system.start]))
+    return system.state_at_start(start_of(system, **start))
 
 
 def turning(n, plane=ODD, **rates):
@@ -327,10 +330,6 @@ def two_winged(plane=PLANE, effects=(*STALL, *APART), **options):
     return RigidBody(model, known, six.aircraft(plane), **options)
 
 
-def two_winged_start(system, **start):
-    return jnp.array([float(start.get(name, 0.0)) for name in system.start])
-
-
 def inputs(flight):
     return {name: x for name, x in six.channels(flight).items() if name != "density"}
 
@@ -340,7 +339,7 @@ def test_two_lags_fly_as_those_of_another_simulator(flight, euler):
     system, u = two_winged(euler=euler), inputs(flight)
     assert system.states[-2:] == ("X_right", "X_left")
     first = {name: x[0] for name, x in u.items()}
-    start = system.complete_start(two_winged_start(system, **{n: x[0] for n, x in flight.items()}), first)
+    start = system.complete_start(start_of(system, **{n: x[0] for n, x in flight.items()}), first)
     found = fly(system, system.state_at_start(start), u, DT, 2)
     assert found.outputs["X"].min() < 0.5
     assert np.abs(found.states[:, -2] - found.states[:, -1]).max() > 0.1
@@ -358,7 +357,7 @@ def test_rates_of_both_points_and_of_the_body_are_those_of_another_simulator(fli
     theirs = PLANE.rates(
         np.array([*velocity, *turning, points[1], points[0]]), np.array([now[n] for n in stranger_six.CONTROLS])
     )
-    start = two_winged_start(system, **now, X_right=points[0], X_left=points[1])
+    start = start_of(system, **now, X_right=points[0], X_left=points[1])
     u = {name: x[k] for name, x in inputs(flight).items()}
     rates, _ = system.motion(system.state_at_start(start), u)
     ours = dict(zip(system.states, np.asarray(rates), strict=True))
@@ -376,7 +375,7 @@ def test_wings_that_nothing_tells_apart_fly_as_one():
     ends = []
     for effects in (STALL, (*STALL, *APART)):
         system = two_winged(even, effects)
-        start = two_winged_start(system, airspeed=95.0, alpha=0.12, theta=0.12, altitude=4000.0)
+        start = start_of(system, airspeed=95.0, alpha=0.12, theta=0.12, altitude=4000.0)
         start = system.complete_start(start, {name: x[0] for name, x in u.items()})
         ends.append((system.states, fly(system, system.state_at_start(start), u, DT, 3)))
     (one, whole), (two, wings) = ends
@@ -392,7 +391,7 @@ def test_coefficients_of_the_record_are_those_of_the_simulation(flight):
     """The lag of sampled static points against the states that were integrated; linear between samples."""
     system, u = two_winged(), inputs(flight)
     first = {name: x[0] for name, x in u.items()}
-    start = system.complete_start(two_winged_start(system, **{n: x[0] for n, x in flight.items()}), first)
+    start = system.complete_start(start_of(system, **{n: x[0] for n, x in flight.items()}), first)
     found = fly(system, system.state_at_start(start), u, DT, 2)
     n = len(flight["time"])
     signals = found.outputs | u | {"dt": jnp.full(n, DT), "start": jnp.arange(n) == 0}
@@ -405,11 +404,9 @@ def test_coefficients_of_the_record_are_those_of_the_simulation(flight):
 
 def test_a_record_is_flown_with_both(flight, tmp_path):
     """From a card to segments: no record shows separation points, and none of them can be given."""
-    path = tmp_path / "another.toml"
-    path.write_text(six.card_text(PLANE), encoding="utf-8")
     channels = {name: flight[name] for name in (*six.RECORDED, "thrust")}
     record = FlightRecord.from_arrays("stall", flight["time"], channels, "simulated")
-    flights = join([record], read_card(str(path)), ())
+    flights = join([record], six.card_in(tmp_path, PLANE), ())
     model, known = model_and_values()
     dynamics = aircraft_dynamics(model, flights)
     flown = segments(flights, dynamics, fixed={}, substeps=2)

@@ -238,6 +238,7 @@ def test_quoted_cells_with_commas_are_read_and_their_errors_placed(tmp_path):
     told(path, (QUOTED[0], QUOTED[2]), "'5,059'", "decimal comma", "thousands")
     path.write_text("\n".join(["T,H", *(f'{i},"0,{i:03d}"' for i in range(60))]))  # no thousands begin with 0
     assert read_record(path, (QUOTED[0], QUOTED[2]))["altitude"][59] == 0.059
+    path = quoted_file(tmp_path)
     lines = path.read_text().splitlines()
     lines[20] = '"0,76","a, b",5019'
     path.write_text("\n".join(lines))

@@ -84,18 +84,14 @@ def test_csv_as_people_write_it(tmp_path, text):
     body = "\n".join(rows)
     quoted = "\n".join('"' + row.replace(",", '","') + '"' for row in rows)
     text = text.format(
-        rows=body,
-        semicolons=body.replace(",", "; "),
-        decimal_commas=body.replace(",", ";").replace(".", ","),
-        tabs=body.replace(",", "\t"),
-        trailing="\n".join(row + "," for row in rows),
-        with_text="\n".join("level," + row for row in rows),
-        quoted_commas=quoted.replace(".", ","),
+        rows=body, semicolons=body.replace(",", "; "), decimal_commas=body.replace(",", ";").replace(".", ","),
+        tabs=body.replace(",", "\t"), trailing="\n".join(row + "," for row in rows),
+        with_text="\n".join("level," + row for row in rows), quoted_commas=quoted.replace(".", ","),
         quoted_text="\n".join('"level, ""trimmed""; 2",' + row for row in rows),
         quoted_semicolons="\n".join('"x;y";' + row.replace(",", ";").replace(".", ",") for row in rows),
         quoted_tabs=quoted.replace('","', '"\t"'),
         quoted_trailing="\n".join(row + "," for row in quoted.split("\n")),
-    )
+    )  # fmt: skip
     path = tmp_path / "people.csv"
     path.write_bytes(text.encode("utf-8"))
     back = read_record(path, CHANNELS)

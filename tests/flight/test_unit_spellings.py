@@ -81,19 +81,21 @@ def test_a_guess_from_the_files_own_unit_passes_the_reader(tmp_path, layout, hea
     np.testing.assert_allclose(read_record(path, card)[channel], si, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("rad/s^2", 1.0), ("deg/s^2", DEG)])
-def test_the_unit_of_an_angular_acceleration_shows_in_the_rate(tmp_path, unit, scale):
-    time = np.arange(400) * 0.04
-    rate, slope = 0.1 * np.sin(time), 0.1 * np.cos(time)
-    found = guesses(tmp_path, "Time [s],Q [deg/s],Qdot", (time, rate / DEG, slope / scale))
-    assert found["q_dot"].unit == unit
+SWING = np.arange(400) * 0.04
+SPEED = 80.0 + 5.0 * WAVE
+BESIDE = {  # units of what follows from a channel beside it, s and SI: heading and values of both
+    "q_dot": ("Time [s],Q [deg/s],Qdot", SWING, 0.1 * np.sin(SWING) / DEG, 0.1 * np.cos(SWING)),
+    "dynamic_pressure": ("Time [s],TAS [m/s],Qbar", TIME, SPEED, 0.5 * 1.1 * SPEED**2),
+}
 
 
-@pytest.mark.parametrize(("unit", "size"), [("Pa", 1.0), ("lbf/ft^2", LBF / FT**2)])
-def test_the_unit_of_a_dynamic_pressure_shows_in_the_airspeed(tmp_path, unit, size):
-    speed = 80.0 + 5.0 * WAVE
-    found = guesses(tmp_path, "Time [s],TAS [m/s],Qbar", (TIME, speed, 0.5 * 1.1 * speed**2 / size))
-    assert found["dynamic_pressure"].unit == unit
+@pytest.mark.parametrize(("name", "unit", "size"), [
+    ("q_dot", "rad/s^2", 1.0), ("q_dot", "deg/s^2", DEG),
+    ("dynamic_pressure", "Pa", 1.0), ("dynamic_pressure", "lbf/ft^2", LBF / FT**2),
+])  # fmt: skip
+def test_units_of_angular_acceleration_and_dynamic_pressure_show_in_rate_and_airspeed(tmp_path, name, unit, size):
+    header, time, beside, values = BESIDE[name]
+    assert guesses(tmp_path, header, (time, beside, values / size))[name].unit == unit
 
 
 @pytest.mark.parametrize("unit", ["deg", "DEG", "degrees", "°"])
@@ -191,23 +193,17 @@ def _units_guessed(folder, columns, headings):
     return {name: guess.unit for name, guess in guesses(folder, header, noisy).items()}
 
 
-@pytest.mark.parametrize("degrees", [(), ("phi", "theta"), ("p", "q"), ("phi", "theta", "p", "q")])
-def test_attitudes_that_are_small_have_the_unit_that_the_rates_make(tmp_path, degrees):
-    """None of them is too large for radians. The rates' units are stated."""
-    true = _turns()
-    columns = {n: x / DEG if n in degrees else x for n, x in true.items() if n in ("time", *ROLL, *PITCH)}
-    stated = {n: f"{n} [{'deg/s' if n in degrees else 'rad/s'}]" for n in ("p", "q")}
-    found = _units_guessed(tmp_path, columns, stated)
-    assert {n: found[n] for n in ("phi", "theta")} == {n: "deg" if n in degrees else "rad" for n in ("phi", "theta")}
-
-
-@pytest.mark.parametrize("degrees", [("phi", "theta"), ("p", "q")])
-def test_rates_and_attitudes_in_unlike_units_tell_each_other(tmp_path, degrees):
-    true = _turns()
-    columns = {n: x / DEG if n in degrees else x for n, x in true.items() if n in ("time", *ROLL, *PITCH)}
-    found = _units_guessed(tmp_path, columns, {})
-    meant = {n: ("deg" if n in degrees else "rad") + ("/s" if n in "pq" else "") for n in (*ROLL, *PITCH)}
-    assert {n: found[n] for n in meant} == meant
+@pytest.mark.parametrize(("degrees", "stated"), [
+    *((degrees, True) for degrees in ((), ("phi", "theta"), ("p", "q"), ("phi", "theta", "p", "q"))),
+    (("phi", "theta"), False), (("p", "q"), False),
+])  # fmt: skip
+def test_small_attitudes_and_rates_tell_each_others_units(tmp_path, degrees, stated):
+    """None of the attitudes is too large for radians. Where rates state no units, theirs and the others' are unlike."""
+    columns = {n: x / DEG if n in degrees else x for n, x in _turns().items() if n in ("time", *ROLL, *PITCH)}
+    units = {n: ("deg" if n in degrees else "rad") + ("/s" if n in "pq" else "") for n in (*ROLL, *PITCH)}
+    headings = {n: f"{n} [{units[n]}]" for n in ("p", "q")} if stated else {}
+    found = _units_guessed(tmp_path, columns, headings)
+    assert {n: found[n] for n in units} == units
 
 
 @pytest.mark.parametrize(("stated", "degrees"), [

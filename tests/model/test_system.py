@@ -153,12 +153,10 @@ def test_level_flight_in_trim_goes_on_and_without_forces_it_is_a_parabola(card):
     t = np.arange(n) * DT
     forward, up = 90.0 * np.cos(0.4), 90.0 * np.sin(0.4) - GRAVITY * t
     expected = {
-        "airspeed": np.hypot(forward, up),
-        "theta": 0.5 + 0.02 * t,
-        "alpha": 0.5 + 0.02 * t - np.arctan2(up, forward),
-        "q": np.full(n, 0.02),
+        "airspeed": np.hypot(forward, up), "theta": 0.5 + 0.02 * t,
+        "alpha": 0.5 + 0.02 * t - np.arctan2(up, forward), "q": np.full(n, 0.02),
         "altitude": 3000.0 + 90.0 * np.sin(0.4) * t - 0.5 * GRAVITY * t**2,
-    }
+    }  # fmt: skip
     for name, value in expected.items():
         np.testing.assert_allclose(flight.outputs[name], value, rtol=1e-8, atol=1e-8, err_msg=name)
 

@@ -17,15 +17,13 @@ def flight() -> dict[str, np.ndarray]:
     late = np.maximum(t - 3.0, 0.0)
     height = 2500.0 + 30.0 * np.sin(0.5 * late)
     return {
-        "time": t,
-        "ax": 0.3 + 0.02 * rng.standard_normal(len(t)),
-        "az": -9.8 + 0.05 * rng.standard_normal(len(t)),
+        "time": t, "ax": 0.3 + 0.02 * rng.standard_normal(len(t)), "az": -9.8 + 0.05 * rng.standard_normal(len(t)),
         "q": 0.01 * np.sin(late) + 3e-4 * rng.standard_normal(len(t)),
         "theta": 0.05 + 0.01 * (1.0 - np.cos(late)) + 2e-4 * rng.standard_normal(len(t)),
         "airspeed": 75.0 + 0.1 * late + 0.1 * rng.standard_normal(len(t)),
         "thrust": np.round(4667.0 - 20.0 * np.sin(0.5 * late), 2),
         "density": np.round(0.9568 * np.exp(-(height - 2500.0) / 9000.0), 6),
-    }
+    }  # fmt: skip
 
 
 def faults(data) -> list[str]:
