@@ -48,26 +48,24 @@ T = 0.05 * np.arange(400)
 SWING = 1.0e-6 * np.sin(2.0 * np.pi * T / 8.0)
 
 
-@pytest.mark.parametrize("step", [1e-9, 1e-8, 5e-8])
-@pytest.mark.parametrize("scale", [1.0, 515.379])
-def test_a_smooth_channel_that_is_rounded_is_not_interpolated(step, scale):
-    """Air density of a wings-level flight moves in its last digits; computed from height, it is as smooth as that."""
-    x = scale * step * np.round((0.001857 + SWING) / step)
-    assert interpolated_period(x) == 0.0
+SLOW = 0.001857 + np.interp(T, 0.2 * np.arange(101), np.random.default_rng(5).normal(0.0, 1e-6, 101))
+SERIES = {  # values, their last digit, samples between two that were recorded
+    # Air density of a wings-level flight moves in its last digits; computed from height, it is as smooth as that.
+    **{
+        f"smooth, {x:g}, {k:g}": (k * (0.001857 + SWING), k * x, 0.0)
+        for x in (1e-9, 1e-8, 5e-8)
+        for k in (1.0, 515.379)
+    },
+    # Of a steady slope the last digit steps in a regular pattern, which is not that of slow samples.
+    **{f"slope {x:g}": (0.001857 + x * np.arange(400), 1e-9, 0.0) for x in (1.1661538e-9, 1.853846e-9, 2.00666667e-9)},
+    **{f"lines, {x:g}": (SLOW, x, 4.0) for x in (0.0, 1e-9)},
+}
 
 
-@pytest.mark.parametrize("slope", [1.1661538e-9, 1.853846e-9, 2.00666667e-9])
-def test_a_steady_slope_that_is_rounded_is_not_interpolated(slope):
-    """The last digit steps in a regular pattern, which is not that of slow samples."""
-    assert interpolated_period(1e-9 * np.round((0.001857 + slope * np.arange(400)) / 1e-9)) == 0.0
-
-
-@pytest.mark.parametrize("step", [0.0, 1e-9])
-def test_straight_lines_between_slow_samples_are_found(step):
-    slow = np.random.default_rng(5).normal(0.0, 1e-6, 101)
-    x = 0.001857 + np.interp(T, 0.2 * np.arange(101), slow)
-    x = step * np.round(x / step) if step else x
-    assert interpolated_period(x) == pytest.approx(4.0)
+@pytest.mark.parametrize("name", SERIES)
+def test_straight_lines_between_slow_samples_are_found_and_no_rounding(name):
+    x, step, period = SERIES[name]
+    assert interpolated_period(step * np.round(x / step) if step else x) == pytest.approx(period)
 
 
 @pytest.mark.parametrize("lag", [3.0, 8.0, 20.0])
