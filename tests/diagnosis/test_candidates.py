@@ -134,7 +134,7 @@ BASE = [e.name for e in CATALOGUE.values() if {p.name for p in e.parameters} & (
 RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_innovations
 ON_PATH = ["heading_delay"]  # of a channel that bayes-aero path alone compares: test_flight_path
 OTHERS = {*BASE, *RANDOM, *ON_PATH}
-FLOWN = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]  # the others: test_lateral_candidates
+FLOWN = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]  # the others: LATERAL
 CANDIDATES = [e.name for e in FLOWN if e.parameters and e.name not in OTHERS]
 STAND_INS = [name for name in CANDIDATES if not CATALOGUE[name].candidate]
 EXTRA = [replace(CATALOGUE[name], candidate=True) for name in STAND_INS]  # the same objects always: compiled once

@@ -149,12 +149,12 @@ def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model
 
 def test_singular_information_and_bounds_are_reported(clean, model):
     """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
-    model = Model.of(
+    twice = Model.of(
         ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
     )
     flat = clean.with_measured(clean.measured)
     flat.signals["mach"] = jnp.full(clean.n, 0.25)
-    r = fit_mle(model, flat, extra_starts=0)
+    r = fit_mle(twice, flat, extra_starts=0)
     assert r.status is MleStatus.SINGULAR
     assert np.all(np.isnan(r.crb))
     tight = replace(
