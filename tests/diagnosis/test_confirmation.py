@@ -117,7 +117,6 @@ def test_noise_is_read_off_the_record_where_it_was_not_filtered(card, noisy):
     for name, sd in noise.items():
         assert found[name] == pytest.approx(sd, rel=0.06), name
     assert found["theta"] < 1e-5  # moves by tenths of a radian, recorded without noise
-    records, _ = noisy
     assert filtered_channels(join(records, card)) == ()
     smoothed = []
     for record in records:
@@ -241,7 +240,7 @@ class Independent:
         self.refits += (tuple(effects),)
         return sum(self.worth[e] for e in effects)
 
-    def log_score_gain(self, before, after):
+    def holdout_gain(self, before, after):
         return after - before, 1.0
 
     def output_gains(self, before, after):  # noqa: ARG002

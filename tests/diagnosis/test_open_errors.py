@@ -204,7 +204,7 @@ def test_offset_and_scale_that_go_with_speed_as_a_pitot_pressure_are_not_named_t
     assert found.agreement is not Agreement.UNEXPLAINED
 
 
-def test_errors_of_the_pitot_line_and_beside_larger_ones_are_those_that_are_there(card):
+def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_are_found(card):
     """The scale of the correction goes with the airspeed; where its integral begins must not be multiplied by it."""
 
     def left(pressure: float) -> float:

@@ -52,7 +52,7 @@ def problem(request):
 
 
 def test_fits_are_weighted_least_squares_with_priors_as_observations(problem):
-    residual, S, _, folds = problem
+    residual, S, truth, folds = problem
     k = S.shape[2]
     fit = Products.of(residual, S, folds).fit(np.arange(k), np.zeros(k), np.zeros(k))
     w = 1.0 / np.sqrt(fit.variance)
@@ -65,13 +65,11 @@ def test_fits_are_weighted_least_squares_with_priors_as_observations(problem):
     A = np.vstack([(S * w[:, None]).reshape(-1, k), np.diag(np.sqrt(precision))])
     b = np.concatenate([(residual * w).ravel(), np.sqrt(precision) * mean])
     np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
-    residual, S, truth, folds = problem
     columns = np.array([1, 4])
     moved = Products.of(residual, S, folds).shifted(columns, truth[columns])
     direct = Products.of(residual - S[:, :, columns] @ truth[columns], S, folds)
     np.testing.assert_allclose(moved.gram, direct.gram, atol=1e-8)
-    residual, S, _, folds = problem
-    k = S.shape[2]
+    # Columns that are filled up with zeros change nothing.
     S = np.concatenate([S, np.zeros((*residual.shape, 1))], axis=2)
     products, precision = Products.of(residual, S, folds), np.append(np.zeros(k), 1.0)
     alone = products.fit(np.arange(3), np.zeros(k + 1), precision)
