@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from stranger_six import Plane
 
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 
@@ -70,6 +72,12 @@ def unit(channel: str) -> str:
     by_kind = {"a": "m/s^2"} if channel in ("ax", "ay", "az") else {"p": "rad/s", "q": "rad/s", "r": "rad/s"}
     usual = "N" if channel.startswith("thrust") else "rad"
     return UNITS.get(channel, by_kind.get(channel[0] if len(channel) < 3 else "", usual))
+
+
+def card_in(folder: Path, plane: Plane, *options: Any) -> Card:
+    """The card of `card_text`, read from a folder."""
+    (folder / "plane.toml").write_text(card_text(plane, *options), encoding="utf-8")
+    return read_card(str(folder / "plane.toml"))
 
 
 def card_text(plane: Plane, effects: Any = (*LONGITUDINAL, *LATERAL), axes: Any = BOTH, more: str = "") -> str:

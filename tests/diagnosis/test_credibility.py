@@ -1,14 +1,12 @@
 """Causes that the verdict may rest on, sizes that no aircraft has, terms that cancel, and names too many."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
 import six_axes
+from parts import cause, part, with_candidates
 from stranger_six import Plane, drawn, fly
-from test_mixing import part
 
 from bayes_aero.diagnosis import result as finding
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -20,7 +18,7 @@ from bayes_aero.diagnosis.diagnose import (
     structure_of,
     verdict_of,
 )
-from bayes_aero.diagnosis.result import Cause, Gain, UnexplainedStructure, Verdict
+from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
@@ -38,23 +36,14 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.chosen import lengths_of
-from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.verdict import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 
 PAIR = ("pitch_rate_lift", "alpha_dot_lift")
 LEFT = (UnexplainedStructure("Cm", "phi", 0.2, 0.01),)
-
-
-def cause(name="thrust_scale", mean=-0.08, sd=0.01, **given) -> Cause:
-    parameters = {p.name: Size(mean, sd, p.unit) for p in CATALOGUE[name].parameters}
-    gain = Gain(1.0, 1.0, "manoeuvre", {}, {})
-    rest = {"probability": 0.9, "p_value": 0.01, "ambiguous_with": ()} | given
-    return Cause(name, "propulsion", CATALOGUE[name].claim, "coefficients", parameters=parameters, gain=gain, **rest)
 
 
 def test_the_verdict_rests_on_what_is_confirmed_and_likely():
@@ -73,7 +62,7 @@ def test_the_verdict_rests_on_what_is_confirmed_and_likely():
     assert verdict_of([bounded], ()) is Verdict.UNEXPLAINED
 
 
-def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
+def test_sizes_that_aircraft_do_not_have_are_implausible_in_the_aircraft_s_lengths():
     effect = CATALOGUE["thrust_scale"]
     assert implausible(effect, cause(mean=-0.48, sd=0.02).parameters) == {"thrust_scale": 0.3}
     assert implausible(effect, cause(mean=-0.48, sd=0.15).parameters)  # a record that does not know it shows nothing
@@ -84,9 +73,20 @@ def test_half_the_thrust_missing_is_beyond_what_aircraft_have():
     # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
     assert implausible(CATALOGUE["induced_drag"], {"e": Size(0.2, 0.01, "1")}) == {"1/e": 3.0}
     assert not implausible(CATALOGUE["induced_drag"], {"e": Size(0.8, 0.01, "1")})
+    # Of the catalogue's transport with 21.5 m of span a vane stands 20 m ahead at most, of a trainer with 10 m 9.3.
+    vane = CATALOGUE["vane_position"]
+    transport, trainer = (
+        sized(vane, lengths_of(replace(read_card("attas").aircraft, half_span=x))) for x in (10.75, 5.0)
+    )
+    assert transport is vane
+    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
+    recorded = {"vane_position": Size(15.0, 1.0, "m")}
+    assert not implausible(transport, recorded)
+    assert implausible(trainer, recorded)
+    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
 
 
-def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
+def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
     off = replace(
         cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
         kind="measurement",
@@ -95,25 +95,6 @@ def test_an_error_that_no_sensor_has_is_said_with_its_unit(diagnosed):
     (sentence,) = [one for one in said if "alpha_bias" in one]
     assert "9.00 ± 0.50 deg" in sentence
     assert "at most 3 deg" in sentence
-
-
-def test_more_than_five_names_are_no_name():
-    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
-    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
-    assert attributed([few, many]) == ((few,), (), (many,))
-    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
-    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
-    neither = replace(unlikely, confirmed=False)
-    assert attributed([neither]) == ((), (), (neither,))
-
-
-def test_an_error_that_no_sensor_has_is_no_cause():
-    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
-    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
-    assert attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
-
-
-def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
     d = diagnosed.view.diagnosis
     found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
     searched = SearchResult(d.aerodynamics.state.full, ((found.stage, d.aerodynamics),), (), d.noise, (), ())
@@ -123,6 +104,19 @@ def test_a_size_that_no_aircraft_has_is_structure_and_no_cause(diagnosed):
     assert structure_of(searched, [replace(large, kind="measurement")]) == ()
     said = diagnosis_sentences(replace(d, beyond=(replace(large, implausible=dict.fromkeys(large.parameters, 0.1)),)))
     assert any("On this aircraft" in one and "left out of the model" in one for one in said)
+
+
+def test_more_than_five_names_and_errors_that_no_sensor_has_are_no_cause():
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
+    assert attributed([few, many]) == ((few,), (), (many,))
+    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
+    assert attributed([unlikely, open_]) == ((unlikely, open_), (), ())
+    neither = replace(unlikely, confirmed=False)
+    assert attributed([neither]) == ((), (), (neither,))
+    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
+    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
+    assert attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
 
 
 def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_it(monkeypatch):
@@ -164,21 +158,7 @@ def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
     assert "pitch_rate_lift" not in found.aerodynamics.state.active
 
 
-def test_limits_in_metres_are_as_large_as_the_aircraft():
-    """Of the catalogue's transport with 21.5 m of span a vane stands 20 m ahead at most, of a trainer with 10 m 9.3."""
-    vane = CATALOGUE["vane_position"]
-    transport, trainer = (
-        sized(vane, lengths_of(replace(read_card("attas").aircraft, half_span=x))) for x in (10.75, 5.0)
-    )
-    assert transport is vane
-    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
-    recorded = {"vane_position": Size(15.0, 1.0, "m")}
-    assert not implausible(transport, recorded)
-    assert implausible(trainer, recorded)
-    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
-
-
-def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same_output(diagnosed):
+def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     """The hidden curvature of the pitching moment, as if a linear term did nearly the same."""
     d = diagnosed.view.diagnosis
     found = next(c for c in d.causes if c.name == "alpha_squared_moment")
@@ -188,12 +168,7 @@ def test_what_the_record_hardly_excites_is_no_cause_beside_structure_in_the_same
         names = stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
         assert names == ((found.name,) if taken else ())
         assert attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
-
-
-def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
-    """The hidden curvature of the pitching moment, as if five others explained it as well."""
-    d = diagnosed.view.diagnosis
-    found = next(c for c in d.causes if c.name == "alpha_squared_moment")
+    # The hidden curvature of the pitching moment, as if five others explained it as well.
     names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
     effect = CATALOGUE[found.name]
     unknown = as_structure(replace(found, ambiguous_with=names), d.aerodynamics, effect)
@@ -202,7 +177,7 @@ def test_structure_with_many_names_tells_where_and_how_much(diagnosed):
     assert unknown.rivals == (found.name, *names)
 
 
-def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed):
+def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
     d = diagnosed.view.diagnosis
     names = [c.name for c in d.causes]
     assert d.verdict is not Verdict.UNEXPLAINED
@@ -210,20 +185,12 @@ def test_flight_that_does_not_miss_a_cause_takes_it_out_of_the_verdict(diagnosed
     assert not any(c.confirmed for c in nothing.causes)
     assert nothing.verdict is Verdict.UNEXPLAINED
     assert judged_on_held_out_flights(d, Confirmation((), {})) == d
-
-
-def test_a_cause_held_at_its_joint_estimate_is_not_tested_and_not_confirmed(diagnosed):
-    """The joint estimate has seen the flight that is left out."""
-    d = diagnosed.view.diagnosis
+    # The joint estimate has seen the flight that is left out.
     untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
     found = judged_on_held_out_flights(untested, Confirmation((), {}), {"Cma2"})
     assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
     assert "named, but not tested on hold-out data: alpha_squared_moment" in verdict_sentence(found)
-
-
-def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(diagnosed):
-    """Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none."""
-    d = diagnosed.view.diagnosis
+    # Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none.
     scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
     of_the_path = replace(scale, name="alpha_scale", stage="flight path")
     d = replace(d, causes=(scale, of_the_path, *d.causes))
@@ -237,15 +204,7 @@ def test_an_error_of_a_sensor_that_coefficients_alone_support_is_not_confirmed(d
 @pytest.fixture(scope="module")
 def both(card, model):
     """The card's model and lift due to pitch rate and to alpha-dot, at the truth of a simulated stall without them."""
-    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
-    candidates = tuple(CATALOGUE[name] for name in (*PAIR, "sideslip_drag"))
-    everything = (*base, *candidates)
-    changed = {p.name: p for p in model.parameters}
-    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
-    whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
-    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return with_candidates(card, model, (*PAIR, "sideslip_drag"))
 
 
 def on(both, flights, values) -> Extension:
@@ -258,7 +217,7 @@ def on(both, flights, values) -> Extension:
     return Extension(state, fit, state, fit, (), {}, PAIR, ())
 
 
-def test_two_terms_that_cancel_are_known_by_their_sum(both):
+def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
     """In a doublet the flight path bends little: alpha-dot is pitch rate, and large opposite terms are their sum."""
     flown = standard(both, (*PAIR, "sideslip_drag")).flown
     doublet = flown["elevator_doublet"]
@@ -278,10 +237,7 @@ def test_two_terms_that_cancel_are_known_by_their_sum(both):
     turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
     assert not cancelling(turn, PAIR)  # it has pitch rate at constant alpha
     assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
-
-
-def test_own_share_is_one_over_the_variance_inflation(both):
-    """Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread."""
+    # Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread.
     found = on(both, both.responses.flights, {"CLq": 4.0})
     state, fit = found.state, found.fit
     own = int(state.full.columns(["CLq"])[0])
@@ -337,10 +293,8 @@ def test_yaw_of_the_size_of_the_roll_rate_has_no_cause_in_the_catalogue(tmp_path
     """It is structure of Cn, which no effect that the catalogue has for a symmetric aircraft explains."""
     rng = np.random.default_rng([seed, 71])
     plane = RollYaw(**asdict(drawn(rng, **six_axes.ATTACHED)))
-    path = tmp_path / "another.toml"
-    path.write_text(six_axes.card_text(plane), encoding="utf-8")
     records = [six_axes.record(kind, fly(plane, kind, rng), rng) for kind in ("elevator", "aileron", "rudder")]
-    found = diagnose(records, read_card(str(path)), gains_wanted=False)
+    found = diagnose(records, six_axes.card_in(tmp_path, plane), gains_wanted=False)
     assert found.verdict is Verdict.UNEXPLAINED
     assert found.causes == ()
     assert {one.coefficient for one in found.unknown} == {"Cn"}

@@ -1,17 +1,14 @@
 """Every decision of a diagnosis follows from the number that is cited for it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from parts import cause, part
 from scipy.special import erfc
 from scipy.stats import norm
-from test_credibility import cause
-from test_mixing import part
 
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -65,8 +62,16 @@ def advised(d: Diagnosis, name: str) -> bool:
     return any(s.startswith(begins) for s in diagnosis_sentences(d))
 
 
-def test_a_diagnosis_has_no_contradictions(diagnosed):
+def test_a_diagnosis_has_no_contradictions_nor_where_held_out_flights_deny_it(diagnosed):
     assert not contradictions(diagnosed.view.diagnosis)
+    d = diagnosed.view.diagnosis
+    name = d.causes[0].name
+    flights = Confirmation((), {name: (90.0, 5.0)}, {name: {"q": (-111.6, 20.0)}})
+    found = decided.judged_on_held_out_flights(d, flights)
+    assert not found.causes[0].confirmed
+    assert not contradictions(found)
+    told = next(s for s in diagnosis_sentences(found) if s.startswith(f"{name}: "))
+    assert "with it they are predicted worse: log density of q -111.6 ± 20.0" in told
 
 
 class Told:
@@ -89,14 +94,11 @@ class Told:
         return {"CL": (1.0, 0.5), "Cm": self.of_Cm[name]}
 
 
-@pytest.mark.parametrize(
-    ("of_Cm", "kept"),
-    [
-        ((-223.0, 30.0), ("drag_offset",)),  # worse beyond noise, however much the others gain, and in first order
-        ((-20.0, 15.0), ("rudder_moment", "drag_offset")),  # worse, within noise
-        ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
-    ],
-)
+@pytest.mark.parametrize(("of_Cm", "kept"), [
+    ((-223.0, 30.0), ("drag_offset",)),  # worse beyond noise, however much the others gain, and in first order
+    ((-20.0, 15.0), ("rudder_moment", "drag_offset")),  # worse, within noise
+    ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
+])  # fmt: skip
 def test_a_cause_with_which_a_coefficient_is_predicted_worse_is_not_kept(of_Cm, kept):
     told = Told({"rudder_moment": (90.0, 5.0), "drag_offset": (80.0, 4.0)},
                 {"rudder_moment": of_Cm, "drag_offset": (0.0, 0.0)})  # fmt: skip
@@ -176,17 +178,6 @@ def test_outputs_that_are_asked_at_once_share_the_chance_of_one(outputs):
         assert ("one" in DEFAULT.degraded(gains)) == lost
 
 
-def test_what_held_out_flights_predict_worse_is_not_confirmed_and_said_so(diagnosed):
-    d = diagnosed.view.diagnosis
-    name = d.causes[0].name
-    flights = Confirmation((), {name: (90.0, 5.0)}, {name: {"q": (-111.6, 20.0)}})
-    found = decided.judged_on_held_out_flights(d, flights)
-    assert not found.causes[0].confirmed
-    assert not contradictions(found)
-    told = next(s for s in diagnosis_sentences(found) if s.startswith(f"{name}: "))
-    assert "with it they are predicted worse: log density of q -111.6 ± 20.0" in told
-
-
 def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, **not_testable: str) -> SearchResult:
     """A search of coefficients that added these causes, with forms that explain as well."""
     full = part(
@@ -260,13 +251,10 @@ def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed,
 SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]
 
 
-@pytest.mark.parametrize(
-    "worse",
-    [
-        {"elpd": -30.0, "elpd_se": 5.0},  # loses beside the causes before it, though the others miss it
-        {"degraded": {"Cm": (-223.0, 30.0)}, "before": {"Cm": SCORES[0]}, "after": {"Cm": SCORES[1]}},
-    ],
-)
+@pytest.mark.parametrize("worse", [
+    {"elpd": -30.0, "elpd_se": 5.0},  # loses beside the causes before it, though the others miss it
+    {"degraded": {"Cm": (-223.0, 30.0)}, "before": {"Cm": SCORES[0]}, "after": {"Cm": SCORES[1]}},
+])  # fmt: skip
 def test_a_cause_that_loses_on_hold_out_data_is_not_confirmed_and_said_so(stated, diagnosed, worse):
     gain = replace(cause().gain, **worse)
     stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), gains_of={"thrust_scale": gain})
@@ -282,14 +270,11 @@ def test_a_cause_that_loses_on_hold_out_data_is_not_confirmed_and_said_so(stated
     assert ("Cm -223.0 ± 30.0, R² from -0.04 to -8.70" in told) == ("degraded" in worse)
 
 
-def test_what_was_added_was_testable():
+def test_what_was_added_or_named_is_not_called_untestable(diagnosed, monkeypatch):
     """A lag is a state of its own and is tried last: one that was found is not called untestable."""
     found = searched("separation_lag", separation_lag="a lag is a state of its own", flap_lift="flap does not move")
     assert found.not_testable == {"flap_lift": "flap does not move"}
-
-
-def test_what_is_named_is_not_called_untestable_along_the_flight_path(diagnosed, monkeypatch):
-    """Named, if not surely; the flight path alone cannot part it from others, which the cause itself says."""
+    # Named, if not surely; the flight path alone cannot part it from others, which the cause itself says.
     d = diagnosed.view.diagnosis
     sensor = next(c for c in d.causes if c.stage == "flight path")
     doubtful: Cause = replace(sensor, probability=0.3)

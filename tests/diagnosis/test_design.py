@@ -1,44 +1,44 @@
-"""Which standard manoeuvre tells which effects apart."""
-
-from __future__ import annotations
+"""Which manoeuvres tell which effects apart, and which test points to fly next."""
 
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
+from parts import with_candidates
+from stranger_six import Plane
 from told_apart import deviations, weakest
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design.next_test_points import candidates_of
-from bayes_aero.diagnosis.design.standard import standard
+from bayes_aero.diagnosis.design.information import Information, noise_of
+from bayes_aero.diagnosis.design.next_test_points import candidates_of, next_test_points
+from bayes_aero.diagnosis.design.standard import of_records, on_record, standard
 from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.dynamics.simulated.manoeuvres import commands
 from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
+from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.envelope import DEFAULT_RANGES, Envelope, excursion
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
 from bayes_aero.physics.coefficients import NAMES
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH
 
+# Which standard manoeuvre tells which effects apart
 RATES = ("alpha_dot_lift", "pitch_rate_lift")
 CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
 
 
 @pytest.fixture(scope="module")
 def state(card, model):
-    """The card's model at the truth of a simulated stall, with a few candidates."""
-    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
-    candidates = tuple(CATALOGUE[name] for name in CANDIDATES)
-    everything = (*base, *candidates)
-    changed = {p.name: p for p in model.parameters}
-    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
-    whole = replace(model, effects=everything, parameters=parameters, fixed=())
-    full = CandidateModel(whole, tuple(e.name for e in base), candidates, {})
-    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
-    return linearised(full, EquationError.of(join([simulate_stall(0, card=card)], card), whole), NAMES, theta)
+    return with_candidates(card, model, CANDIDATES)
 
 
 @pytest.fixture(scope="module")
@@ -59,18 +59,18 @@ def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
     assert gained["thrust_steps"] == max(gained.values()) > 2.0 * gained["elevator_doublet"]
 
 
-def test_information_grows_with_amplitude(state, rates):
+def test_rates_are_told_apart_by_amplitude_and_size_whatever_else_is_in_the_model(state, rates, flights):
     less = weakest(state, RATES, standard(state, RATES, amplitude=0.5))
     for name in ("elevator_doublet", "elevator_3211"):
         assert less[name] < rates[name]
-
-
-def test_one_set_of_flights_serves_several_sets_of_effects(state, rates, flights):
-    """With rivals from other sets in the model, at neutral, the manoeuvres are the same flights."""
+    # With rivals from other sets in the model, at neutral, the manoeuvres are the same flights.
     assert weakest(state, RATES, flights) == pytest.approx(rates, rel=1e-6)
+    least = {"CLadot": 2.0, "CLq": 2.0}
+    larger = weakest(state, RATES, flights, {k: 3.0 * x for k, x in least.items()})
+    assert max(larger.values()) == pytest.approx(3.0 * max(rates.values()), rel=1e-6)
 
 
-def test_a_record_without_altitude_begins_in_air_of_its_density(state):
+def test_records_without_altitude_or_inputs(state):
     flights = state.responses.flights
     channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
     without = replace(flights, channels=channels)
@@ -78,6 +78,12 @@ def test_a_record_without_altitude_begins_in_air_of_its_density(state):
     flown = standard(there, CANDIDATES).flown["elevator_doublet"]
     begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
     assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
+    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
+    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
+    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
+    assert flown.refused["sideslip"] == "beta was not recorded"
+    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
+    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
 
 
 @pytest.mark.parametrize("height", [0.0, 4500.0, 11000.0])
@@ -88,37 +94,18 @@ def test_altitude_of_density_is_the_inverse_of_the_standard_atmosphere(height):
     assert altitude_of_density(0.36391) == pytest.approx(11000.0, abs=2.0)
 
 
-def test_a_larger_effect_is_told_apart_in_proportion(state, rates, flights):
-    least = {"CLadot": 2.0, "CLq": 2.0}
-    larger = weakest(state, RATES, flights, {k: 3.0 * x for k, x in least.items()})
-    assert max(larger.values()) == pytest.approx(3.0 * max(rates.values()), rel=1e-6)
-
-
 def test_sideslip_needs_a_sideslip(state, flights):
     found = deviations(state, ("sideslip_drag", "mach_drag"), flights)
     assert max(found, key=lambda name: found[name]["sideslip_drag", "mach_drag"]) == "sideslip"
 
 
-def test_no_manoeuvre_is_proposed_whose_input_is_not_recorded(state):
-    flights = state.responses.flights
-    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
-    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
-    assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
-    assert flown.refused["sideslip"] == "beta was not recorded"
-    assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
-    assert not {"stabilizer_steps", "sideslip"} & set(flown.flown)
-
-
-def test_trim_is_level_flight(state):
+def test_trim_is_level_flight_and_commands_begin_there(state):
     model, aircraft = state.full.model, state.responses.flights.aircraft
     values = dict(zip(model.names, map(float, state.theta), strict=True))
     trim = trimmed(model, values, aircraft, 95.0, 5200.0)
     CL = aircraft.mass * GRAVITY / (0.5 * 0.7198 * 95.0**2 * aircraft.wing_area)  # density of the ICAO table
     assert trim.alpha == pytest.approx((CL - TRUTH["CL0"]) / (TRUTH["CLa"] + 0.297 * TRUTH["CLaM"]), abs=0.01)
     assert 5e3 < trim.thrust < 4e4
-
-
-def test_commands_begin_at_trim_and_scale():
     time = np.arange(-5.0, 60.02, 0.04)
     trim = Trim(0.1, 2e4, -0.02)
 
@@ -138,11 +125,176 @@ def test_commands_begin_at_trim_and_scale():
             assert np.allclose(0.5 * x, y)
 
 
-def test_one_effect_is_no_ambiguity(state):
+def test_sets_of_one_effect_or_of_no_candidate_are_refused(state):
     with pytest.raises(InputError, match="at least two"):
         candidates_of(state, ("thrust_scale",))
-
-
-def test_an_effect_that_is_no_candidate_is_named(state):
     with pytest.raises(InputError, match="buffet"):
         candidates_of(state, ("thrust_scale", "buffet"))
+
+
+# Which standard manoeuvre tells which lateral effects apart: flown in six degrees of freedom
+CANDIDATES_SIX = (
+    "thrust_asymmetry", "lateral_cg_shift", "roll_offset", "yaw_offset", "sideslip_bias", "aileron_delay",
+    "aileron_scale",
+)  # fmt: skip
+PLANE = Plane(**six.ATTACHED)
+
+
+@pytest.fixture(scope="module")
+def state_six(tmp_path_factory):
+    """The card's model at the truth of an aileron and a rudder manoeuvre, with a few candidates."""
+    card, rng, records = six.card_in(tmp_path_factory.mktemp("card"), PLANE), np.random.default_rng(1), []
+    for kind in ("aileron", "rudder"):
+        channels = six.recorded(stranger_six.fly(PLANE, kind, rng), rng)
+        channels["thrust"] = channels["thrust_left"] + channels["thrust_right"]
+        time = channels.pop("time")
+        records.append(FlightRecord.from_arrays(kind, time, channels, "simulated"))
+    own = Model.from_card(card)
+    candidates = tuple(CATALOGUE[name] for name in CANDIDATES_SIX)
+    parameters = (*own.parameters, *(p for e in candidates for p in e.parameters))
+    whole = replace(own, effects=(*own.effects, *candidates), parameters=parameters)
+    full = CandidateModel(whole, tuple(e.name for e in own.effects), candidates, {})
+    known = six.values(PLANE, whole)
+    theta = np.array([float(known[name]) for name in whole.names])
+    responses = EquationError.of(join(records, card), whole)
+    return linearised(full, responses, responses.outputs, theta)
+
+
+@pytest.fixture(scope="module")
+def flights_six(state_six):
+    return standard(state_six, CANDIDATES_SIX)
+
+
+def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(flights_six):
+    """Each record, without noise, leaves nothing of the six coefficients at the values that flew it."""
+    assert {"aileron_doublet", "rudder_doublet", "sideslip", "stall_with_bank", "engine_steps"} <= set(
+        flights_six.flown
+    )
+    assert flights_six.refused == {"stabilizer_steps": "stabilizer was not recorded"}
+    at = jnp.array([flights_six.theta[name] for name in flights_six.model.names])
+    for name in ("stall_with_bank", "engine_steps", "sideslip"):
+        responses = EquationError.of(flights_six.flown[name], flights_six.model)
+        residual, known = responses.evaluate(at)
+        moved = np.ptp(np.asarray(known["measured"]), axis=0)
+        assert np.all(np.abs(np.asarray(residual)[:, :6]).max(axis=0) < 0.02 * moved), name
+        assert moved.min() > 0.0
+    # Yawing moment of the engines over that of the rudder, by hand, at the end of a step.
+    channels = flights_six.flown["engine_steps"].channels
+    k = round(19.0 / 0.04)
+    left, right, V = (float(channels[n][k]) for n in ("thrust_left", "thrust_right", "airspeed"))
+    assert (left - right) / (left + right) == pytest.approx(0.3, rel=1e-6)
+    pressure = 0.5 * float(channels["density"][k]) * V**2 * PLANE.S * PLANE.b
+    Cn = (left - right) * PLANE.engine_arm / pressure
+    beta, rudder, aileron, r, p = (float(channels[n][k]) for n in ("beta", "rudder", "aileron", "r", "p"))
+    half = PLANE.b / (2.0 * V)
+    air = PLANE.Cnbe * beta + PLANE.Cndr * rudder + PLANE.Cnda * aileron + (PLANE.Cnr * r + PLANE.Cnp * p) * half
+    assert Cn + air == pytest.approx(0.0, abs=0.05 * abs(Cn))
+
+
+def test_lateral_effects_are_told_apart_where_their_input_moves(state_six, flights_six):
+    """A share of the mean thrust makes a moment that stays where thrust and airspeed stay."""
+    found = weakest(state_six, ("thrust_asymmetry", "yaw_offset"), flights_six)
+    assert max(found, key=lambda name: found[name]) == "thrust_steps"
+    assert found["thrust_steps"] > 5.0 * found["engine_steps"]  # the sum of both engines stays
+    found = weakest(state_six, ("lateral_cg_shift", "roll_offset"), flights_six)
+    assert max(found, key=lambda name: found[name]) in ("slow_stall", "stall_with_bank")
+    assert found["elevator_doublet"] > 3.0 * found["aileron_doublet"]
+    found = deviations(state_six, ("aileron_delay", "aileron_scale"), flights_six)
+    assert max(found, key=lambda name: found[name]["aileron_delay", "aileron_scale"]) == "aileron_doublet"
+
+
+def test_six_degrees_of_freedom_need_their_inputs_and_both_axes(state_six):
+    flights_six = state_six.responses.flights
+    blind = replace(flights_six, channels={n: x for n, x in flights_six.channels.items() if n[:7] != "thrust_"})
+    flown = standard(
+        replace(state_six, responses=replace(state_six.responses, flights=blind)), ("roll_offset", "yaw_offset")
+    )
+    assert flown.refused["engine_steps"] == "thrust_left was not recorded"
+    assert "rudder_doublet" in flown.flown
+    model = replace(state_six.full.model, axes=(Axis.LATERAL,))
+    with pytest.raises(InputError, match='add "longitudinal"'):
+        standard(replace(state_six, full=replace(state_six.full, model=model)), CANDIDATES_SIX)
+
+
+# Information of records adds up and follows closed forms; test points decide most a second, inside the envelope
+POINT_CANDIDATES = ("alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
+RATE_SET, DRAGS = frozenset(POINT_CANDIDATES[:2]), frozenset(POINT_CANDIDATES[2:])
+SETS = {RATE_SET: {"CLq": 3.5, "CLadot": 3.5}, DRAGS: {}}
+
+
+@pytest.fixture(scope="module")
+def point_state(card, model):
+    return with_candidates(card, model, POINT_CANDIDATES, seeds=(0, 1))
+
+
+@pytest.fixture(scope="module")
+def chosen(point_state):
+    return next_test_points(point_state, SETS, Envelope())
+
+
+def test_two_columns_in_white_noise_differ_by_the_textbook_s_deviations():
+    """What is left of a signal after regression on another, over the noise; by numpy's least squares."""
+    rng, sigma = np.random.default_rng(4), 0.3
+    X = rng.standard_normal((200, 3)) @ np.array([[1.0, 0.6, 0.0], [0.0, 0.8, 0.5], [0.0, 0.0, 1.0]])
+    told = Information(("one", "other", "base"), X.T @ X / sigma**2, X.T @ X / sigma**2, np.zeros(3))
+    found = told.deviations({"one": {"one": 2.0}, "other": {"other": 0.5}})
+    for (a, b), size, (column, rest) in zip(found, (2.0, 0.5), ((0, [1, 2]), (1, [0, 2])), strict=True):
+        left = np.linalg.lstsq(X[:, rest], X[:, column], rcond=None)[1][0]
+        assert found[a, b] == pytest.approx(size * np.sqrt(left) / sigma, rel=1e-10)
+    twice = told + told
+    assert twice.deviations({"one": {"one": 2.0}, "other": {"other": 0.5}})["one", "other"] == pytest.approx(
+        np.sqrt(2.0) * found["one", "other"], rel=1e-10
+    )
+
+
+def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(point_state):
+    """An offset of a flight-path output takes the mean out of each manoeuvre; coefficients have none."""
+    noise, effects = noise_of(point_state), [CATALOGUE[name] for name in POINT_CANDIDATES]
+    theta = dict(zip(point_state.full.model.names, map(float, point_state.theta), strict=True))
+    flown = on_record(point_state, point_state.full.model, point_state.responses.flights, theta, effects, noise)
+    told, manoeuvre = flown.information(), flown.state.responses.manoeuvre
+    at = [flown.state.full.model.names.index(label) for label in told.labels]
+    expected = np.zeros_like(told.matrix)
+    for part in (0, 1):
+        for c, name in enumerate(flown.state.outputs):
+            S = flown.state.scaled[manoeuvre == part][:, c, at]
+            S = S if name in NAMES else S - S.mean(axis=0)
+            expected += S.T @ S / flown.noise.variance[c]
+    np.testing.assert_allclose(told.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    present = of_records(point_state, effects, noise).information()  # what the state knows already
+    assert present.labels == told.labels
+    np.testing.assert_allclose(present.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    first = flown.information(float(np.sum(manoeuvre == 0)) * flown.state.responses.seconds)
+    assert np.all(np.diag(first.matrix) <= np.diag(told.matrix) * (1.0 + 1e-9))
+
+
+def test_points_decide_what_the_records_leave_open_inside_the_envelope(chosen, point_state):
+    assert {frozenset(q.effects) for q in chosen.questions} == {RATE_SET, DRAGS}
+    place = [frozenset(q.effects) for q in chosen.questions].index(DRAGS)
+    assert chosen.present[place] == 0.0  # no record has sideslip
+    assert chosen.points[0].manoeuvre == "sideslip"
+    previous = chosen.present
+    for point in chosen.points:
+        assert all(b >= a - 1e-9 for a, b in zip(previous, point.expected, strict=True))
+        previous = point.expected
+    assert chosen.expected[place] >= ENOUGH
+    assert "computer" in chosen.refused["multisine"]
+    found = next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
+    assert "multisine" not in found.refused
+    quiet = {"load_factor": (0.85, 1.25), "altitude_loss": (-np.inf, 200.0)}
+    allowed = Envelope(DEFAULT_RANGES | quiet, tuple(quiet))
+    found = next_test_points(point_state, SETS, allowed)
+    assert found.points
+    assert any(allowed.left_by(p.excursion) for p in chosen.points)  # another choice without it
+    for point in found.points:
+        assert allowed.left_by(point.excursion) is None
+        assert point.excursion["load_factor"][1] <= 1.25
+
+
+def test_excursions_of_a_level_turn():
+    """n = 1/cos phi."""
+    phi = np.full(50, 0.6)
+    flight = {"phi": phi, "az": -GRAVITY / np.cos(phi), "altitude": np.linspace(1000.0, 940.0, 50)}
+    found = excursion(flight)
+    assert found["load_factor"] == pytest.approx((1.0 / np.cos(0.6),) * 2)
+    assert found["altitude_loss"] == pytest.approx((0.0, 60.0))

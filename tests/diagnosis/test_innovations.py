@@ -1,6 +1,4 @@
-"""A flight in gusts, by a simulator that shares no code: the filter finds the gusts, and the search what is hidden."""
-
-from __future__ import annotations
+"""Flights in gusts: what the filter finds, and where process noise is estimated."""
 
 from dataclasses import replace
 
@@ -10,6 +8,7 @@ import six_axes as six
 import stranger_six
 from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 
+from bayes_aero.diagnosis import diagnose as diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
 from bayes_aero.diagnosis.search import search_innovations as searched
@@ -17,8 +16,10 @@ from bayes_aero.diagnosis.selection.noise import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.disturbed import GUSTS
+from bayes_aero.jobs import fly as job
 from bayes_aero.model.model import Model
 
+# A flight in gusts, by a simulator that shares no code: the filter finds the gusts, and the search what is hidden
 HIDDEN, SEED = -3.0, 5  # Cma2, 1/rad2
 
 
@@ -30,18 +31,17 @@ def record():
 
 
 @pytest.fixture(scope="module")
-def found(record):
+def found(record, hfb320):
     """The search, and the fit that it began with."""
     fits, fit = [], searched.fit_disturbed
-    card = read_card("hfb320")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(searched, "fit_disturbed", lambda *a, **k: fits.append(fit(*a, **k)) or fits[-1])
         settings = DiagnosisSettings(max_effects=3)
-        result = searched.search_innovations([record], card, Model.from_card(card), (), settings, seed=0)
+        result = searched.search_innovations([record], hfb320, Model.from_card(hfb320), (), settings, seed=0)
     return result, fits[0][1]
 
 
-def test_the_gusts_are_found_with_their_intensity_and_length(found):
+def test_gusts_and_the_hidden_effect_are_found_beside_what_is_on_the_card(found):
     _, fit = found
     known = dict(zip(fit.names, zip(fit.estimate, fit.sd, strict=True), strict=True))
     for name, truth in (("vertical_gust", GUST["w"]), ("longitudinal_gust", GUST["u"])):
@@ -50,27 +50,23 @@ def test_the_gusts_are_found_with_their_intensity_and_length(found):
         assert sd < 0.4 * truth
         length, length_sd = known[f"{name}_length"]
         assert abs(length - LENGTH) < 3.0 * length_sd
-
-
-def test_the_filter_estimates_what_is_on_the_card_and_gusts_alone(found):
-    """Derivatives of flaps at rest would share the coefficients' constants."""
+    # Derivatives of flaps at rest would share the coefficients' constants.
     result, fit = found
     gusts = {n for name in GUSTS for n in (name, f"{name}_length")}
     own = {p.name for p in Model.from_card(read_card("hfb320")).free}
     assert "flap_lift" in result.full.not_testable
     assert set(fit.names) == own | gusts
-
-
-def test_the_hidden_effect_is_named_first_and_its_interval_holds(found):
+    # Correlation of neighbouring samples within 4 / sqrt(n), n of them.
+    noise = found[0].noise
+    assert noise.of_innovations
+    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
+    assert noise.coloured == ()
     result, _ = found
     assert [stage for stage, _ in result.stages] == [INNOVATIONS]
     assert result.model.steps[0].chosen == "alpha_squared_moment"
     size = result.model.sizes["Cma2"]
     assert abs(size.mean - HIDDEN) < 3.0 * size.sd
     assert size.sd < 0.2 * abs(HIDDEN)
-
-
-def test_the_parameters_are_those_of_the_aircraft(found):
     result, _ = found
     for name in ("CLa", "CDa", "Cmq", "Cmde"):
         size = result.model.sizes[name]
@@ -101,12 +97,11 @@ def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(h
     """
     plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
     effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n != hidden]
-    (tmp_path / "plane.toml").write_text(six.card_text(plane, effects), encoding="utf-8")
     seen, records = 0.8 if hidden == "sideslip_scale" else 1.0, []
     for kind in ("elevator", "aileron", "rudder"):
         flight = stranger_six.fly(plane, kind, rng, gust=0.7)
         records.append(six.record(kind, {**flight, "beta": seen * flight["beta"]}, rng))
-    card = read_card(str(tmp_path / "plane.toml"))
+    card = six.card_in(tmp_path, plane, effects)
     found = diagnose(records, card, process_noise=True, gains_wanted=False, settings=DiagnosisSettings(max_effects=2))
     truth = {"rudder_yaw": ("Cndr", plane.Cndr), "sideslip_scale": ("sideslip_scale", seen - 1.0)}
     assert [c.name for c in found.causes] == [hidden] * (hidden is not None)
@@ -117,25 +112,57 @@ def test_an_effect_of_six_axes_is_named_in_gusts_and_none_where_none_is_hidden(h
         assert abs(size.mean - true) < 3.0 * size.sd
 
 
-def test_what_the_filter_foresees_wholly_leaves_white_innovations(found):
-    """Correlation of neighbouring samples within 4 / sqrt(n), n of them."""
-    noise = found[0].noise
-    assert noise.of_innovations
-    assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
-    assert noise.coloured == ()
-
-
-@pytest.mark.parametrize(
-    ("lag", "found", "verdict"),
-    [
-        (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED),
-        (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
-        (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED),
-        (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
-        (0.86, Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
-    ],
-)
+@pytest.mark.parametrize(("lag", "found", "verdict"), [
+    (0.02, Verdict.EXPLAINED, Verdict.EXPLAINED), (0.86, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED),
+    (0.86, Verdict.NO_EFFECT, Verdict.UNDECIDED), (-0.5, Verdict.NO_EFFECT, Verdict.UNDECIDED),
+    (0.86, Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
+])  # fmt: skip
 def test_coloured_innovations_leave_the_error_unexplained(lag, found, verdict):
     noise = NoiseReport({"alpha": lag, "q": 0.0}, {}, {"alpha": 1.0, "q": 1.0}, {}, of_innovations=True)
     assert as_white(found, noise) is verdict
     assert as_white(found, replace(noise, of_innovations=False)) is found
+
+
+# Process noise is estimated where a record is in gusts, unless the user decides
+OUTPUTS = "airspeed,alpha,theta,q,ax,az"
+CALM, GUSTY = {"w": 0.0, "u": 0.0}, {"w": 1.0, "u": 1.0}
+DECISIONS = [(GUSTY, None, True), (CALM, None, False), (GUSTY, False, False), (CALM, True, True)]
+
+
+@pytest.fixture(scope="module")
+def hfb320():
+    return read_card("hfb320")
+
+
+class SearchedError(Exception):
+    """Ends the diagnosis where its search begins."""
+
+
+@pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
+def test_a_diagnosis_compares_with_innovations_in_gusts(hfb320, monkeypatch, gust, given, expected):
+    def begun(name):
+        def search(*_, **__):
+            raise SearchedError(name)
+
+        return search
+
+    for name in ("search_innovations", "search_coefficients", "search_trajectories"):
+        monkeypatch.setattr(diagnosis, name, begun(name))
+    with pytest.raises(SearchedError) as found:
+        diagnosis.diagnose([gusty_flight(4, gust=gust, seconds=20.0)], hfb320, process_noise=given)
+    assert (str(found.value) == "search_innovations") is expected
+
+
+@pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)
+def test_a_fit_to_trajectories_has_process_noise_in_gusts(hfb320, monkeypatch, gust, given, expected):
+    filtered = []
+
+    def instead(_, options, *__):
+        filtered.append(options.filtered)
+        return (None, None), ()
+
+    monkeypatch.setattr(job, "process_noise", instead)
+    found = job.fly([gusty_flight(4, gust=gust, seconds=20.0)], hfb320, process_noise=given, outputs=OUTPUTS)
+    assert filtered == [expected]
+    asked = expected and given is None
+    assert found.sentences[0].startswith("The flight path alone, without aerodynamics, shows gusts") is asked

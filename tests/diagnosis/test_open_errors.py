@@ -1,11 +1,13 @@
-"""Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is."""
+"""Errors of sensors without an altitude, and where flow-angle sensors sit."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_mixing import part
+import six_axes
+from parts import part
+from stranger_six import drawn, fly
 
 from bayes_aero.api import read
 from bayes_aero.diagnosis.candidate_set import CandidateModel
@@ -24,11 +26,13 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
 from bayes_aero.report.text.consistency import consistency_sentences, open_sentences
 from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
-from bayes_aero.simulate.injection import flyable
+from bayes_aero.simulate.injection import flyable, hidden_records
 
+# Errors of sensors without an altitude: named, or told with what cannot be parted from them; silent where none is
 G = 9.80665
 NOISE = {"ax": 0.01, "az": 0.02, "q": 2e-4, "theta": 5e-4, "alpha": 5e-4, "airspeed": 0.1}
 
@@ -64,7 +68,7 @@ def found_in(record: FlightRecord, card) -> tuple[KnownErrors, Consistency]:
     return known, consistency([record], card, known=known)
 
 
-def test_an_offset_of_the_pitch_attitude_is_told_with_what_cannot_be_parted_from_it(bare):
+def test_an_offset_of_the_attitude_is_told_with_the_accelerometers_that_look_the_same(bare):
     """Gravity in the body axes turns: ax by g b cos theta and az by g b sin theta do the same to V and alpha."""
     known, found = found_in(level_flight(60.0, 1, theta=0.0125), bare)
     assert found.unchecked == ("altitude", "beta", "phi")
@@ -77,10 +81,7 @@ def test_an_offset_of_the_pitch_attitude_is_told_with_what_cannot_be_parted_from
     assert mean == pytest.approx(0.0125, abs=max(4.0 * sd, 0.003))
     assert any("pitch_attitude_bias" in one and "accel_x_bias" in one for one in open_sentences(found))
     assert consistency_results(found)["open"]["pitch_attitude_bias"]["imitators"]
-
-
-def test_accelerometers_that_are_off_by_as_much_look_the_same(bare):
-    """An offset b of theta and offsets of ax and az that stand for it give one and the same flight path."""
+    # An offset b of theta and offsets of ax and az that stand for it give one and the same flight path.
     b = 0.0125
     tilted = {"ax": -G * b * np.cos(0.12), "az": -G * b * np.sin(0.12)}
     found = found_in(level_flight(60.0, 1, **tilted), bare)[1]
@@ -112,14 +113,10 @@ def misread(
     return FlightRecord.from_arrays("stall", np.asarray(flown.time), channels, "simulated")
 
 
-@pytest.mark.parametrize(
-    ("hidden", "name", "true"),
-    [
-        ({"pressure": -200.0}, "pitot_pressure_bias", -200.0),
-        ({"scale": 0.03}, "airspeed_scale", 0.03),
-        ({"bias": -3.0}, "airspeed_bias", -3.0),
-    ],
-)
+@pytest.mark.parametrize(("hidden", "name", "true"), [
+    ({"pressure": -200.0}, "pitot_pressure_bias", -200.0), ({"scale": 0.03}, "airspeed_scale", 0.03),
+    ({"bias": -3.0}, "airspeed_bias", -3.0),
+])  # fmt: skip
 def test_an_offset_of_the_pitot_line_is_none_of_the_airspeed(card, hidden, name, true):
     """rho V dV = dp: the three errors of the airspeed differ by how they go with speed."""
     known, _ = found_in(misread(card, **hidden), card)
@@ -127,16 +124,6 @@ def test_an_offset_of_the_pitot_line_is_none_of_the_airspeed(card, hidden, name,
     size = known.errors[name]["parameters"][name]
     assert size["mean"] == pytest.approx(true, abs=4.0 * size["sd"])
     assert size["sd"] < 0.02 * abs(true)
-
-
-def test_beside_an_error_larger_than_sensors_have_the_others_are_found(card):
-    """A vane 9 deg off is no error that vanes have and is not corrected; the airspeed is judged beside it."""
-    record = misread(card, bias=-3.0)
-    record = replace(record, channels={**record.channels, "alpha": record.channels["alpha"] + np.radians(9.0)})
-    known, _ = found_in(record, card)
-    assert list(known.errors) == ["airspeed_bias"]
-    size = known.errors["airspeed_bias"]["parameters"]["airspeed_bias"]
-    assert size["mean"] == pytest.approx(-3.0, abs=4.0 * size["sd"])
 
 
 @pytest.mark.parametrize("gained", [-2.0, -40.0])
@@ -182,7 +169,7 @@ def test_a_pitot_line_that_is_off_is_named_and_explains_the_record(card):
     assert found.agreement is Agreement.EXPLAINED
 
 
-def test_two_errors_of_a_sensor_are_one_joint_estimate(card):
+def test_two_errors_of_a_sensor_are_one_joint_estimate_and_half_of_it_no_correction(card):
     known, found = found_in(misread(card, bias=6.0, scale=0.05), card)
     assert set(known.errors) == {"airspeed_bias", "airspeed_scale"}
     for name, other, true in (("airspeed_bias", "airspeed_scale", 6.0), ("airspeed_scale", "airspeed_bias", 0.05)):
@@ -193,6 +180,16 @@ def test_two_errors_of_a_sensor_are_one_joint_estimate(card):
     (answer, *_) = consistency_sentences(found, corrects=False)
     assert answer.count("estimated together with") == 2
     assert not {e.name for e in found.open} & set(known.errors)
+    # A bias of 13 m/s is larger than sensors have, and the scale was estimated beside it.
+    known, found = found_in(misread(card, bias=13.0, scale=0.05), card)
+    assert not known.errors
+    assert found.agreement is Agreement.UNEXPLAINED
+    assert not found.corrected
+    joint = {e.name: e.joint for e in found.open if e.joint}
+    assert set(joint) == {"airspeed_bias", "airspeed_scale"}
+    assert -1.0 < joint["airspeed_scale"]["airspeed_bias"] < -0.9
+    assert any("estimated together" in one and "airspeed_scale" in one for one in open_sentences(found))
+    assert consistency_results(found)["open"]["airspeed_scale"]["joint"] == joint["airspeed_scale"]
 
 
 @pytest.mark.parametrize(("bias", "scale"), [(4.0, -0.0225), (-3.0, 0.02), (2.0, -0.01)])
@@ -207,7 +204,7 @@ def test_offset_and_scale_that_go_with_speed_as_a_pitot_pressure_are_not_named_t
     assert found.agreement is not Agreement.UNEXPLAINED
 
 
-def test_at_the_true_pressure_of_a_pitot_line_the_flight_path_is_as_without_an_error(card):
+def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_are_found(card):
     """The scale of the correction goes with the airspeed; where its integral begins must not be multiplied by it."""
 
     def left(pressure: float) -> float:
@@ -217,6 +214,13 @@ def test_at_the_true_pressure_of_a_pitot_line_the_flight_path_is_as_without_an_e
         return float(np.std(residual))
 
     assert left(258.0) == pytest.approx(left(0.0), rel=0.2)
+    # A vane 9 deg off is no error that vanes have and is not corrected; the airspeed is judged beside it.
+    record = misread(card, bias=-3.0)
+    record = replace(record, channels={**record.channels, "alpha": record.channels["alpha"] + np.radians(9.0)})
+    known, _ = found_in(record, card)
+    assert list(known.errors) == ["airspeed_bias"]
+    size = known.errors["airspeed_bias"]["parameters"]["airspeed_bias"]
+    assert size["mean"] == pytest.approx(-3.0, abs=4.0 * size["sd"])
 
 
 @pytest.mark.verify
@@ -229,19 +233,6 @@ def test_a_right_mach_number_beside_a_wrong_airspeed_leaves_the_lift_as_it_is(ca
     for name, true in (("CLa", 3.6), ("CD0", 0.045)):
         _, after, sd = found.base_moves[name]
         assert after == pytest.approx(true, abs=3.0 * sd)
-
-
-def test_half_of_a_joint_estimate_is_no_correction(card):
-    """A bias of 13 m/s is larger than sensors have, and the scale was estimated beside it."""
-    known, found = found_in(misread(card, bias=13.0, scale=0.05), card)
-    assert not known.errors
-    assert found.agreement is Agreement.UNEXPLAINED
-    assert not found.corrected
-    joint = {e.name: e.joint for e in found.open if e.joint}
-    assert set(joint) == {"airspeed_bias", "airspeed_scale"}
-    assert -1.0 < joint["airspeed_scale"]["airspeed_bias"] < -0.9
-    assert any("estimated together" in one and "airspeed_scale" in one for one in open_sentences(found))
-    assert consistency_results(found)["open"]["airspeed_scale"]["joint"] == joint["airspeed_scale"]
 
 
 @pytest.mark.recovery
@@ -259,3 +250,70 @@ def test_an_error_that_a_diagnosis_is_sure_of_is_not_undecided(card, monkeypatch
 
 def undecided(name: str, imitator: str) -> OpenError:
     return OpenError(name=name, unit="1", mean=0.1, sd=0.01, among=0.1, asked=False, imitators=(imitator,), share=0.99)
+
+
+# Flow-angle sensors on a boom, hidden in simulated stalls: told from a lag, sized, and moved back by a card
+BOOM, LAG = 13.08, 0.15  # m, s: at 80 m/s x/V is .16 s, so that each is what the other would pretend to be
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize(("name", "true"), [("vane_position", BOOM), ("alpha_delay", LAG)])
+def test_a_boom_is_called_a_boom_and_a_lag_a_lag(card, name, true):
+    """By kinematics alone: no aerodynamics enters, and each is the other's nearest rival."""
+    records = hidden_records({name: {name: true}}, seed=620, noise="ar1", seconds=90.0)
+    found = screen_sensor_errors(records, card)
+    assert found.causes == (name,)
+    size = found.sizes[name]
+    assert abs(size.mean - true) < 3.0 * size.sd
+    assert 1.96 * size.sd < 0.15 * true
+
+
+AT = 3.0  # m from where the card says
+BESIDE = {  # what a lateral sensor adds that is elsewhere or late, of a flight's channels and its angular accelerations
+    "sideslip_vane_position": (6.0, lambda f, _: {"beta": f["beta"] + 6.0 * f["r"] / f["airspeed"]}),
+    "sideslip_vane_height": (2.0, lambda f, _: {"beta": f["beta"] + 2.0 * f["p"] / f["airspeed"]}),
+    "sideslip_delay": (0.1, lambda f, _: {"beta": np.interp(f["time"] - 0.1, f["time"], f["beta"])}),
+    "sideslip_scale": (0.15, lambda f, _: {"beta": 1.15 * f["beta"]}),
+    "accel_y_position": (AT, lambda f, dot: {"ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"])}),
+    "accelerometer_position": (AT, lambda f, dot: {
+        "ax": f["ax"] - AT * (f["q"] ** 2 + f["r"] ** 2),
+        "ay": f["ay"] + AT * (dot["r"] + f["p"] * f["q"]),
+        "az": f["az"] + AT * (f["p"] * f["r"] - dot["q"]),
+    }),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [None, *BESIDE])
+def test_lateral_sensors_elsewhere_or_late_are_told_apart(tmp_path, name):
+    """By kinematics, in flights of a simulator that shares no code: velocities and accelerations of a rigid body."""
+    rng = np.random.default_rng(41)
+    plane = drawn(rng, **six_axes.ATTACHED)
+    records = []
+    for kind in ("aileron", "rudder", "elevator"):
+        flight = fly(plane, kind, rng)
+        dot = {n: np.gradient(flight[n], flight["time"]) for n in "pqr"}
+        flight |= BESIDE[name][1](flight, dot) if name else {}
+        records.append(six_axes.record(kind, flight, rng))
+    found = screen_sensor_errors(records, six_axes.card_in(tmp_path, plane))
+    assert found.causes == (() if name is None else (name,))
+    if name is not None:
+        size = found.sizes[name]
+        assert abs(size.mean - BESIDE[name][0]) < 3.0 * size.sd
+        assert size.sd < 0.1 * BESIDE[name][0]
+
+
+def test_a_card_that_states_the_boom_has_the_coefficients_of_the_cg(card, model, clean_records):
+    """A record of the CG moved to the boom by hand, and back by the card's fixed parameter."""
+    clean = clean_records[0]
+    wrong = dict(clean.channels)
+    wrong["alpha"] = clean["alpha"] - BOOM * clean["q"] / clean["airspeed"]
+    wrong["beta"] = clean["beta"] + BOOM * clean["r"] / clean["airspeed"]
+    boom = FlightRecord.from_arrays(clean.name, clean.time, wrong)
+    stated = Model.of([*card.effects, "vane_position"], {**card.fixed, "vane_position": BOOM})
+    at_cg, uncorrected, found = (
+        np.asarray(observe([record], card, m).signals["alpha_dot"])
+        for record, m in ((clean, model), (boom, model), (boom, stated))
+    )
+    moved = np.std(uncorrected - at_cg)
+    assert moved > 0.1 * np.std(at_cg)
+    assert np.std(found - at_cg) < 0.02 * moved

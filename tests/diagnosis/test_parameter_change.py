@@ -1,37 +1,113 @@
-"""A parameter that changes during simulated records is found, at its time and of its size; where nothing changes, no
-change is claimed."""
+"""What differs within a flight: stretches that disagree, and parameters that change."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from changing_parameters import AT, changed
 from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
+from scipy import stats
 
+from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.selection_state import moved
+from bayes_aero.diagnosis.search import stages as module
+from bayes_aero.diagnosis.selection.block_jackknife import Blocks
+from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
 from bayes_aero.diagnosis.structure.changes import manoeuvres
 from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.simulate.injection import flyable
+from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
+
+# Stretches of a flight, and what the coefficients deny
+SENSORS = ("alpha_bias", "accel_z_bias", "airspeed_scale", "pitch_rate_bias", "altitude_scale")
 
 
-def test_moments_are_every_block_of_a_manoeuvre_but_those_at_its_ends():
+@pytest.fixture(scope="module")
+def silent():
+    return hidden_records({}, seed=413_232, noise="white", seconds=90.0)
+
+
+def test_stretches_measure_an_error_with_its_uncertainty(card):
+    rng = np.random.default_rng(4132)
+    seed, name = int(rng.integers(1_000_000)), str(rng.choice(SENSORS))
+    truth = draw_hidden(rng, name)
+    records = hidden_records({name: truth}, seed=seed, noise="ar1", seconds=90.0)
+    found = screen_sensor_errors(records, card, seed=seed)
+    assert name in found.causes, (seed, name, truth, found.causes)
+    judged = Blocks(found.state, found.fit)
+    assert judged.freedom == 2 * round(90.0 / DEFAULT.block) - 1
+    step, covariance = judged.judge(name)
+    estimate = found.state.theta[found.state.full.columns(list(truth))] + step
+    for (parameter, true), x, sd in zip(truth.items(), estimate, np.sqrt(np.diag(covariance)), strict=True):
+        assert abs(x - true) < 5.0 * sd + 0.02 * abs(true), (seed, name, truth)
+        assert found.sizes[parameter].sd >= 0.999 * sd
+    assert judged.p_value(name) < 1e-3
+
+
+def test_stretches_take_a_wrong_correction_back_and_scatter_by_their_own_estimates(silent, card):
+    """A wrong correction moves every stretch by what it is, and the stretches say by how much to take it back."""
+    found = screen_sensor_errors(silent, card)
+    state, name = found.state, "accel_z_bias"
+    theta, wrong = state.theta.copy(), 0.2
+    theta[state.full.columns(["accel_z_bias"])] += wrong
+    state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))  # chance may have it in, too small to tell
+    (step,), ((variance,),) = Blocks(state, state.fit()).judge(name)
+    left = wrong + state.fit().step[list(state.fit().columns).index(state.full.columns(["accel_z_bias"])[0])]
+    assert abs(left) < 0.1 * wrong
+    assert abs(step) < 5.0 * np.sqrt(variance) + 0.1 * wrong
+    # For an effect with equal information in every stretch: the standard error of the mean of estimates.
+    judged = Blocks(found.base, found.base_fit)
+    name = "pitch_rate_bias"
+    step, covariance = judged.judge(name)
+    column = found.base.full.columns([name])
+    S = judged._centred(found.base.scaled[:, :, column])[:, :, 0] * np.sqrt(judged.weight)
+    y = judged.left * np.sqrt(judged.weight)
+    own = judged.number[judged.number >= 0]
+    parts = [(np.sum(S[own == k] ** 2), np.sum(S[own == k] * y[own == k])) for k in range(judged.freedom + 1)]
+    information, right = np.array(parts).T
+    mean = right.sum() / information.sum()
+    weights = information / information.sum()
+    n = len(parts)
+    error = np.sqrt(n / (n - 1) * np.sum((weights * (right / information - mean)) ** 2))
+    assert step[0] == pytest.approx(mean, rel=1e-9)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(error, rel=1e-9)
+    assert stats.variation(information) < 0.5  # near the plain standard error of a mean then
+    assert error == pytest.approx(stats.sem(right / information), rel=0.6)
+
+
+def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkeypatch):
+    """An airspeed that is right is corrected by 2 m/s: lift over dynamic pressure tells."""
+
+    def wrong(full, responses, theta, **options):
+        found = check_sensors(full, responses, theta, **options)
+        state, name = found.state, "airspeed_bias"
+        theta = state.theta.copy()
+        theta[state.full.columns(["airspeed_bias"])] = 2.0
+        state = moved(state, theta, tuple(dict.fromkeys((*state.active, name))))
+        sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
+        return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
+
+    monkeypatch.setattr(module, "check_sensors", wrong)
+    found = diagnose(silent, card, gains_wanted=False)
+    assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
+    assert any("airspeed_bias" in note for note in found.notes)
+
+
+# A parameter that changes during simulated records is found, at its time and of its size; where nothing changes, no
+# change is claimed
+def test_spans_are_blocks_of_a_manoeuvre_but_those_at_its_ends():
     found = spans(np.repeat([0, 1], [6, 5]), least=2, most=100)
     first = [Span(0, begin, end) for begin in (2, 3, 4) for end in (6, 11)]  # in the first alone, or from then on
     second = [Span(1, begin, 11) for begin in (6, 8, 9)]  # from the second on, or within it
     assert found == [*first, *second]
-
-
-def test_in_one_of_three_manoeuvres_a_parameter_may_differ_alone():
     found = spans(np.repeat([0, 1, 2], 4), least=2, most=100)
     assert Span(1, 4, 8) in found
     assert Span(1, 4, 12) in found
-
-
-def test_long_records_are_not_divided_at_every_block():
     begins = {span.begin for span in spans(np.zeros(5000, int), least=30, most=1000)}
     assert len(begins) <= 1000
     assert np.ptp(np.diff(sorted(begins))) == 0
@@ -109,11 +185,9 @@ def test_a_slope_that_noise_of_the_vane_attenuates_is_no_change(seed, tmp_path):
 # Cm0 as a stuck tab or half a degree of elevator changes it; CLaM at Mach 0.3 as ice that takes 5 % of the lift slope.
 HIDDEN = [("Cm0", 0.006, 63, "ar1")]
 MORE = [
-    ("CLaM", -0.8, 57, "buffet"),
-    ("Cm0", -0.003, 62, "buffet"),
-    ("CLaM", 0.8, 53, "white"),
+    ("CLaM", -0.8, 57, "buffet"), ("Cm0", -0.003, 62, "buffet"), ("CLaM", 0.8, 53, "white"),
     ("CLaM", -1.6, 58, "outliers"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.recovery
@@ -144,12 +218,9 @@ def test_in_the_silent_twin_nothing_changes(seed, card):
 
 HELD = (("thrust_moment", 42),)
 OTHERS = (
-    ("alpha_scale", 43),
-    ("pitch_rate_lift", 41),
-    ("separation_lag", 45),
-    ("mass_scale", 46),
+    ("alpha_scale", 43), ("pitch_rate_lift", 41), ("separation_lag", 45), ("mass_scale", 46),
     ("stabilizer_trim", 40),
-)
+)  # fmt: skip
 
 
 @pytest.mark.recovery

@@ -1,25 +1,47 @@
-"""Terms that nobody listed: the library by hand, the effect file that states one, and what is refused."""
-
-from __future__ import annotations
+"""Terms that nobody listed: their library, their sensitivities along flights, and the searches for one."""
 
 import json
+from collections import defaultdict
 from dataclasses import replace
 from importlib import resources
 
+import equinox as eqx
+import jax.numpy as jnp
 import jsonschema
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
 from calling import called
+from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.screening.selection_state import linearised
+from bayes_aero.diagnosis.selection.forward_selection import forward_selection
+from bayes_aero.diagnosis.terms.flown import flown_forms
 from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, Term, library
 from bayes_aero.diagnosis.terms.result import FoundTerm
+from bayes_aero.dynamics.filtering.innovations import filter_segments
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.disturbed import disturbed
 from bayes_aero.jobs.catalogue.effect_file import effect_file, write_effects
 from bayes_aero.jobs.io.diagnosis_json import term_results
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
 from bayes_aero.model.own_effects import own_effects
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.residuals.added_coefficients import AddedCoefficients
+from bayes_aero.residuals.added_to_filter import AddedToFilter
+from bayes_aero.residuals.filter_error import FilterError
+from bayes_aero.residuals.output_error import OutputError
 
+# Terms that nobody listed: the library by hand, the effect file that states one, and what is refused
 AIRCRAFT = Aircraft(
     mass=15000.0, Ix=1e5, Iy=2e5, Iz=3e5, Ixz=1e4,
     wing_area=60.0, chord=3.0, half_span=10.0, aspect_ratio=7.0, tail_arm=15.0,
@@ -44,22 +66,19 @@ def terms(*, lateral=False, separated=True):
     return {t.name: t for t in found}
 
 
-@pytest.mark.parametrize(
-    ("factors", "name", "unit", "value"),
-    [
-        (("alpha", "alpha", "elevator"), "alpha^2 elevator", "1/rad^3", 0.1 * 0.1 * -0.2),
-        (("qhat", "(1 - X)"), "qhat (1 - X)", "1", 0.2 * 3.0 / 60.0 * 0.75),
-        (("phat", "aileron"), "phat aileron", "1/rad", 0.3 * 10.0 / 60.0 * 0.05),
-        (("CT",), "CT", "1", 5400.0 / (0.5 * 3600.0 * 60.0)),
-    ],
-)
+@pytest.mark.parametrize(("factors", "name", "unit", "value"), [
+    (("alpha", "alpha", "elevator"), "alpha^2 elevator", "1/rad^3", 0.1 * 0.1 * -0.2),
+    (("qhat", "(1 - X)"), "qhat (1 - X)", "1", 0.2 * 3.0 / 60.0 * 0.75),
+    (("phat", "aileron"), "phat aileron", "1/rad", 0.3 * 10.0 / 60.0 * 0.05),
+    (("CT",), "CT", "1", 5400.0 / (0.5 * 3600.0 * 60.0)),
+])  # fmt: skip
 def test_a_product_has_the_value_and_the_unit_of_its_factors(factors, name, unit, value):
     term = product(*factors)
     assert (term.name, term.unit) == (name, unit)
     assert term.evaluate(SIGNALS, AIRCRAFT)[0] == pytest.approx(value, rel=1e-12)
 
 
-def test_the_library_has_every_product_to_third_order():
+def test_the_library_has_every_product_to_third_order_with_the_symmetry_of_the_aircraft():
     """Of k quantities (k + 3 choose 3) - 1 products; of separated flow the product with at most two of the others."""
     found = terms(separated=False)
     products = [t for t in found.values() if all(f.cost == 1 for f in t.factors)]
@@ -69,10 +88,7 @@ def test_the_library_has_every_product_to_third_order():
     flown = [t for t in terms().values() if {f.name for f in t.factors} <= {*longitudinal, "(1 - X)"}]
     assert len([t for t in flown if "(1 - X)" in t.name]) == 1 + 4 + 10
     assert "mach" not in found
-
-
-def test_terms_keep_the_symmetry_of_the_aircraft():
-    """Seen in a mirror CL, CD and Cm stay the same, and CY, Cl and Cn change sign: so does every term of theirs."""
+    # Seen in a mirror CL, CD and Cm stay the same, and CY, Cl and Cn change sign: so does every term of theirs.
     mirror = {name: -x if name in ("beta", "p", "r", "aileron", "rudder") else x for name, x in SIGNALS.items()}
     for lateral in (False, True):
         for name, term in terms(lateral=lateral).items():
@@ -94,16 +110,13 @@ def test_no_break_of_a_lateral_quantity_lies_within_its_noise(noise, lowest):
     assert min(places) == pytest.approx(lowest, rel=0.4)
 
 
-def test_breaks_and_bumps_lie_where_it_was_flown():
+def test_breaks_and_bumps_lie_where_it_was_flown_and_memory_begins_anew():
     found = terms()
     at_half = found["max(alpha - 0.15, 0)"]
     assert at_half.evaluate(SIGNALS, AIRCRAFT) == pytest.approx(np.maximum(SIGNALS["alpha"] - 0.15, 0.0), abs=1e-12)
     bump = found["exp(-((alpha - 0.15)/0.0192)^2/2)"]
     assert bump.evaluate(SIGNALS, AIRCRAFT).max() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_memory_is_a_lag_that_begins_anew_in_every_manoeuvre():
-    """A step passes as 1 - exp(-t V/(T c)), sampled at the end of each interval."""
+    # A step passes as 1 - exp(-t V/(T c)), sampled at the end of each interval.
     step = np.where(np.arange(N) % 50 < 10, 0.0, 1.0)
     lagged = terms()["lag(elevator, 15 c/V)"].evaluate(SIGNALS | {"elevator": step}, AIRCRAFT)
     t = np.maximum(np.arange(50) - 9, 0) * 0.05
@@ -117,7 +130,7 @@ FOUND = FoundTerm(
 MEMORY = replace(FOUND, term=terms()["lag(alpha, 5 c/V)"])
 
 
-def test_an_effect_file_states_what_the_library_evaluates(tmp_path):
+def test_an_effect_file_states_what_the_library_evaluates_and_nothing_else(tmp_path):
     both = terms() | terms(lateral=True)
     stated = [t for t in both.values() if t.code is not None]
     path = tmp_path / "found.py"
@@ -130,29 +143,18 @@ def test_an_effect_file_states_what_the_library_evaluates(tmp_path):
         assert np.asarray(added["Cm"]) == pytest.approx(2.0 * term.evaluate(SIGNALS, AIRCRAFT), rel=1e-12)
         assert set(effect.channels) == set(term.channels)
         assert effect.sizes[parameter.name] == (0.5, 60.0)
-
-
-def test_what_no_effect_file_can_state_is_not_written(tmp_path):
-    path = tmp_path / "found.py"
     assert "was not written" in write_effects([MEMORY], ["run1"], path)
     assert not path.exists()
-
-
-def test_a_name_of_a_record_is_no_program(tmp_path):
-    path = tmp_path / "found.py"
     write_effects([FOUND], ['x"""\nraise SystemExit("run")\n"""{0}'], path)
     (effect,) = own_effects([path]).values()
     assert effect.name == "cm_alpha_qhat_separated"
 
 
-def test_what_is_written_follows_the_schema():
+def test_a_term_is_written_and_said_with_its_factor_and_its_rivals(diagnosed):
     schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
     one = schema["properties"]["terms"] | {"$defs": schema["$defs"]}
     jsonschema.validate([term_results(FOUND), term_results(MEMORY)], one)
     assert term_results(FOUND)["ambiguous_with"] == {"alpha qhat": 0.3}
-
-
-def test_a_term_is_said_with_its_factor_and_its_rivals(diagnosed):
     d = replace(diagnosed.view.diagnosis, terms=(FOUND, replace(MEMORY, others=())))
     said = [s for s in diagnosis_sentences(d) if s.startswith("Form: ")]
     assert len(said) == 3
@@ -172,3 +174,204 @@ def test_a_file_that_is_there_or_is_no_python_is_refused_before_anything_is_done
     assert said in done.err
     assert (tmp_path / "there.py").read_text() == "kept = 1\n"
     assert not (tmp_path / "results").exists()
+
+
+# Terms that nobody listed, by what they make of a simulated flight: their sensitivities, and a search for one
+STILL = {"w": 0.0, "u": 0.0}
+TWO = (11, 12)  # seeds of two flights
+
+
+@pytest.fixture(scope="module")
+def hfb320():
+    return read_card("hfb320")
+
+
+def without_accelerometers(record: FlightRecord) -> FlightRecord:
+    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "az")}
+    return FlightRecord.from_arrays(record.name, record.time, kept)
+
+
+def flown(card, model, records) -> tuple[OutputError, np.ndarray]:
+    flights = join([without_accelerometers(r) for r in records], card, FLIGHT)
+    responses = OutputError.of(flights, aircraft_dynamics(model, flights))
+    return responses, np.array([TRUTH.get(p.name, p.start) for p in model.free])
+
+
+def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_that_a_file_states(hfb320, tmp_path):
+    """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
+    responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)])
+    added = AddedCoefficients(responses, theta)
+    (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
+    at = np.array([responses.model.names.index("Cmde")])
+    known = responses.linearise(theta, at)[1][:, :, 0]
+    np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
+    # Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear.
+    model = Model.from_card(hfb320)
+    term = Term((BY_NAME["alpha"], BY_NAME["alpha"], BY_NAME["qhat"]))
+    path, step = tmp_path / "found.py", 1e-3
+    path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
+    records = [gusty_flight(5, seconds=20.0)]
+    responses, theta = flown(hfb320, model, records)
+    wider, _ = flown(hfb320, model.extended(*own_effects([path]).values()), records)
+    added = AddedCoefficients(responses, theta)
+    (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
+    still = jnp.zeros(len(wider.windows.dynamics.start))
+    residual = eqx.filter_jit(lambda size: wider.residual(jnp.append(jnp.asarray(theta), size), still))
+    known = np.asarray(residual(-step) - residual(step)) / (2.0 * step)
+    np.testing.assert_allclose(slope, known, atol=1e-4 * np.abs(known).max())
+
+
+def in_calm_air(card, truth=None) -> tuple[OutputError, np.ndarray]:
+    records = [gusty_flight(seed, gust=STILL, truth=truth) for seed in TWO]
+    return flown(card, Model.from_card(card), [replace(r, name=f"run{k}") for k, r in enumerate(records)])
+
+
+# Terms that nobody listed, by what they make of the innovations of a filter in gusts: sensitivities, and a search.
+# The filter stands at the truth of the simulator (`gusty_flight`, which shares no code): its fit is tested elsewhere
+GUST = {"w": 1.0, "u": 1.0}
+MOVED = 1e-3  # share of the sensors' deviations in a second: process noise of the states beside the gusts
+
+
+def filtered(card, records, known, noise):
+    """Records by a filter at `known` parameters and deviations of the sensors' `noise`, as `FilterError.after` asks."""
+    flights = join(records, card, FLIGHT)
+    flown = disturbed(segments(flights, aircraft_dynamics(Model.from_card(card), flights)))
+    theta = np.array([known.get(p.name, p.start) for p in flown.dynamics.free])
+    R = np.array([noise[name] for name in flown.outputs]) ** 2
+    sd = np.array([noise[name] if name in FLIGHT else 0.0 for name in flown.dynamics.states])
+    found = eqx.filter_jit(filter_segments)(flown, jnp.asarray(theta), sd, MOVED * sd, R)
+    return flown, theta, R, found
+
+
+def followed(card, records, known, noise) -> tuple[FilterError, np.ndarray]:
+    """The innovations of these, and the parameters."""
+    flown, theta, *rest = filtered(card, records, known, noise)
+    return FilterError.after(flown, theta, *rest, flown.dynamics), theta
+
+
+def in_gusts(card, truth=None, seconds=60.0, seeds=TWO) -> tuple[FilterError, np.ndarray]:
+    """The innovations of flights, at the values of the simulator without `truth`."""
+    records = [gusty_flight(seed, gust=GUST, truth=truth, seconds=seconds) for seed in seeds]
+    records = [replace(r, name=f"run{k}") for k, r in enumerate(records)]
+    known = TRUTH | {"vertical_gust": GUST["w"], "longitudinal_gust": GUST["u"]}
+    known |= {f"{name}_gust_length": LENGTH for name in ("vertical", "longitudinal")}
+    return followed(card, records, known, NOISE)
+
+
+@pytest.fixture(scope="module")
+def short(hfb320):
+    return in_gusts(hfb320, seconds=15.0, seeds=TWO[:1])
+
+
+def test_terms_change_innovations_as_the_parameter_of_the_card_and_the_effect_of_a_file(short, tmp_path):
+    """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
+    responses, theta = short
+    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: signals["elevator"][None])
+    known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
+    np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())  # the card's tail arm is 1e9 m
+    # Central differences of innovations with the effect, the gains held; between samples alpha elevator is linear.
+    term = Term((BY_NAME["alpha"], BY_NAME["elevator"]))
+    path, step = tmp_path / "found.py", 1e-3
+    path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
+    model = responses.model.extended(*own_effects([path]).values())
+    windows = replace(responses.windows, dynamics=replace(responses.windows.dynamics, model=model))
+    wider = replace(responses, windows=windows, model=model)
+    aircraft = responses.flights.aircraft
+    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: term.evaluate(signals, aircraft)[None])
+    at = model.names.index(own_effects([path]).popitem()[1].parameters[0].name)
+
+    def residual(size):
+        return np.asarray(wider.evaluate(np.insert(theta, at, size))[0])
+
+    known = (residual(-step) - residual(step)) / (2.0 * step)
+    np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("gusts", [False, True])
+def test_a_term_of_six_degrees_of_freedom_flies_and_is_foreseen_as_its_parameter(tmp_path, gusts):
+    """Cn += Cndr rudder; compilation takes most of a minute."""
+    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
+    card = six.card_in(tmp_path, plane)
+    records = [six.record("rudder", stranger_six.fly(plane, "rudder", rng, seconds=5.0), rng)]
+    model = Model.from_card(card)
+    known = {p.name: getattr(plane, p.name) for p in model.free}
+    if gusts:
+        responses, theta = followed(card, records, known, defaultdict(lambda: 0.01))
+    else:
+        flights, theta = join(records, card, ()), np.array(list(known.values()))
+        responses = OutputError.of(flights, aircraft_dynamics(model, flights))
+    added = (AddedToFilter if gusts else AddedCoefficients)(responses, theta)
+    (slope,) = added.slopes("Cn", lambda signals: signals["rudder"][None])
+    wanted = responses.linearise(theta, np.array([responses.model.names.index("Cndr")]))[1][:, :, 0]
+    np.testing.assert_allclose(slope, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+MORE = (
+    "sideslip_scale", "bank_angle_bias", "sideslip_vane_position", "rudder_roll", "sideslip_incidence",
+    "wing_lift_difference",
+)  # fmt: skip
+
+
+def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say(tmp_path):
+    """Of effects that the filter's model lacks, one of which parts its separation point in two; central differences.
+
+    The states of the filter are angles of attitude. Effects at neutral leave its innovations.
+    """
+    plane, rng = stranger_six.Plane(tau1=20.0), np.random.default_rng(3)
+    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL, *six.STALL) if n not in MORE]
+    card = six.card_in(tmp_path, plane, effects)
+    flight = stranger_six.fly(plane, "stall_in_bank", rng, gust=0.7)
+    records = [six.record("stall", {name: x[-100:] for name, x in flight.items()}, rng)]
+    known = {p.name: getattr(plane, p.name) for p in Model.from_card(card).free}
+    flown, theta, *rest = filtered(card, records, known, defaultdict(lambda: 0.01, altitude=1.0, airspeed=0.1))
+    dynamics = flown.dynamics
+    own = FilterError.after(flown, theta, *rest, dynamics)
+    assert dynamics.states[6:9] == ("phi", "theta", "psi")
+    model = own.model.extended(*MORE)
+    simulated = aircraft_dynamics(model, own.flights)  # its states are a quaternion, and two separation points
+    wider = FilterError.after(flown, theta, *rest, simulated)
+    assert wider.windows.dynamics.states == (*dynamics.states[:-1], "X_right", "X_left")
+    at = dict(zip(own.model.names, theta, strict=True))
+    wide = np.array([at.get(p.name, p.neutral) for p in model.free])
+    residual = lambda x: np.asarray(wider.evaluate(x)[0])
+    np.testing.assert_allclose(residual(wide), np.asarray(own.evaluate(theta)[0]), atol=1e-9)
+    sought = [model.names.index(name) for name in ("Cnbe", *(p.name for p in model.free if p.name not in at))]
+    slopes = wider.linearise(wide, np.array(sought))[1]
+    for slope, place in zip(np.moveaxis(slopes, -1, 0), sought, strict=True):
+        size = np.abs(slope).max()
+        assert size > 1e-6, model.names[place]
+        step = 1e-4 / size * np.eye(len(wide))[place]  # the altitude, of thousands of metres, is rounded
+        difference = (residual(wide - step) - residual(wide + step)) / 2e-4 * size
+        np.testing.assert_allclose(slope, difference, atol=1e-5 * size, err_msg=model.names[place])
+
+
+def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample(short):
+    responses, _ = short
+    parts, manoeuvre = responses.jackknife_blocks, responses.manoeuvre
+    assert set(np.bincount(parts) * responses.seconds) == {5.0}
+    assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == 3
+    # A constant in white noise: the share of the variance that it takes, by numpy.
+    state = begun(*short)
+    x = 0.02 + np.random.default_rng(3).standard_normal((20_000, 5))
+    single, mean = (0.02**2 / np.mean(np.square(part)) for part in (x, x.mean(axis=1)))
+    assert state.least_share(mean) == pytest.approx(single, rel=0.03)
+
+
+def begun(responses, theta):
+    """Where a search without a catalogue begins."""
+    full = CandidateModel(responses.model, tuple(e.name for e in responses.model.effects), (), {})
+    return linearised(full, responses, responses.outputs, theta)
+
+
+@pytest.mark.parametrize(("fly", "size"), [(in_calm_air, 0.15), (in_gusts, -0.7)], ids=["trajectories", "innovations"])
+def test_a_hidden_term_is_found_and_its_silent_twin_has_none(hfb320, fly, size):
+    """By the library, in two flights."""
+    found, silent = (
+        flown_forms(forward_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
+    )
+    (term,) = found.forms.terms
+    assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
+    assert abs(term.size[0] - size) < 1.96 * term.size[1]
+    assert [(u.coefficient, u.channel) for u in found.unknown] == [("Cm", "alpha^2")]
+    assert silent.forms.terms == ()

@@ -1,28 +1,44 @@
-"""The simulation before and after the extension, and a fit to trajectories alone."""
-
-from __future__ import annotations
+"""Models flown along records: before and after the extension, fitted to trajectories alone, and asked of a lag."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from parts import fitted_to_stalls
+from scipy.stats import norm
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis import result as finding
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested
 from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
+from bayes_aero.diagnosis.search import search_trajectories
 from bayes_aero.diagnosis.search.search_trajectories import in_windows
+from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.lag_test import confirmed, with_lag
+from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
+from bayes_aero.diagnosis.trajectories.noise_check import beyond_noise
+from bayes_aero.diagnosis.trajectories.results import LagTest, Path
+from bayes_aero.diagnosis.trajectories.time_histories import fly_given
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.jobs.io import diagnosis_json as diagnosis_results
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.report.figures.diagnosis import autocorrelation, spectrum
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import Beyond, hidden_records
+from tests.simulated_halves import halves
 
+# The simulation before and after the extension, and a fit to trajectories alone
 SEED = 4132
 BANDS = {"airspeed": 1.5, "alpha": 0.035, "theta": 0.035}
 
@@ -36,7 +52,7 @@ def flown(card):
 
 
 @pytest.mark.recovery
-def test_the_simulation_gains_on_flights_it_was_not_fitted_to(flown):
+def test_the_simulation_gains_on_other_flights_and_gives_the_arm_back(flown):
     found, paths = flown
     assert "thrust_moment" in [c.name for c in found.causes], SEED
     assert {p.split for p in paths.paths} == {"fitted", "hold_out"}
@@ -53,10 +69,6 @@ def test_the_simulation_gains_on_flights_it_was_not_fitted_to(flown):
                 if name in BANDS:
                     assert error.within == pytest.approx(np.mean(np.abs(residual) <= BANDS[name]))
                     assert 0.0 <= error.probability <= 1.0
-
-
-@pytest.mark.recovery
-def test_trajectories_give_the_arm_back(flown):
     _, paths = flown
     near = max(0.06, 4.0 * paths.deviation["thrust_arm"])
     assert paths.extended.values["thrust_arm"] == pytest.approx(0.6, abs=near), SEED
@@ -140,3 +152,176 @@ def test_a_channel_that_labels_manoeuvres_explains_no_offset_of_simulated_flight
     ((size, sd),) = told.offsets.values()
     assert size == pytest.approx(0.06, abs=3.0 * sd)
     assert "flap_lift" in told.rivals
+
+
+# A model flown with given parameters: the truth flies a simulated record, and a wrong derivative does not
+BAND = {"alpha": np.radians(2.0), "theta": np.radians(2.0)}
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """One manoeuvre without noise or disturbance."""
+    card = read_card("attas")
+    return card, join([simulate_stall(0, card=card, sensor_noise=0.0, disturbance=0.0)], card, FLIGHT)
+
+
+def flown_with(flights, **changed):
+    card, joined = flights
+    (path,) = fly_given(joined, Model.from_card(card), {**TRUTH, **changed}, BAND)
+    return path
+
+
+def test_the_truth_flies_what_was_recorded_and_a_wrong_derivative_does_not(flights):
+    path = flown_with(flights)
+    assert path.inside
+    assert path.errors["alpha"].rms < np.radians(0.1)
+    assert path.errors["airspeed"].rms < 0.3
+    assert path.errors["alpha"].within == path.errors["theta"].within == 1.0
+    assert path.errors["q"].tolerance is None
+    right, wrong = flown_with(flights), flown_with(flights, Cma=0.7 * TRUTH["Cma"])
+    assert wrong.errors["alpha"].rms > 10.0 * right.errors["alpha"].rms
+    assert wrong.errors["alpha"].within < 0.9
+    joined = flights[1]
+    assert np.array_equal(path.measured["theta"], np.asarray(joined.channels["theta"]))
+    worst = np.max(np.abs(path.measured["theta"] - path.simulated["theta"]))
+    assert path.errors["theta"].largest == pytest.approx(worst)
+
+
+# What trajectories alone have tested: errors against the noise of sensors, and the verdict that follows
+DEG = np.pi / 180.0
+NAN = float("nan")
+
+
+def test_errors_beyond_the_noise_decide_the_verdict():
+    """Noise of variance 1 and as much again of another origin: root mean square sqrt(2)."""
+    assert not OutputMiss(1.0, 1.0, NAN).beyond
+    assert not OutputMiss(1.0, 1.414, 9.0).beyond  # the noise of the measured initial state is in what is unseen
+    assert OutputMiss(1.0, 1.4143, NAN).beyond
+    assert OutputMiss(0.0, 1e-9, NAN).beyond
+    assert OutputMiss(1.0, NAN, NAN).beyond
+    assert OutputMiss(1.0, np.inf, NAN).beyond
+    noise, more = (finding.Tested({"alpha": OutputMiss(1.0, x, x)}) for x in (1.0, 3.0))
+    never = finding.Tested({})
+    assert [as_tested(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
+        Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED, Verdict.PARTLY_EXPLAINED,
+    ]  # fmt: skip
+    assert [as_tested(Verdict.NO_EFFECT, t) for t in (noise, more, never)] == [
+        Verdict.NO_EFFECT, Verdict.UNDECIDED, Verdict.NO_EFFECT,
+    ]  # fmt: skip
+    assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
+    assert [
+        diagnosis_results.tested_results(t, finding.TRAJECTORIES)["within_noise"] for t in (noise, more, never)
+    ] == [True, False, None]
+
+
+def test_errors_are_judged_by_the_noise_that_the_card_states(card):
+    """The extended model is off by a tenth of a degree: noise of 0.1 deg makes that, noise of 0.02 deg does not."""
+    n = 400
+    t = 0.05 * np.arange(n)
+    smooth = {"airspeed": 100.0 + np.sin(t), "alpha": 0.05 + 0.02 * np.sin(0.5 * t)}
+    record = FlightRecord.from_arrays("a", t, smooth)
+    flown = halves(record)
+    for sd, beyond in ((0.1 * DEG, False), (0.02 * DEG, True)):
+        stated = replace(card, sensors={"alpha": sd, "airspeed": 0.3})
+        found = beyond_noise(flown, [record], stated)["alpha"]
+        assert found.noise == pytest.approx(sd)
+        assert found.fitted == pytest.approx(0.1 * DEG)
+        assert found.beyond is beyond
+
+
+# The log score on hold-out flights is a normal density in closed form, for segments of any length
+LENGTHS = (90, 91)  # the halves of a manoeuvre with an odd number of samples
+
+
+def test_log_scores_and_figures_of_segments_of_different_length():
+    rng = np.random.default_rng(1)
+    missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
+    paths = [
+        Path("run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))})
+        for x in missed
+    ]
+    expected = np.concatenate(missed)[:, 0] / 2.0
+    density = norm.logpdf(expected, scale=np.sqrt(np.mean(expected**2)))
+    for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
+        found = HoldoutScore.of(paths, ("q",), noise_growth)
+    assert found.density() == pytest.approx(density)
+    # White noise of variance 2: no correlation beyond lag 0, and twice the variance over the sampling rate.
+    rng = np.random.default_rng(2)
+    parts = [np.sqrt(2.0) * rng.standard_normal(n) for n in (4000, 6000)]
+    for _ in range(20):
+        lags, correlation = autocorrelation(parts, 5)
+        _, power = spectrum(parts, 0.1)
+    assert list(lags) == [0, 1, 2, 3, 4, 5]
+    assert correlation[0] == 1.0
+    assert np.abs(correlation[1:]).max() < 4.0 / np.sqrt(10_000)
+    assert power.mean() == pytest.approx(2.0 * 2.0 * 0.1, rel=0.05)
+
+
+# A lag of the separation point asked of trajectories: found where it is, not wanted where it is not
+OUTPUTS = ("airspeed", "alpha", "theta", "q", "ax", "az")
+
+
+def asked(card, hidden, seed):
+    """The card's model fitted to two stalls, and what is said of a lag beside it."""
+    model = Model.from_card(card)
+    flights, fit, noise = fitted_to_stalls(card, model, hidden, seed)
+    full = candidate_model(model, flights)
+    plain, effect = CandidateFit("extended", fit), lag_of(full)
+    wider = replace(model.extended(), fixed=())
+    lagged, lag = with_lag(wider, effect, plain, noise, flights)
+    if not lag.gains:
+        return lag, lagged
+    silent = {c.name: {0: {}, 1: {}} for c in (plain, lagged)}
+    fits: dict[str, list] = {"extended": [], "lagged": []}
+    for name, found in left_out((plain, lagged), silent, noise):
+        fits[name].append(found)
+    without, within = (holdout_fits(c, fits[c.name], {}) for c in (plain, lagged))
+    return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.variance_inflation), lagged
+
+
+@pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
+def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, broken):
+    monkeypatch.setattr(search_trajectories, "lag_of", broken)
+    lagged, failures = search_trajectories._asked_of_a_lag(Mock(spec=CandidateModel), Mock(spec=Extension), 0, None)
+    assert lagged is None
+    assert [told.split(":")[0] for told in failures] == ["Whether the separation point lags was not tested"]
+
+
+@pytest.mark.verify
+def test_a_hidden_lag_is_kept_and_measured(card):
+    """Eight to sixteen chords: half a second and more in the stall. How often it is kept: benchmarks/flown_lag.py."""
+    tau1 = np.random.default_rng(SEED).uniform(8.0, 16.0)
+    lag, lagged = asked(card, {"separation_lag": {"tau1": tau1}}, SEED)
+    assert lag.effect == "separation_lag"
+    assert lag.kept, lag
+    found = dict(zip(lagged.fit.names, lagged.fit.estimate, strict=True))
+    assert found["tau2"] >= 0.0
+    assert found["tau1"] == pytest.approx(tau1, rel=0.2)
+
+
+@pytest.mark.recovery
+def test_a_lag_is_not_wanted_where_the_hysteresis_is_quasi_steady(card):
+    assert not asked(card, {}, SEED + 1)[0].kept
+
+
+def path(errors, name="a"):
+    n = len(next(iter(errors.values())))
+    zero = {key: np.zeros(n) for key in errors}
+    return Path(name, "extended", "hold_out", True, {}, np.arange(n) * 0.04, zero, {k: -x for k, x in errors.items()})
+
+
+def test_the_gain_on_unseen_flight_is_that_of_normal_densities():
+    """Half the error gains n log 2 over the colour's cost; a noise_growth that both share changes nothing of it."""
+    n, rng = 400, np.random.default_rng(2)
+    one = np.ones((n, 1))
+    noise = [{"alpha": rng.standard_normal(n)} for _ in range(2)]
+    before, after = ([path({k: s * x for k, x in e.items()}) for e in noise] for s in (1.0, 0.5))
+    tried = LagTest("separation_lag", 5.0)
+    found = confirmed(tried, before, after, ("alpha",), [one] * 2, 10.0)
+    assert found.kept
+    assert found.unseen[0] == pytest.approx(2 * n * np.log(2.0) / 10.0)
+    swollen = confirmed(tried, before, after, ("alpha",), [3.0 * one] * 2, 10.0)
+    assert swollen.unseen[0] == pytest.approx(found.unseen[0])
+    worse = confirmed(tried, after, before, ("alpha",), [one] * 2, 10.0)
+    assert not worse.kept
+    assert worse.unseen[0] == pytest.approx(-found.unseen[0])

@@ -1,26 +1,38 @@
-"""Gusts in the equations of motion: what feels them, how they decay, and what is known of them at the beginning."""
+"""Gusts and buffet in the equations of motion, against closed forms and stationary covariances."""
 
-from __future__ import annotations
+from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gusty_flight import TRUTH
 from jax.scipy.linalg import expm
+from scipy.linalg import solve_continuous_lyapunov
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
+from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
 from bayes_aero.dynamics.filtering.kalman import discrete_noise
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.simulated.in_gusts import through_gusts
+from bayes_aero.dynamics.system import System, advance
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.disturbed import disturbed
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
+from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 
+# Gusts in the equations of motion: what feels them, how they decay, and what is known of them at the beginning
 V, ALPHA, THETA, Q = 104.0, 0.11, 0.10, 0.02
 W, U, LENGTH = 3.0, -2.0, 200.0
 VALUES = {
-    "vertical_gust": 1.5,
-    "vertical_gust_length": LENGTH,
-    "longitudinal_gust": 0.8,
+    "vertical_gust": 1.5, "vertical_gust_length": LENGTH, "longitudinal_gust": 0.8,
     "longitudinal_gust_length": 90.0,
-}
+}  # fmt: skip
 ROW = {"elevator": jnp.asarray(-0.03), "thrust": jnp.asarray(9000.0), "density": jnp.asarray(0.792)}
 
 
@@ -39,7 +51,7 @@ def state(airspeed=V, alpha=ALPHA, *gusts):
     return jnp.array([airspeed, alpha, THETA, Q, *gusts])
 
 
-def test_without_motion_of_the_air_nothing_changes(systems):
+def test_gusts_act_through_the_flow_alone(systems):
     calm, gusty = systems
     assert gusty.states == (*calm.states, "gust_w", "gust_u")
     rate, outputs = calm.motion(state(), ROW)
@@ -48,10 +60,6 @@ def test_without_motion_of_the_air_nothing_changes(systems):
     np.testing.assert_array_equal(other[4:], 0.0)
     for name, value in outputs.items():
         assert float(same[name]) == pytest.approx(float(value), rel=1e-14, abs=1e-14), name
-
-
-def test_vane_pitot_tube_and_forces_feel_the_flow(systems):
-    calm, gusty = systems
     airspeed, alpha = V + U, ALPHA + W / V
     _, flow = calm.motion(state(airspeed, alpha), ROW)
     _, found = gusty.motion(state(V, ALPHA, W, U), ROW)
@@ -59,10 +67,7 @@ def test_vane_pitot_tube_and_forces_feel_the_flow(systems):
     assert float(found["airspeed"]) == pytest.approx(airspeed, rel=1e-14)
     for name in ("ax", "az", "q_dot", "CL", "CD", "Cm"):
         assert float(found[name]) == pytest.approx(float(flow[name]), rel=1e-12), name
-
-
-def test_the_path_over_ground_follows_from_the_forces(systems):
-    """Newton's second law in axes of the path, written out: alpha-dot = q + (az cos - ax sin + g cos gamma) / V."""
+    # Newton's second law in axes of the path, written out: alpha-dot = q + (az cos - ax sin + g cos gamma) / V.
     _, gusty = systems
     rate, found = gusty.motion(state(V, ALPHA, W, U), ROW)
     g, arm = 9.80665, gusty.aircraft.accelerometer
@@ -116,3 +121,136 @@ def test_noise_that_a_sample_gathers_is_van_loan_s_integral():
     found = np.asarray(discrete_noise(jnp.asarray(transition), jnp.asarray(np.diag(W)), dt))
     np.testing.assert_allclose(found[1:, 1:], exact[1:, 1:], rtol=2e-3)
     assert found[0, 0] < 1.3 * exact[0, 0]  # of the fifth power of dt
+
+
+# A system in random gusts against the stationary covariance of the linear system
+RATE, GAIN, LAG, SIGMA = 2.0, 3.0, 0.8, 1.5  # 1/s, 1/s, 1/s, m/s
+DT, N, COUNT = 0.02, 400, 4000
+
+
+class Driven(System):
+    """x' = -RATE x + GAIN g, with a gust g of standard deviation `sigma` and decay rate LAG."""
+
+    sigma: float = eqx.field(default=SIGMA)
+
+    @property
+    def states(self):
+        return ("x", "g")
+
+    def motion(self, x, u):  # noqa: ARG002
+        return jnp.stack([-RATE * x[0] + GAIN * x[1], -LAG * x[1]]), {"x": x[0], "g": x[1]}
+
+    def noise_density(self, x, u):  # noqa: ARG002
+        return jnp.stack([jnp.zeros_like(x[0]), 2.0 * LAG * self.sigma**2 + 0.0 * x[0]])
+
+    def decay(self, x, u):  # noqa: ARG002
+        return jnp.array([0.0, LAG])
+
+
+def flights(sigma):
+    white = jnp.asarray(np.random.default_rng(7).standard_normal((COUNT, N, 2)))
+    inputs = {"u": jnp.zeros(N)}
+    fly = jax.jit(jax.vmap(lambda w: through_gusts(Driven(sigma), jnp.zeros(2), inputs, DT, w, ("x", "g"))))
+    found, inside = fly(white)
+    assert bool(inside.all())
+    return np.asarray(found)
+
+
+def test_the_spread_is_that_of_the_linear_system_and_a_gust_grows_exactly():
+    A = np.array([[-RATE, GAIN], [0.0, -LAG]])
+    exact = solve_continuous_lyapunov(A, -np.diag([0.0, 2.0 * LAG * SIGMA**2]))
+    assert exact[1, 1] == pytest.approx(SIGMA**2)
+    assert exact[0, 0] == pytest.approx(GAIN**2 * SIGMA**2 / (RATE * (RATE + LAG)))
+    found = np.cov(flights(SIGMA)[:, -1].T)
+    four = 4.0 * np.sqrt(2.0 / COUNT)  # standard errors of a variance; the step of 0.02 s adds 1 %
+    assert np.diag(found) == pytest.approx(np.diag(exact), rel=four + 0.01)
+    assert found[0, 1] == pytest.approx(exact[0, 1], rel=four + 0.01)
+    # Its variance from calm air is sigma^2 (1 - exp(-2 a t)), whatever the step.
+    gust = flights(SIGMA)[:, :, 1]
+    for k in (1, 20, 100):
+        exact = SIGMA**2 * (1.0 - np.exp(-2.0 * LAG * DT * k))
+        assert np.var(gust[:, k]) == pytest.approx(exact, rel=4.0 * np.sqrt(2.0 / COUNT))
+    assert not flights(0.0).any()
+
+
+# Buffet in the equations of motion, and its intensity and length found in a simulated stall
+FINER = 5
+SHAKEN_DT, SHAKEN_N, INTENSITY, SHAKEN_LENGTH = 0.05, 1000, 0.15, 6.0
+NOISE = {"airspeed": 0.1, "alpha": 0.001, "theta": 0.0005, "q": 0.0005, "ax": 0.02, "az": 0.05}
+TRUTH = TRUTH | {"a1": 30.0, "alpha_star": 0.15}
+FREE = ("CLa", "Cm0", "a1", "alpha_star")
+SEPARATED = ("flow_separation", "kirchhoff_lift")
+
+
+def model_of(card, *more):
+    """Of which four parameters are free, and what disturbs it."""
+    model = Model.from_card(card).extended(*SEPARATED)
+    held = {p.name: TRUTH[p.name] for p in model.parameters if p.name not in FREE}
+    return model.extended(*more, fixed=held)
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    """A flight that passes to and fro over the stall, shaken by buffet; its noise comes five times a sample."""
+    card, rng, h = read_card("hfb320"), np.random.default_rng(4), SHAKEN_DT / FINER
+    model = model_of(card, "buffet")
+    values = {
+        name: jnp.asarray(x) for name, x in (TRUTH | {"buffet": INTENSITY, "buffet_length": SHAKEN_LENGTH}).items()
+    }
+    system = Longitudinal(model, {p.name: values[p.name] for p in model.parameters}, card.aircraft, False)
+    assert system.states[-1] == "buffet"
+    n = SHAKEN_N * FINER
+    angle = 0.12 + 0.05 * np.sin(2.0 * np.pi * h * np.arange(n) / 12.0)
+    moment = TRUTH["Cm0"] + TRUTH["CmV"] + TRUTH["Cma"] * angle - 0.018  # of the thrust
+    inputs = {"elevator": -moment / TRUTH["Cmde"], "thrust": np.full(n, 9e3), "density": np.full(n, 0.792)}
+    at = lambda k: {name: jnp.asarray(y[min(k, n - 1)]) for name, y in inputs.items()}
+    further, seen = eqx.filter_jit(advance), eqx.filter_jit(lambda s, x, u: s.motion(x, u)[1])
+    x, rows, apart = np.array([104.0, 0.12, 0.12, 0.0, 0.0]), [], []
+    for k in range(n):
+        if k % FINER == 0:
+            found = seen(system, jnp.asarray(x), at(k))
+            rows.append([float(found[name]) for name in NOISE])
+            apart.append(1.0 - float(found["X"]))
+        kept = np.exp(-x[0] / (SHAKEN_LENGTH * 2.43) * h)
+        shake = kept * x[4] + np.sqrt(1.0 - kept**2) * INTENSITY * rng.standard_normal()
+        x = np.append(np.asarray(further(system, jnp.asarray(x), at(k), at(k + 1), h, 1))[:4], shake)
+    t, inputs = SHAKEN_DT * np.arange(SHAKEN_N), {name: y[::FINER] for name, y in inputs.items()}
+    z = np.array(rows) + np.array(list(NOISE.values())) * rng.standard_normal((SHAKEN_N, len(NOISE)))
+    record = FlightRecord.from_arrays("shaken", t, dict(zip(NOISE, z.T, strict=True)) | inputs, "simulated")
+    return card, join([record], card, FLIGHT), np.array(apart)
+
+
+def fitted(card, flights, *more):
+    model = model_of(card, *more)
+    flown = segments(flights, aircraft_dynamics(model, flights), outputs=tuple(NOISE))
+    sd = [NOISE.get(name, 0.0) for name in flown.dynamics.states]
+    start = np.array([TRUTH.get(p.name, p.start) for p in flown.dynamics.free])
+    return fit_prediction_error(flown, 0.1 * np.array(sd), np.square(list(NOISE.values())), start=start)
+
+
+@pytest.mark.verify
+def test_buffet_is_found_in_intensity_and_length_and_counted_once(shaken):
+    card, flights, apart = shaken
+    assert np.mean(apart < 0.1) > 0.2
+    assert np.mean(apart > 0.5) > 0.1
+    found = fitted(card, flights, "buffet")
+    assert found.status is PredictionErrorStatus.CONVERGED
+    known = dict(zip(found.names, zip(found.estimate, found.sd, strict=True), strict=True))
+    truth = {"buffet": INTENSITY, "buffet_length": SHAKEN_LENGTH} | {name: TRUTH[name] for name in FREE}
+    for name, size in truth.items():
+        estimate, sd = known[name]
+        assert abs(estimate - size) < 3.0 * sd, name
+    assert known["buffet"][1] < 0.2 * INTENSITY
+    without = fitted(card, flights)
+    assert found.log_likelihood - without.log_likelihood > 50.0
+    az = tuple(NOISE).index("az")
+    alike, coloured = (np.abs(neighbour_correlation(one.found)) for one in (found, without))
+    assert np.max(alike) < 4.0 / np.sqrt(SHAKEN_N)
+    assert coloured[az] > 4.0 / np.sqrt(SHAKEN_N)
+    # Noise that grows as the flow separates stands for buffet: both would count it twice.
+    card, flights, _ = shaken
+    for more, grows in (("buffet",), False), ((), True):
+        model = model_of(card, *more)
+        flown = segments(flights, aircraft_dynamics(model, flights), outputs=tuple(NOISE))
+        swelling = replace(flown, noise_growth=3.0 * flown.noise_growth)
+        assert bool(np.all(disturbed(swelling).noise_growth == 1.0)) is not grows

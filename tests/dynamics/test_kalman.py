@@ -1,6 +1,4 @@
-"""The extended Kalman filter against another library, finite differences and closed forms."""
-
-from __future__ import annotations
+"""The extended Kalman filter and its derivatives against another library, differences and closed forms."""
 
 import equinox as eqx
 import jax
@@ -19,9 +17,12 @@ from bayes_aero.dynamics.filtering.kalman import (
     log_likelihood,
     smooth,
 )
+from bayes_aero.dynamics.filtering.linear_innovations import Disturbances, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.filtering.linearised import Linearised
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
 
+# The extended Kalman filter against another library, finite differences and closed forms
 DT, N = 0.04, 400
 F = np.array([0.3, 0.05])
 R = np.array([0.02, 0.004, 0.1]) ** 2
@@ -62,14 +63,9 @@ def compiled(system, start, P0, inputs, z, F, R):
 def filtered(system, record, F=F, R=R, P0=P0, start=START):
     inputs, z = record
     return compiled(
-        system,
-        jnp.asarray(start),
-        jnp.asarray(P0),
-        {"de": jnp.asarray(inputs["de"])},
-        jnp.asarray(z),
-        jnp.asarray(F),
-        R,
-    )
+        system, jnp.asarray(start), jnp.asarray(P0), {"de": jnp.asarray(inputs["de"])}, jnp.asarray(z),
+        jnp.asarray(F), R,
+    )  # fmt: skip
 
 
 def discrete(system, inputs):
@@ -112,7 +108,7 @@ def test_a_linear_system_agrees_with_statsmodels(system, record):
     np.testing.assert_allclose(P, np.moveaxis(theirs.smoothed_state_cov, 2, 0), rtol=1e-7, atol=1e-10)
 
 
-def test_innovations_are_white_and_of_their_variance(system, record):
+def test_innovations_are_white_and_without_process_noise_those_of_output_error(system, record):
     """Of a record that was made by the same model."""
     found = filtered(system, record)
     used = np.asarray(found.used)
@@ -122,10 +118,7 @@ def test_innovations_are_white_and_of_their_variance(system, record):
         e = scaled[used[:, c], c]
         assert np.mean(e**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(e)))
         assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 4.0 / np.sqrt(len(e))
-
-
-def test_without_process_noise_and_with_a_known_start_it_is_output_error(system, record):
-    """Innovations are the residuals of the simulation, their variance that of the measurement."""
+    # Innovations are the residuals of the simulation, their variance that of the measurement.
     inputs, z = record
     found = filtered(system, record, F=np.zeros(2), P0=np.zeros((2, 2)))
     flown = integrate(system, jnp.asarray(START), {"de": jnp.asarray(inputs["de"])}, DT)
@@ -157,7 +150,7 @@ def uncertain():
     return root @ root.T, rng.normal(size=(7, 5)), rng.uniform(0.1, 2.0, 7), np.arange(7) != 2
 
 
-def test_gains_are_those_of_the_whole_sample(uncertain):
+def test_gains_are_those_of_the_whole_sample_and_ask_no_library(uncertain):
     """P C' S^-1, and the inverse of the unit factor of S: numpy's."""
     P, C, variance, there = uncertain
     gain, innovate = gains(*map(jnp.asarray, (P, C, variance, there)))
@@ -167,10 +160,7 @@ def test_gains_are_those_of_the_whole_sample(uncertain):
     np.testing.assert_allclose(gain[:, there], np.linalg.solve(S, seen @ P).T, atol=1e-12)
     np.testing.assert_array_equal(gain[:, ~there], 0.0)
     np.testing.assert_allclose(innovate[np.ix_(there, there)], np.linalg.inv(factor / np.diag(factor)), atol=1e-12)
-
-
-def test_gains_of_many_samples_ask_no_library_for_them(uncertain):
-    """Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores."""
+    # Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores.
     P, C, variance, there = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in uncertain)
     program = jax.jit(jax.vmap(gains)).lower(P, C, variance, there).as_text()
     assert "custom_call" not in program
@@ -190,3 +180,42 @@ def test_gathered_noise_has_the_derivative_of_finite_differences():
 
     for m in range(2):
         np.testing.assert_allclose(found[..., m], (at(step, m) - at(-step, m)) / (2.0 * step), rtol=1e-7, atol=1e-10)
+
+
+# Derivatives of the linearised filter against automatic differentiation and finite differences
+W, SAMPLES, S, C, M = 2, 40, 3, 4, 5  # segments, samples, states, outputs, directions
+STEPS = jnp.array([0.04, 0.05])
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Segments with missing samples and a state that is a process of its own; noise, and directions of it."""
+    rng = np.random.default_rng(20)
+    normal = lambda *shape: jnp.asarray(rng.normal(size=shape))
+    residual = jnp.where(jnp.asarray(rng.random((W, SAMPLES, C)) < 0.2), jnp.nan, normal(W, SAMPLES, C))
+    lin = Linearised(
+        0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S),
+        0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S), jnp.zeros((W, SAMPLES, S, 0)), residual,
+        normal(W, SAMPLES, C, S), jnp.zeros((W, SAMPLES, C, 0)), 0.1 * normal(W, S), jnp.zeros((W, S, 0)),
+        1.0 + 0.1 * jnp.abs(normal(W, SAMPLES, C)), jnp.zeros((W, SAMPLES, C, 0)),
+    )  # fmt: skip
+    decay = jnp.zeros((W, SAMPLES, S)).at[..., 2].set(0.5)
+    noise = Disturbances(
+        jnp.abs(normal(W, SAMPLES, S)), 0.1 + jnp.abs(normal(W, SAMPLES, C)), jnp.eye(S) + jnp.zeros((W, S, S)), decay
+    )
+    start = normal(W, S, S, M)
+    slopes = Disturbances(
+        normal(W, SAMPLES, S, M), normal(W, SAMPLES, C, M), start + jnp.swapaxes(start, 1, 2),
+        jnp.zeros((W, SAMPLES, S, M)).at[..., 2, :].set(normal(W, SAMPLES, M)),
+    )  # fmt: skip
+    return lin, noise, slopes
+
+
+def test_the_derivative_by_the_noise_is_that_of_forward_differentiation(drawn):
+    lin, noise, slopes = drawn
+    found = noise_derivatives(lin, noise, slopes, STEPS)
+    for m in range(M):
+        along = Disturbances(*(x[..., m] for x in slopes))
+        _, (e, variance) = jax.jvp(lambda noise: linear_innovations(lin, noise, STEPS), (noise,), (along,))
+        np.testing.assert_allclose(found[0][..., m], e[..., 0], atol=1e-11)
+        np.testing.assert_allclose(found[1][..., m], variance, atol=1e-11)

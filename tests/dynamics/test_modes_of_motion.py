@@ -1,7 +1,5 @@
 """Modes of motion against textbooks, closed forms and a simulator that shares no code."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import six_axes as six
@@ -133,19 +131,12 @@ def test_a_lag_of_the_separation_adds_a_mode_and_moves_no_other():
             assert abs(mode.eigenvalue - plain[mode.name]) < 1e-3
 
 
-def test_without_steady_flight_there_are_no_modes():
+def test_motion_without_modes_is_refused():
     dynamics, values = dynamics_of(Plane(**six.ATTACHED), *six.LONGITUDINAL, *six.LATERAL)
     with pytest.raises(InputError, match="no steady flight at 20 m/s"):
         modes(dynamics, values, six.aircraft(Plane()), Steady(20.0, 4000.0))
-
-
-def test_what_is_held_to_the_record_has_no_modes():
-    dynamics, values = dynamics_of(Plane(**six.ATTACHED), *six.LONGITUDINAL, *six.LATERAL)
     held = AircraftDynamics(dynamics.model, held=("beta", "phi"))
     with pytest.raises(InputError, match="holds beta, phi to the record"):
         modes(held, values, six.aircraft(Plane()), Steady(120.0, 4000.0))
-
-
-def test_motion_that_is_not_finite_has_no_modes():
     with pytest.raises(InputError, match="not finite"):
         named_modes(np.array([[np.nan]]), ("p",), 100.0)

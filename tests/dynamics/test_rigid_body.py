@@ -1,6 +1,6 @@
-"""Six degrees of freedom against closed forms, conserved quantities and a simulator that shares no code."""
+"""Six degrees of freedom, with one lag of the separation point or two, against closed forms and another simulator."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -11,14 +11,23 @@ import six_axes as six
 import stranger_six
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from stranger_six import G, Plane
+from stranger_six import G, Plane, Strips
 
 from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
 from bayes_aero.dynamics.aircraft.rigid_body import HELD, RigidBody
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.segments import segments, simulate
+from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
+from bayes_aero.dynamics.simulated.rigid_trim import Condition, rigid_trim
+from bayes_aero.dynamics.simulated.simulate import Pilot
 from bayes_aero.dynamics.system import integrate
+from bayes_aero.errors import InputError
 from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import coefficients
 
+# Six degrees of freedom against closed forms, conserved quantities and a simulator that shares no code
 fly = eqx.filter_jit(integrate)
 FLOW = ("airspeed", "alpha", "beta")
 ODD = Plane(**six.ATTACHED, Ixy=1.5e3, Iyz=-2e3, nose=(1.5, 0.3, -0.4))
@@ -31,8 +40,12 @@ def body(plane, model=None, **options):
     return RigidBody(model, six.values(plane, model), six.aircraft(plane), **options)
 
 
+def start_of(system, **start):
+    return jnp.array([float(start.get(name, 0.0)) for name in system.start])
+
+
 def state_at_start(system, **start):
-    return system.state_at_start(jnp.array([float(start.get(name, 0.0)) for name in system.start]))
+    return system.state_at_start(start_of(system, **start))
 
 
 def turning(n, plane=ODD, **rates):
@@ -48,7 +61,7 @@ def to_earth(found):
     return Rotation.from_euler("ZYX", np.stack([found[n] for n in ("psi", "theta", "phi")], axis=1))
 
 
-def test_a_body_without_torque_keeps_its_angular_momentum_and_energy():
+def test_without_torque_momentum_stays_and_a_symmetric_top_precesses():
     """Tumbling through the vertical, about no principal axis."""
     n, dt = 1501, 0.01
     system, u = turning(n)
@@ -60,10 +73,7 @@ def test_a_body_without_torque_keeps_its_angular_momentum_and_energy():
     fixed = to_earth(found).apply(momentum)
     np.testing.assert_allclose(fixed, np.broadcast_to(fixed[0], fixed.shape), atol=1e-7 * np.linalg.norm(momentum[0]))
     assert np.ptp(spin, axis=0).min() > 0.3
-
-
-def test_a_symmetric_top_precesses_as_the_closed_form_says():
-    """Iy = Iz: p stays, q and r turn back at (Iz - Ix)/Iy p; the axis goes round the angular momentum at |H|/Iy."""
+    # Iy = Iz: p stays, q and r turn back at (Iz - Ix)/Iy p; the axis goes round the angular momentum at |H|/Iy.
     n, dt, p = 1001, 0.01, 2.0
     top = Plane(**six.ATTACHED, Iy=4e5, Iz=4e5, Ixz=0.0)
     system, u = turning(n, top)
@@ -78,7 +88,7 @@ def test_a_symmetric_top_precesses_as_the_closed_form_says():
     np.testing.assert_allclose(to_earth(found).apply([1.0, 0.0, 0.0]), around.apply([1.0, 0.0, 0.0]), atol=1e-7)
 
 
-def test_attitude_goes_through_the_vertical():
+def test_attitude_follows_any_rates_through_the_vertical():
     """Two loops at a steady pitch rate begun in a bank: beyond 90 degrees bank and heading turn over by half a turn."""
     n, dt, q = 801, 0.02, 0.8
     system, u = turning(n, p=0.0, q=q, r=0.0)
@@ -88,10 +98,7 @@ def test_attitude_goes_through_the_vertical():
     np.testing.assert_allclose(np.sin(found["theta"]), np.sin(pitch), atol=1e-9)
     np.testing.assert_allclose(np.cos(found["phi"]), np.sign(np.cos(pitch)), atol=1e-9)
     np.testing.assert_allclose(np.cos(found["psi"]), np.sign(np.cos(pitch)), atol=1e-9)
-
-
-def test_attitude_follows_any_rates():
-    """Against the product of rotations by scipy, of which each lasts a sample at the rate of its middle."""
+    # Against the product of rotations by scipy, of which each lasts a sample at the rate of its middle.
     n, dt = 3001, 0.002
     t = np.arange(n) * dt
     rates = {"p": 0.5 * np.sin(2.0 * t), "q": 1.2 + 0.3 * np.cos(t), "r": 0.2 * np.cos(3.0 * t)}
@@ -103,9 +110,6 @@ def test_attitude_follows_any_rates():
         turned = turned * step
     assert float(jnp.abs(found["theta"]).max()) > np.radians(70.0)
     np.testing.assert_allclose((turned.inv() * to_earth(found)[-1]).magnitude(), 0.0, atol=3e-6)
-
-
-def test_bank_and_heading_are_shown_to_the_turn_of_the_record():
     n, dt, r = 401, 0.05, 0.6
     system, u = turning(n, p=0.0, q=0.0, r=r)
     heading = 5.0 * np.pi + 0.2 + r * np.arange(n) * dt
@@ -248,7 +252,6 @@ def test_lateral_modes_are_those_of_the_closed_forms():
     assert system.states == ("beta", "p", "r", "phi")
     x = jnp.array([first[name] for name in system.states])
     found = np.asarray(jax.jacfwd(lambda x: system.motion(x, u)[0])(x))
-
     V, alpha, theta = first["airspeed"], first["alpha"], first["theta"]
     area = 0.5 * first["density"] * V**2 * plane.S
     half = plane.b / (2.0 * V)
@@ -265,7 +268,6 @@ def test_lateral_modes_are_those_of_the_closed_forms():
     hand[1:3, :3] = both
     hand[3, 1:3] = [1.0, np.tan(theta)]
     np.testing.assert_allclose(found, hand, rtol=1e-6, atol=1e-9)
-
     roots = np.linalg.eigvals(found)
     oscillation = roots[np.abs(roots.imag) > 0.1][0]
     fast, slow = sorted(roots[np.abs(roots.imag) < 0.1].real)
@@ -297,3 +299,145 @@ def test_an_axis_without_a_model_is_prescribed():
         assert np.ptp(flight[name]) > 0.1
         np.testing.assert_allclose(found[name], flight[name], atol=2e-4 * np.ptp(flight[name]))
     np.testing.assert_allclose(found["ay"], flight["ay"], atol=2e-3 * np.ptp(flight["ay"]))
+
+
+# Two wings whose separation points lag apart: against another simulator, one wing, and coefficients
+APART = ("wing_asymmetry", "roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "wing_drag_difference")
+STALL = (*six.LONGITUDINAL, *six.LATERAL, *six.STALL)
+PLANE = Strips(tau1=15.0, first=0.01, alpha_star=0.2)
+DT = 0.04
+ALIKE = 0.02
+
+
+def model_and_values(plane=PLANE, effects=(*STALL, *APART)):
+    """The aircraft's own model: the left half stalls `first`, so that the right less the left incidence is less."""
+    model = six.model(effects)
+    known = six.values(
+        plane, model, wing_asymmetry=-plane.first, roll_station=plane.station / (plane.b / 2.0),
+        sideslip_incidence=2.0 * plane.dihedral, alpha_star=plane.alpha_star - plane.first / 2.0,
+    )  # fmt: skip
+    return model, {name: x for name, x in known.items() if name in {p.name for p in model.parameters}}
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """A stall with aileron of the other simulator."""
+    return stranger_six.fly(PLANE, "stall", np.random.default_rng(4), dt=DT, seconds=20.0, V=95.0)
+
+
+def two_winged(plane=PLANE, effects=(*STALL, *APART), **options):
+    model, known = model_and_values(plane, effects)
+    return RigidBody(model, known, six.aircraft(plane), **options)
+
+
+def inputs(flight):
+    return {name: x for name, x in six.channels(flight).items() if name != "density"}
+
+
+@pytest.mark.parametrize("euler", [False, True])
+def test_two_lags_fly_as_those_of_another_simulator(flight, euler):
+    system, u = two_winged(euler=euler), inputs(flight)
+    assert system.states[-2:] == ("X_right", "X_left")
+    first = {name: x[0] for name, x in u.items()}
+    start = system.complete_start(start_of(system, **{n: x[0] for n, x in flight.items()}), first)
+    found = fly(system, system.state_at_start(start), u, DT, 2)
+    assert found.outputs["X"].min() < 0.5
+    assert np.abs(found.states[:, -2] - found.states[:, -1]).max() > 0.1
+    for name in SEEN:
+        atol = 5e-5 * np.ptp(flight[name])  # an aircraft that rolls by itself in the stall grows what rounding leaves
+        np.testing.assert_allclose(found.outputs[name], flight[name], atol=atol, err_msg=name)
+
+
+def test_rates_of_both_points_and_of_the_body_are_those_of_another_simulator(flight):
+    system, k, points = two_winged(), 400, (0.35, 0.6)
+    now = {name: x[k] for name, x in flight.items()}
+    V, alpha, beta = (now[n] for n in ("airspeed", "alpha", "beta"))
+    velocity = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    turning = [now[n] for n in ("p", "q", "r", "phi", "theta", "psi", "altitude")]
+    theirs = PLANE.rates(
+        np.array([*velocity, *turning, points[1], points[0]]), np.array([now[n] for n in stranger_six.CONTROLS])
+    )
+    start = start_of(system, **now, X_right=points[0], X_left=points[1])
+    u = {name: x[k] for name, x in inputs(flight).items()}
+    rates, _ = system.motion(system.state_at_start(start), u)
+    ours = dict(zip(system.states, np.asarray(rates), strict=True))
+    np.testing.assert_allclose([ours["X_left"], ours["X_right"]], theirs[10:], rtol=1e-8)
+    np.testing.assert_allclose([ours[n] for n in ("p", "q", "r")], theirs[3:6], rtol=1e-6)
+    assert abs(theirs[3]) > 0.05
+
+
+def test_wings_that_nothing_tells_apart_fly_as_one():
+    """Without asymmetry, roll or sideslip; elevator and thrust alone move the aircraft."""
+    even = replace(PLANE, first=0.0)
+    t = np.arange(501) * DT
+    u = {"elevator": -0.05 - 0.06 * np.sin(0.25 * t), "thrust": 2e4 + 4e3 * np.sin(0.4 * t)}
+    u = {name: jnp.asarray(x) for name, x in (u | {"aileron": 0.0 * t, "rudder": 0.0 * t}).items()}
+    ends = []
+    for effects in (STALL, (*STALL, *APART)):
+        system = two_winged(even, effects)
+        start = start_of(system, airspeed=95.0, alpha=0.12, theta=0.12, altitude=4000.0)
+        start = system.complete_start(start, {name: x[0] for name, x in u.items()})
+        ends.append((system.states, fly(system, system.state_at_start(start), u, DT, 3)))
+    (one, whole), (two, wings) = ends
+    assert (one[-1:], two[-2:]) == (("X",), ("X_right", "X_left"))
+    assert whole.outputs["X"].min() < 0.5
+    for name, x in whole.outputs.items():
+        np.testing.assert_allclose(wings.outputs[name], x, rtol=1e-9, atol=1e-9, err_msg=name)
+    for side in (-1, -2):
+        np.testing.assert_allclose(wings.states[:, side], whole.states[:, -1], atol=1e-9)
+
+
+def test_coefficients_of_the_record_are_those_of_the_simulation(flight):
+    """The lag of sampled static points against the states that were integrated; linear between samples."""
+    system, u = two_winged(), inputs(flight)
+    first = {name: x[0] for name, x in u.items()}
+    start = system.complete_start(start_of(system, **{n: x[0] for n, x in flight.items()}), first)
+    found = fly(system, system.state_at_start(start), u, DT, 2)
+    n = len(flight["time"])
+    signals = found.outputs | u | {"dt": jnp.full(n, DT), "start": jnp.arange(n) == 0}
+    known = system.model.flow(system.values, signals, system.aircraft)
+    both = np.stack([known["X"] + side * known["X_difference"] / 2.0 for side in (1.0, -1.0)], axis=1)
+    np.testing.assert_allclose(both, found.states[:, -2:], atol=5e-4)
+    for name in ("CL", "CD", "Cm", "CY", "Cl", "Cn"):
+        np.testing.assert_allclose(known[name], found.outputs[name], atol=5e-4 * np.ptp(found.outputs[name]))
+
+
+def test_a_record_is_flown_with_both(flight, tmp_path):
+    """From a card to segments: no record shows separation points, and none of them can be given."""
+    channels = {name: flight[name] for name in (*six.RECORDED, "thrust")}
+    record = FlightRecord.from_arrays("stall", flight["time"], channels, "simulated")
+    flights = join([record], six.card_in(tmp_path, PLANE), ())
+    model, known = model_and_values()
+    dynamics = aircraft_dynamics(model, flights)
+    flown = segments(flights, dynamics, fixed={}, substeps=2)
+    theta = jnp.array([known[name] for name in model.names])
+    found = simulate(flown, theta, jnp.zeros((1, len(dynamics.start))))
+    scale = np.ptp(np.asarray(found.measured[0]), axis=0)
+    assert np.all(np.abs(np.asarray(found.residual[0])) < 2e-4 * scale + 1e-6)
+    with pytest.raises(InputError, match="initial state has X_left"):
+        segments(flights, dynamics, fixed={"X_left": 0.5})
+
+
+def test_a_pilot_flies_them():
+    """Trimmed and led into the stall: the equations of the other simulator hold along the flight."""
+    model, known = model_and_values()
+    trim = rigid_trim(model, known, six.aircraft(PLANE), Condition(95.0, 4000.0))
+    n = 451
+    alpha = trim.state["alpha"] + np.interp(np.arange(n) * DT, [0.0, 3.0, 15.0, 20.0], [0.0, 0.0, 0.1, 0.1])
+    pilot = Pilot(alpha, np.full(n, trim.thrust), trim_gain=0.15)
+    found = fly_rigid(model, known, six.aircraft(PLANE), pilot, trim, DT)
+    assert np.isfinite(found["alpha"]).all()
+    assert found["X"].min() < 0.6
+    flown = {name: found[name] for name in SEEN} | {n: found[n] for n in ("elevator", "aileron", "rudder")}
+    V, alpha = flown["airspeed"][0], flown["alpha"][0]
+    turning = [flown[name][0] for name in ("p", "q", "r", "phi", "theta", "psi", "altitude")]
+    x = np.array([V * np.cos(alpha), 0.0, V * np.sin(alpha), *turning, 0.0, 0.0])
+    x[10:] = PLANE.halves(x)[1]
+    engine = np.full(n, trim.thrust / 2.0)
+    controls = np.stack([*(flown[name] for name in ("elevator", "aileron", "rudder")), engine, engine], axis=1)
+    path = [x]
+    for k in range(n - 1):  # controls linear within a sample; the pilot's follow the state within it, too
+        path.append(stranger_six.advanced(PLANE, path[-1], controls[k], controls[k + 1], DT))
+    theirs = dict(zip(("p", "q", "r", "phi", "theta", "psi", "altitude"), np.array(path).T[3:10], strict=True))
+    for name, values in theirs.items():
+        np.testing.assert_allclose(values, flown[name], atol=ALIKE * np.ptp(values), err_msg=name)

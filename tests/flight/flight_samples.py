@@ -1,5 +1,6 @@
-"""A small sound record, the card's channels for it, and what is said of a bad one."""
+"""Small sound records, what is said of bad ones, and bytes of flight logs by the published specifications."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,13 @@ from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 
+# A small sound record, the card's channels for it, and what is said of a bad one
 CHANNELS = (
-    Channel("time", "s", "T", 1),
-    Channel("alpha", "deg", "ALCG", 2),
-    Channel("q", "deg/s", "QRGY", 3),
-    Channel("airspeed", "kt", "VTAS", 4),
-    Channel("density", "kg/m^3", "RHO", 5),
+    Channel("time", "s", "T", 1), Channel("alpha", "deg", "ALCG", 2), Channel("q", "deg/s", "QRGY", 3),
+    Channel("airspeed", "kt", "VTAS", 4), Channel("density", "kg/m^3", "RHO", 5),
     Channel("static_pressure", "hPa", "PSTAT", 6, required=False),
     Channel("strain", "mm", "GAUGE_7", 7, required=False),
-)
+)  # fmt: skip
 
 
 def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:
@@ -46,3 +45,76 @@ def told(path: Path, channels, *words: str, **options: object) -> str:
     for word in words:
         assert word in message, f"{word!r} is not in {message!r}"
     return message
+
+
+# Bytes of flight logs, written by the formats' published specifications
+def ulog(topics, start: int = 0, dropout_ms: int | None = None) -> bytes:
+    """A PX4 ULog file of version 1 (docs.px4.io, ULog File Format).
+
+    Args:
+        topics: (name, multi_id, fields, stamps, rows): fields as in "float x", stamps in µs, and a row of packed
+            values for each of them.
+        start: time stamp of the header, µs.
+        dropout_ms: duration of a dropout message.
+    """
+
+    def message(kind: str, content: bytes) -> bytes:
+        return struct.pack("<HB", len(content), ord(kind)) + content
+
+    out = [b"ULog\x01\x12\x35\x01", struct.pack("<Q", start), message("B", bytes(40))]
+    for name in dict.fromkeys(name for name, *_ in topics):
+        fields = next(fields for other, _, fields, *_ in topics if other == name)
+        out.append(message("F", f"{name}:uint64_t timestamp;{';'.join(fields)};".encode()))
+    for number, (name, multi_id, *_) in enumerate(topics):
+        out.append(message("A", struct.pack("<BH", multi_id, number) + name.encode()))
+    samples = [
+        (stamp, message("D", struct.pack("<HQ", number, stamp) + row))
+        for number, (_, _, _, stamps, rows) in enumerate(topics)
+        for stamp, row in zip(stamps, rows, strict=True)
+    ]
+    out += [sample for _, sample in sorted(samples)]
+    if dropout_ms is not None:
+        out.append(message("O", struct.pack("<H", dropout_ms)))
+    return b"".join(out)
+
+
+WIDTHS = {"Q": "Q", "B": "B", "b": "b", "f": "f", "c": "h", "L": "i", "d": "d", "n": "4s", "N": "16s", "Z": "64s"}
+
+
+def dataflash(kinds, messages, units=(), multipliers=(), meanings=()) -> bytes:
+    """A binary DataFlash log (ArduPilot, libraries/AP_Logger/LogStructure.h).
+
+    Args:
+        kinds: {type: (name, format, columns)}.
+        messages: (type, values) in their order, values as stored.
+        units: of UNIT messages, (letter, label).
+        multipliers: of MULT messages, (letter, factor).
+        meanings: of FMTU messages, (type, letters of units, letters of multipliers).
+    """
+    own = {
+        128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"), 176: ("UNIT", "QbZ", "TimeUS,Id,Label"),
+        177: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"), 178: ("MULT", "Qbd", "TimeUS,Id,Mult"),
+    }  # fmt: skip
+    layouts = {kind: "<" + "".join(WIDTHS[c] for c in form) for kind, (_, form, _) in (own | kinds).items()}
+
+    def message(kind: int, *values) -> bytes:
+        return struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(layouts[kind], *values)
+
+    out = [
+        message(128, kind, struct.calcsize(layouts[kind]) + 3, name.encode(), form.encode(), columns.encode())
+        for kind, (name, form, columns) in (own | kinds).items()
+    ]
+    start = min((values[0] for _, values in messages), default=0)
+    out += [message(176, start, ord(letter), label.encode()) for letter, label in units]
+    out += [message(178, start, ord(letter), factor) for letter, factor in multipliers]
+    out += [message(177, start, kind, one.encode(), other.encode()) for kind, one, other in meanings]
+    return b"".join([*out, *(message(kind, *values) for kind, values in messages)])
+
+
+def spoilt(data: bytes, seed: int, share: float = 0.02) -> bytes:
+    """Some bytes changed, anywhere but in the first 16."""
+    rng = np.random.default_rng(seed)
+    changed = np.frombuffer(data, np.uint8).copy()
+    at = rng.choice(np.arange(16, len(data)), max(1, int(share * len(data))), replace=False)
+    changed[at] = rng.integers(0, 256, len(at))
+    return changed.tobytes()

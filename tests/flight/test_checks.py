@@ -7,6 +7,7 @@ from flight_samples import sound
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.reading.checks import MIN_SAMPLES, check_record
+from bayes_aero.units import si_unit
 
 T = np.arange(120) * 0.04
 
@@ -26,9 +27,18 @@ def told(record, *words: str, **options) -> None:
         assert word in message, f"{word!r} is not in {message!r}"
 
 
-def test_a_sound_record_passes():
+def test_sound_odd_and_uneven_records_pass():
     check_record(sound())
     check_record(sound(MIN_SAMPLES))
+    check_record(sound(alpha=1.5 * np.sin(T)))  # post-stall
+    check_record(sound(phi=np.linspace(0, 12, 120)))  # two rolls, unwrapped
+    check_record(sound(alpha=0.01 + 0.001 * np.sin(T)))  # a fast, calm record is not "converted twice"
+    check_record(sound(ax=0.0 * T, ay=0.0 * T, az=0.05 * np.sin(T)))  # a parabola
+    check_record(sound(strain=1e9 * T))  # the user's own channel: no bounds are known
+    check_record(sound(time=T + 5e4))
+    check_record(sound(time=np.round(T + 1e-5 * np.sin(np.arange(120)), 5)))  # as in the second ATTAS file
+    check_record(sound(time=put(T, 40, T[40] + 0.01)), even=False)
+    told(sound(time=put(T, 40, T[39])), "repeats", even=False)
 
 
 CASES = {
@@ -72,10 +82,7 @@ CASES = {
         {"alpha": np.full(120, 0.09)},
         ("channel alpha", "stays at 0.09 rad", "sample 0 ", "sample 119 ", "check the sensor"),
     ),
-    "g": (
-        {"ax": 0.1 + 0 * T, "ay": 0 * T, "az": -1.0 - 0.1 * np.sin(T)},
-        ("ax, ay, az", "sample ", 'unit = "g"'),
-    ),
+    "g": ({"ax": 0.1 + 0 * T, "ay": 0 * T, "az": -1.0 - 0.1 * np.sin(T)}, ("ax, ay, az", "sample ", 'unit = "g"')),
 }
 
 
@@ -99,24 +106,7 @@ def test_a_fill_value_is_told_before_any_unit(value):
     told(filled, f"{value:.10g} deg stands at 2 of 120 samples", "sample 11 ", "fill value", channels=degrees)
 
 
-def test_odd_but_possible_flying_passes():
-    check_record(sound(alpha=1.5 * np.sin(T)))  # post-stall
-    check_record(sound(phi=np.linspace(0, 12, 120)))  # two rolls, unwrapped
-    check_record(sound(alpha=0.01 + 0.001 * np.sin(T)))  # a fast, calm record is not "converted twice"
-    check_record(sound(ax=0.0 * T, ay=0.0 * T, az=0.05 * np.sin(T)))  # a parabola
-    check_record(sound(strain=1e9 * T))  # the user's own channel: no bounds are known
-    check_record(sound(time=T + 5e4))
-    check_record(sound(time=np.round(T + 1e-5 * np.sin(np.arange(120)), 5)))  # as in the second ATTAS file
-
-
-def test_uneven_sampling_passes_before_resampling():
-    check_record(sound(time=put(T, 40, T[40] + 0.01)), even=False)
-    told(sound(time=put(T, 40, T[39])), "repeats", even=False)
-
-
 def test_the_table_of_channels():
-    from bayes_aero.units import si_unit
-
     for name, known in STANDARD_CHANNELS.items():
         assert known.name == name
         assert known.plausible[0] < known.plausible[1]

@@ -9,7 +9,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from flight.format_samples import dataflash, spoilt, ulog
+from flight_samples import dataflash, spoilt, ulog
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
@@ -17,6 +17,7 @@ from bayes_aero.flight.readers import excel
 from bayes_aero.flight.readers.base import located
 from bayes_aero.flight.readers.excel import open_excel
 from bayes_aero.flight.readers.isolated import extras
+from bayes_aero.flight.readers.isolated import process as apart
 from bayes_aero.flight.readers.isolated.dataflash import open_dataflash
 from bayes_aero.flight.readers.isolated.mdf import open_mdf
 from bayes_aero.flight.readers.isolated.ulog import open_ulog
@@ -76,11 +77,25 @@ def test_a_sheet_with_preamble_units_and_blank_cells():
     assert "row 4 is taken for the first of the table" in opened.remarks[1]
 
 
-def test_the_first_of_several_tables_is_read_and_named():
+def test_tables_of_a_workbook_are_found_and_three_decimals_are_no_thousands():
     first, second = ([["time", "x"]] + [[0.04 * k, factor * k] for k in range(60)] for factor in (1, 2))
     opened = open_excel(workbook(("One", first), ("Two", second)))
     np.testing.assert_array_equal(values_of(opened, x="x")["x"].values, np.arange(60.0))
     assert "sheet 'One' is read, the first of 2 with a table" in opened.remarks[0]
+    notes = [["Flight 12"], ["Mass", 12000, "kg"], ["time", "x", "y"], ["s", "m"]]
+    late = [[0.04 * k] if k < 10 else [0.04 * k, k, 1] for k in range(70)]
+    opened = open_excel(workbook(("Data", notes + late)))
+    assert [(heading.names, heading.unit) for heading in opened.headings] == [
+        (("time",), "s"), (("x",), "m"), (("y",), None),
+    ]  # fmt: skip
+    x = values_of(opened, time="time", x="x")["x"].values
+    np.testing.assert_array_equal(x, np.r_[np.full(10, np.nan), np.arange(10.0, 70.0)])
+    # Beside a text cell with a decimal comma, 1.234 in a text file would be 1234.
+    rows = [["time", "x"]] + [[k / 8 + 1.0, f"{k},5"] for k in range(60)]
+    opened = open_excel(workbook(("Data", rows)))
+    with pytest.raises(InputError, match="decimal comma"):
+        values_of(opened, time="time", x="x")
+    np.testing.assert_array_equal(values_of(opened, time="time")["time"].values, np.arange(60) / 8 + 1.0)
 
 
 @pytest.mark.parametrize("part", ["date", "clock", "duration"])
@@ -99,44 +114,9 @@ def test_dates_and_times_of_a_sheet_are_seconds_from_the_first(part):
     np.testing.assert_allclose(found["time"].values, 0.04 * np.arange(60), atol=1e-9)
 
 
-def test_three_decimals_are_no_thousands():
-    """Beside a text cell with a decimal comma, 1.234 in a text file would be 1234."""
-    rows = [["time", "x"]] + [[k / 8 + 1.0, f"{k},5"] for k in range(60)]
-    opened = open_excel(workbook(("Data", rows)))
-    with pytest.raises(InputError, match="decimal comma"):
-        values_of(opened, time="time", x="x")
-    np.testing.assert_array_equal(values_of(opened, time="time")["time"].values, np.arange(60) / 8 + 1.0)
-
-
-def test_a_channel_may_begin_late_and_notes_stand_close_to_the_names():
-    notes = [["Flight 12"], ["Mass", 12000, "kg"], ["time", "x", "y"], ["s", "m"]]
-    late = [[0.04 * k] if k < 10 else [0.04 * k, k, 1] for k in range(70)]
-    opened = open_excel(workbook(("Data", notes + late)))
-    assert [(heading.names, heading.unit) for heading in opened.headings] == [
-        (("time",), "s"),
-        (("x",), "m"),
-        (("y",), None),
-    ]
-    x = values_of(opened, time="time", x="x")["x"].values
-    np.testing.assert_array_equal(x, np.r_[np.full(10, np.nan), np.arange(10.0, 70.0)])
-
-
-def test_old_workbooks_are_refused():
+def test_workbooks_that_are_old_or_unpack_without_end_are_refused(monkeypatch):
     with pytest.raises(InputError, match=r"save it as \.xlsx"):
         open_excel(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
-
-
-def rewritten(data: bytes, name: str, old: bytes, new: bytes) -> bytes:
-    """A workbook with a change in one of its parts."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as copy:
-        for entry in source.namelist():
-            content = source.read(entry)
-            copy.writestr(entry, content.replace(old, new, 1) if entry == name else content)
-    return out.getvalue()
-
-
-def test_a_workbook_cannot_unpack_without_end(monkeypatch):
     data = workbook(("Data", [["time", "x"], *([0.04 * k, k] for k in range(60))]))
     bomb = '<!DOCTYPE w [<!ENTITY a "aaaaaaaaaa">' + "".join(
         f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in zip("abcdefghi", "bcdefghij", strict=True)
@@ -152,6 +132,16 @@ def test_a_workbook_cannot_unpack_without_end(monkeypatch):
     monkeypatch.setattr(excel, "MOST_UNPACKED", 1000)
     with pytest.raises(InputError, match="unpacks to"):
         open_excel(data)
+
+
+def rewritten(data: bytes, name: str, old: bytes, new: bytes) -> bytes:
+    """A workbook with a change in one of its parts."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as copy:
+        for entry in source.namelist():
+            content = source.read(entry)
+            copy.writestr(entry, content.replace(old, new, 1) if entry == name else content)
+    return out.getvalue()
 
 
 # ----------------------------------------------------------------------------------------------------------- MDF
@@ -292,11 +282,9 @@ def test_a_clock_that_runs_backwards_is_not_joined_with_another():
 
 def ardupilot() -> bytes:
     kinds = {
-        60: ("ATT", "Qccf", "TimeUS,Roll,Pitch,Aspd"),
-        61: ("IMU", "QBf", "TimeUS,I,GyrX"),
-        62: ("GPS", "QBL", "TimeUS,I,Lat"),
-        63: ("MODE", "QN", "TimeUS,Name"),
-    }
+        60: ("ATT", "Qccf", "TimeUS,Roll,Pitch,Aspd"), 61: ("IMU", "QBf", "TimeUS,I,GyrX"),
+        62: ("GPS", "QBL", "TimeUS,I,Lat"), 63: ("MODE", "QN", "TimeUS,Name"),
+    }  # fmt: skip
     began = 70_000_000
     messages = [(60, (began + 10_000 * k, 100 * k - 5000, -k, 20.0 + k)) for k in range(100)]
     messages += [(61, (began + 2_500 + 10_000 * k, i, k + 0.5 * i)) for k in range(100) for i in range(2)]
@@ -368,8 +356,6 @@ def test_damaged_files_are_read_in_part_or_refused_soon(suffix, how):
 
 
 def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
-    from bayes_aero.flight.readers.isolated import process as apart
-
     parser = tmp_path / "endless.py"
     parser.write_text("def groups(data):\n    while True:\n        pass\n")
     monkeypatch.setattr(apart, "TIME_LIMIT", 2.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 import fuzzing
 import numpy as np
 import pytest
+import xarray as xr
 from flight_samples import CHANNELS, sound
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,11 +23,9 @@ from bayes_aero.units import to_si
 EXAMPLES = {".asc": 150, ".csv": 150, ".mat": 150, ".parquet": 150, ".nc": 25, "classic.nc": 100}
 SUFFIXES = tuple(EXAMPLES)
 MAGIC = {
-    ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
-    ".parquet": b"PAR1",
-    ".nc": b"\x89HDF\r\n\x1a\n",
+    ".mat": b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM", ".parquet": b"PAR1", ".nc": b"\x89HDF\r\n\x1a\n",
     "classic.nc": b"CDF\1",
-}
+}  # fmt: skip
 
 
 IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
@@ -44,8 +43,6 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def valid(folder) -> dict[str, bytes]:
-    import xarray as xr
-
     contents = {}
     for suffix in EXAMPLES:
         path = folder / f"valid{suffix}"

@@ -1,6 +1,6 @@
-"""Text files as loggers write them: every layout is read as the same record, or refused in words that help."""
+"""Text files as loggers write them: layouts, quoted cells and headings, read alike or refused in words that help."""
 
-from __future__ import annotations
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,13 +8,16 @@ import pytest
 from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers.clock import seconds
 from bayes_aero.flight.readers.layout import laid_out, separator_of
 from bayes_aero.flight.readers.numbers import Marks, marks_of, number_of
 from bayes_aero.flight.reading.raw import read_raw
 from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.jobs.card.column_inference import guessed
 
+# Text files as loggers write them: every layout is read as the same record, or refused in words that help
 LABELS = [channel.heading for channel in CHANNELS]
 
 
@@ -50,21 +53,18 @@ UNITS = ",".join(f"[{channel.unit}]" for channel in CHANNELS) + "\n"
 LONG = ",".join(f"Long name {k}" for k in range(len(LABELS))) + "\n"
 
 
-@pytest.mark.parametrize(
-    "above",
-    [
-        HEADER,
-        "sep=,\n" + HEADER,
-        "Aircraft,Demo\nDate,2024-05-06\nSampling,25 Hz\n\n" + HEADER,
-        "Flight test 7\n25 Hz, cut by hand\n" + HEADER + UNITS,
-        HEADER + UNITS,
-        LONG + HEADER,
-        HEADER + LONG + UNITS,
-        "#info,log_version=1.00\n" + LONG + HEADER,
-        "# " + HEADER,
-        "% " + HEADER,
-    ],
-)
+@pytest.mark.parametrize("above", [
+    HEADER,
+    "sep=,\n" + HEADER,
+    "Aircraft,Demo\nDate,2024-05-06\nSampling,25 Hz\n\n" + HEADER,
+    "Flight test 7\n25 Hz, cut by hand\n" + HEADER + UNITS,
+    HEADER + UNITS,
+    LONG + HEADER,
+    HEADER + LONG + UNITS,
+    "#info,log_version=1.00\n" + LONG + HEADER,
+    "# " + HEADER,
+    "% " + HEADER,
+])  # fmt: skip
 def test_what_stands_above_the_samples(tmp_path, above):
     path = tmp_path / "a.csv"
     body = columns(table(tmp_path), ",")
@@ -76,30 +76,31 @@ def test_what_stands_above_the_samples(tmp_path, above):
     same(path)
 
 
-def test_columns_between_blanks_with_names_and_units(tmp_path):
+def test_columns_between_blanks_in_utf16_and_without_a_name(tmp_path):
     path = tmp_path / "a.asc"
     body = columns(table(tmp_path), "   ")
     path.write_text("Date file: flight\n7 variables\n\n  " + "   ".join(LABELS) + "\n" + body)
     same(path)
     path.write_text("   ".join(f"{label} raw" for label in LABELS) + "\n" + body)  # names of two words
     assert [column.label for column in read_raw(path).columns] == [f"{label} raw" for label in LABELS]
+    text = HEADER.strip() + ",\n" + columns(table(tmp_path), ",").replace("\n", ",\n")
+    (tmp_path / "a.csv").write_text(text, encoding="utf-16")
+    same(tmp_path / "a.csv")
+    assert [column.label for column in read_raw(tmp_path / "a.csv").columns] == LABELS
 
 
-def test_a_header_that_names_too_few_columns(tmp_path):
+def test_headers_and_first_samples_at_odds_are_told(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(",".join(LABELS[:-2]) + "\n" + columns(table(tmp_path), ","))
     with pytest.raises(InputError, match=rf"header in line 1 names {len(LABELS) - 2} columns.* have {len(LABELS)}"):
         read_record(path, CHANNELS)
-
-
-def test_a_damaged_first_sample_is_not_taken_for_a_preamble(tmp_path):
     lines = (HEADER + columns(table(tmp_path), ",")).splitlines()
     lines[1] = lines[1].rsplit(",", 1)[0]
     (tmp_path / "a.csv").write_text("\n".join(lines))
     told(tmp_path / "a.csv", CHANNELS, "line 2", f"{len(LABELS) - 1} columns", "complete or delete")
 
 
-def test_fortran_exponents_and_overflows(tmp_path):
+def test_thousands_fortran_exponents_and_overflows(tmp_path):
     frame = table(tmp_path)
     path = tmp_path / "a.asc"
     rows = ["  ".join(f"{x:.9E}".replace("E", "D") for x in row) for row in frame.to_numpy()]
@@ -109,10 +110,6 @@ def test_fortran_exponents_and_overflows(tmp_path):
     path.write_text("\n".join(rows))
     told(path, CHANNELS, CHANNELS[2].name, "sample 30", "resampling")
     same(path, resample=0.04)
-
-
-def test_thousands(tmp_path):
-    frame = table(tmp_path)
     path = tmp_path / "a.csv"
     big = [f"{1000.0 * k + 4562:,.0f}" for k in range(len(frame))]
     text = frame.assign(H=big).to_csv(index=False, sep=";")
@@ -123,31 +120,16 @@ def test_thousands(tmp_path):
     assert any("thousands" in remark for remark in record.remarks)
 
 
-@pytest.mark.parametrize(
-    ("cells", "marks"),
-    [
-        (["1,5", "0,040"], Marks(",")),
-        (["4,562", "0.9"], Marks(".", ",")),
-        (["4.562,3", "0,9"], Marks(",", ".")),
-        (["1,234,567"], Marks(".", ",")),
-        (["4,562.5"], Marks(".", ",")),
-        (["1.5", "7"], Marks(".")),
-        (["1,5E-03"], Marks(",")),
-        (["-0,123"], Marks(",")),
-    ],
-)
+@pytest.mark.parametrize(("cells", "marks"), [
+    (["1,5", "0,040"], Marks(",")), (["4,562", "0.9"], Marks(".", ",")), (["4.562,3", "0,9"], Marks(",", ".")),
+    (["1,234,567"], Marks(".", ",")), (["4,562.5"], Marks(".", ",")), (["1.5", "7"], Marks(".")),
+    (["1,5E-03"], Marks(",")), (["-0,123"], Marks(",")),
+])  # fmt: skip
 def test_marks(cells, marks):
     assert marks_of(cells) == marks
 
 
-def test_marks_that_nothing_tells():
-    with pytest.raises(InputError, match=r"4,562.*decimal comma or stand before thousands"):
-        marks_of(["4,562", "5"])
-    with pytest.raises(InputError, match=r"decimal comma and .* decimal point"):
-        marks_of(["1,5", "0.25"])
-
-
-def test_numbers():
+def test_numbers_and_marks_that_nothing_tells():
     assert number_of("1.5D+02", Marks()) == 150.0
     assert number_of("1.234,5", Marks(",", ".")) == 1234.5
     assert number_of("12'345.5", Marks()) == 12345.5
@@ -155,21 +137,22 @@ def test_numbers():
     for cell in ("1_000", "12:30", "abc", "1 2"):
         with pytest.raises(ValueError, match=r"."):
             number_of(cell, Marks())
+    with pytest.raises(InputError, match=r"4,562.*decimal comma or stand before thousands"):
+        marks_of(["4,562", "5"])
+    with pytest.raises(InputError, match=r"decimal comma and .* decimal point"):
+        marks_of(["1,5", "0.25"])
 
 
-@pytest.mark.parametrize(
-    ("cells", "expected"),
-    [
-        (["10:23:45.000", "10:23:45.040"], [0.0, 0.04]),
-        (["23:59:59.5", "00:00:00.5"], [0.0, 1.0]),
-        (["59:59.9", "00:00.1"], [0.0, 0.2]),
-        (["127:23:59:59.0", "128:00:00:01.5"], [0.0, 2.5]),
-        (["2024-05-06T10:23:45.5Z", "2024-05-06T10:23:46Z"], [0.0, 0.5]),
-        (["2024-05-06 23:59:59", "2024-05-07 00:00:01"], [0.0, 2.0]),
-        (["05/06/2024 10:23:45.25", "05/06/2024 10:23:46.00"], [0.0, 0.75]),
-        (["10:23:45 AM", "10:23:47 AM"], [0.0, 2.0]),
-    ],
-)
+@pytest.mark.parametrize(("cells", "expected"), [
+    (["10:23:45.000", "10:23:45.040"], [0.0, 0.04]),
+    (["23:59:59.5", "00:00:00.5"], [0.0, 1.0]),
+    (["59:59.9", "00:00.1"], [0.0, 0.2]),
+    (["127:23:59:59.0", "128:00:00:01.5"], [0.0, 2.5]),
+    (["2024-05-06T10:23:45.5Z", "2024-05-06T10:23:46Z"], [0.0, 0.5]),
+    (["2024-05-06 23:59:59", "2024-05-07 00:00:01"], [0.0, 2.0]),
+    (["05/06/2024 10:23:45.25", "05/06/2024 10:23:46.00"], [0.0, 0.75]),
+    (["10:23:45 AM", "10:23:47 AM"], [0.0, 2.0]),
+])  # fmt: skip
 def test_clock_times(cells, expected):
     np.testing.assert_allclose(seconds(cells), expected, atol=1e-9)
 
@@ -194,13 +177,9 @@ def test_several_rates_are_interpolated_on_request(tmp_path):
     frame.loc[np.arange(len(frame)) % 5 != 0, "H"] = np.nan
     frame.to_csv(tmp_path / "a.csv", index=False)
     told(
-        tmp_path / "a.csv",
-        channels,
-        "altitude",
-        "of 5 Hz in a file of several rates",
-        "25 Hz the fastest",
+        tmp_path / "a.csv", channels, "altitude", "of 5 Hz in a file of several rates", "25 Hz the fastest",
         "--resample 0.04",
-    )
+    )  # fmt: skip
     record = read_record(tmp_path / "a.csv", channels, resample=0.04)
     np.testing.assert_allclose(record["altitude"], 5000.0 + 100.0 * np.sin(0.5 * record.time), atol=0.02)
     assert "missing samples of altitude (5 Hz in a file of 25 Hz)" in record.remarks[0]
@@ -222,16 +201,108 @@ def test_a_unit_in_the_heading_counts(tmp_path):
     assert record["calibrated_airspeed"][0] == pytest.approx(200.0 * 1852.0 / 3600.0, rel=1e-9)
 
 
-def test_utf16_and_a_column_without_name(tmp_path):
-    text = HEADER.strip() + ",\n" + columns(table(tmp_path), ",").replace("\n", ",\n")
-    (tmp_path / "a.csv").write_text(text, encoding="utf-16")
-    same(tmp_path / "a.csv")
-    assert [column.label for column in read_raw(tmp_path / "a.csv").columns] == LABELS
-
-
 def test_a_table_of_two_columns():
     rows = ["Sampling;25 Hz", "time;alpha", *(f"0,{k:02d};1,{k}" for k in range(10, 60))]
     lines = list(enumerate(rows, 1))
     layout = laid_out(lines, separator_of(lines))
     assert [h.names for h in layout.headings] == [("Sampling", "time"), ("25 Hz", "alpha")]
     assert len(layout.body) == 50
+
+
+# CSV files with quoted cells that hold the separator: headings, decimal commas, and what cannot be told
+QUOTED = (Channel("time", "s", "T"), Channel("alpha", "deg", "alpha, left vane"), Channel("altitude", "m", "H"))
+
+
+def quoted_file(folder):
+    """Commas between 60 rows' cells, and decimal ones within quotes."""
+    rows = [f'"{0.04 * i:.2f}","{0.5 + 0.01 * i:.2f}","{5000 + i}"' for i in range(60)]
+    path = folder / "quoted.csv"
+    path.write_text("\n".join(['T,"alpha, left vane",H', *(row.replace(".", ",") for row in rows)]))
+    return path
+
+
+def test_quoted_cells_with_commas_are_read_and_their_errors_placed(tmp_path):
+    record = read_record(quoted_file(tmp_path), QUOTED)
+    np.testing.assert_allclose(record.time, 0.04 * np.arange(60), atol=1e-12)
+    np.testing.assert_allclose(record["alpha"], np.deg2rad(0.5 + 0.01 * np.arange(60)), rtol=1e-12)
+    assert record["altitude"][-1] == 5059.0
+    labels = [column.label for column in read_raw(tmp_path / "quoted.csv").columns]
+    assert labels == ["T", "alpha, left vane", "H"]
+    # "5,000" is five thousand where points stand before decimals, and cannot be told where nothing else speaks.
+    path = quoted_file(tmp_path)
+    rows = path.read_text().splitlines()
+    points = [re.sub(r'"(\d),', r'"\1.', row).replace('"50', '"5,0') for row in rows[1:]]
+    path.write_text("\n".join([rows[0], *points]))
+    assert read_record(path, QUOTED)["altitude"][0] == 5000.0
+    path.write_text("\n".join(["T,H", *(f'{i},"5,{i:03d}"' for i in range(60))]))
+    told(path, (QUOTED[0], QUOTED[2]), "'5,059'", "decimal comma", "thousands")
+    path.write_text("\n".join(["T,H", *(f'{i},"0,{i:03d}"' for i in range(60))]))  # no thousands begin with 0
+    assert read_record(path, (QUOTED[0], QUOTED[2]))["altitude"][59] == 0.059
+    path = quoted_file(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[20] = '"0,76","a, b",5019'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "channel alpha", "line 21", "column 2", "sample 19")
+    lines[20] = '"0,76","0,69"'
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, "line 21", "2 columns where 3")
+
+
+@pytest.mark.parametrize("row", [0, 1, 30, 60])
+def test_a_quote_that_is_not_closed(tmp_path, row):
+    path = quoted_file(tmp_path)
+    lines = path.read_text().splitlines()
+    at = lines[row].rindex('"')
+    lines[row] = lines[row][:at] + lines[row][at + 1 :]
+    path.write_text("\n".join(lines))
+    told(path, QUOTED, f"line {row + 1} has a quote that is not closed", "close it")
+
+
+# Headings of files that nobody here has written
+@pytest.mark.parametrize(("heading", "channel", "unit"), [
+    ("Q gyro [deg/s]", "q", "deg/s"), ("NZ up [g]", "az", "g"), ("Pitch Att [deg]", "theta", "deg"),
+    ("measured AoA (deg)", "alpha", "deg"), ("TAS (kn)", "airspeed", "kt"), ("ADC_TAS_KT", "airspeed", "kt"),
+    ("BOOM_AOA_DEG", "alpha", "deg"), ("INS_PITCH_DEG", "theta", "deg"), ("INS_Q [deg/s]", "q", "deg/s"),
+    ("INS_NZ_G", "az", "g"), ("UTC_SEC", "time", "s"), ("ENG_THRUST_LBF", "thrust", "lbf"),
+    ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
+])  # fmt: skip
+def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
+    key, found = split_heading(plain_heading(heading))
+    assert (ALIASES.get(key), found) == (channel, unit)
+
+
+@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor", "ADC_RAW"])
+def test_a_heading_of_such_words_alone_stays(heading):
+    assert plain_heading(heading) == heading
+
+
+@pytest.mark.parametrize(("heading", "symbol"), [
+    ("Long. Load Factor nx [g]", "nx"), ("Boom No. 2 AoA (deg)", "aoa"), ("ADC1_TAS", "tas"),
+    ("No2_AoA_deg", "aoa"), ("Commanded theta [deg]", None), ("alpha limit [deg]", None), ("", None),
+])  # fmt: skip
+def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
+    assert symbol_of(heading) == symbol
+    assert symbol is None or symbol in ALIASES
+
+
+@pytest.mark.parametrize(("left", "right", "whole"), [
+    ("AileronL [deg]", "AileronR [deg]", "aileron"), ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
+    ("SpoilerL", "SpoilerR", "spoiler"), ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
+    ("Left Elevon", "Right Elevon", "elevon"), ("ThrottleL", "ThrottleR", "throttle"),
+])  # fmt: skip
+def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
+    """The left aileron alone is no aileron: it would be half of it, with the other sign."""
+    path = tmp_path / "run.csv"
+    path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
+    found, _ = guessed(read_raw(path).columns)
+    assert {name: guess.column.number for name, guess in found.items()} == {
+        "time": 1, f"{whole}_right": 2, f"{whole}_left": 3,
+    }  # fmt: skip
+
+
+def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [s],elevator_cmd [deg]\n" + "\n".join(f"{0.1 * i:.1f},{i}" for i in range(60)))
+    found, unknown = guessed(read_raw(path).columns)
+    assert list(found) == ["time"]
+    assert [column.label for column in unknown] == ["elevator_cmd [deg]"]

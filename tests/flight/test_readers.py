@@ -1,12 +1,17 @@
 """Sound files come back as written; every bad one is told in one sentence with file, channel, sample and remedy."""
 
+import hashlib
 import os
 import pickle
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from flight_samples import CHANNELS, sound, told
+from scipy.io import netcdf_file, savemat
 
 from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
@@ -17,6 +22,7 @@ from bayes_aero.flight.reading.read_record import read_record, write_record
 from bayes_aero.flight.record import FlightRecord
 
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
+TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
 NAMED = (".csv", ".mat", ".parquet", ".nc")
 
 
@@ -36,11 +42,8 @@ def test_round_trip(tmp_path, suffix):
         np.testing.assert_allclose(back[name], record[name], rtol=4e-16, atol=1e-18)
 
 
-def test_the_command_line_lists_the_formats():
+def test_formats_are_listed_and_tested():
     assert set(SUFFIXES.split()) == set(READERS) - {".tsv", ".txt", ".dat"}  # variants of .csv and .asc
-
-
-def test_all_formats_are_tested():
     assert set(FORMATS) == set(READERS) - {".tsv", ".xlsx", ".mf4", ".ulg", ".bin"}  # test_layouts.py, test_formats.py
 
 
@@ -51,28 +54,25 @@ def test_the_file_s_own_unit_is_held_against_the_card(tmp_path, suffix, remap):
     assert read_record(path, remap("q", unit="degree / second")).has("q")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "T,ALCG,QRGY,VTAS,RHO\n{rows}",
-        "\ufeffT,ALCG,QRGY,VTAS,RHO\r\n{rows}",
-        "# a comment\n\nT; ALCG; QRGY; VTAS; RHO\n{semicolons}",
-        "T;ALCG;QRGY;VTAS;RHO\n{decimal_commas}",
-        "T\tALCG\tQRGY\tVTAS\tRHO\n{tabs}",
-        '"T","ALCG","QRGY","VTAS","RHO"\n{rows}',
-        "T,ALCG,QRGY,VTAS,RHO\ns,deg,deg/s,kt,kg/m3\n{rows}",
-        "T,ALCG,QRGY,VTAS,RHO\n[s],[°],[deg/s],[kt],[-]\n{rows}".replace("[-]", "[kg/m^3]"),
-        "T,ALCG,QRGY,VTAS,RHO\n{rows}\n\n# the end\n",
-        "T,ALCG,QRGY,VTAS,RHO\n{trailing}",
-        "NOTE,T,ALCG,QRGY,VTAS,RHO\n{with_text}",
-        '"T","ALCG","QRGY","VTAS","RHO"\n{quoted_commas}',
-        'T,ALCG,QRGY,VTAS,RHO\n"s","deg","deg/s","kt","kg/m3"\n{quoted_commas}',
-        '"NOTE, with ""a"" comma",T,ALCG,QRGY,VTAS,RHO\n{quoted_text}',
-        '"a, b, c, d, e, f";T;ALCG;QRGY;VTAS;RHO\n{quoted_semicolons}',
-        '"T"\t"ALCG"\t"QRGY"\t"VTAS"\t"RHO"\n{quoted_tabs}',
-        "T,ALCG,QRGY,VTAS,RHO\n{quoted_trailing}",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "T,ALCG,QRGY,VTAS,RHO\n{rows}",
+    "\ufeffT,ALCG,QRGY,VTAS,RHO\r\n{rows}",
+    "# a comment\n\nT; ALCG; QRGY; VTAS; RHO\n{semicolons}",
+    "T;ALCG;QRGY;VTAS;RHO\n{decimal_commas}",
+    "T\tALCG\tQRGY\tVTAS\tRHO\n{tabs}",
+    '"T","ALCG","QRGY","VTAS","RHO"\n{rows}',
+    "T,ALCG,QRGY,VTAS,RHO\ns,deg,deg/s,kt,kg/m3\n{rows}",
+    "T,ALCG,QRGY,VTAS,RHO\n[s],[°],[deg/s],[kt],[-]\n{rows}".replace("[-]", "[kg/m^3]"),
+    "T,ALCG,QRGY,VTAS,RHO\n{rows}\n\n# the end\n",
+    "T,ALCG,QRGY,VTAS,RHO\n{trailing}",
+    "NOTE,T,ALCG,QRGY,VTAS,RHO\n{with_text}",
+    '"T","ALCG","QRGY","VTAS","RHO"\n{quoted_commas}',
+    'T,ALCG,QRGY,VTAS,RHO\n"s","deg","deg/s","kt","kg/m3"\n{quoted_commas}',
+    '"NOTE, with ""a"" comma",T,ALCG,QRGY,VTAS,RHO\n{quoted_text}',
+    '"a, b, c, d, e, f";T;ALCG;QRGY;VTAS;RHO\n{quoted_semicolons}',
+    '"T"\t"ALCG"\t"QRGY"\t"VTAS"\t"RHO"\n{quoted_tabs}',
+    "T,ALCG,QRGY,VTAS,RHO\n{quoted_trailing}",
+])  # fmt: skip
 def test_csv_as_people_write_it(tmp_path, text):
     r = sound()
     rows = [
@@ -84,18 +84,14 @@ def test_csv_as_people_write_it(tmp_path, text):
     body = "\n".join(rows)
     quoted = "\n".join('"' + row.replace(",", '","') + '"' for row in rows)
     text = text.format(
-        rows=body,
-        semicolons=body.replace(",", "; "),
-        decimal_commas=body.replace(",", ";").replace(".", ","),
-        tabs=body.replace(",", "\t"),
-        trailing="\n".join(row + "," for row in rows),
-        with_text="\n".join("level," + row for row in rows),
-        quoted_commas=quoted.replace(".", ","),
+        rows=body, semicolons=body.replace(",", "; "), decimal_commas=body.replace(",", ";").replace(".", ","),
+        tabs=body.replace(",", "\t"), trailing="\n".join(row + "," for row in rows),
+        with_text="\n".join("level," + row for row in rows), quoted_commas=quoted.replace(".", ","),
         quoted_text="\n".join('"level, ""trimmed""; 2",' + row for row in rows),
         quoted_semicolons="\n".join('"x;y";' + row.replace(",", ";").replace(".", ",") for row in rows),
         quoted_tabs=quoted.replace('","', '"\t"'),
         quoted_trailing="\n".join(row + "," for row in quoted.split("\n")),
-    )
+    )  # fmt: skip
     path = tmp_path / "people.csv"
     path.write_bytes(text.encode("utf-8"))
     back = read_record(path, CHANNELS)
@@ -105,8 +101,6 @@ def test_csv_as_people_write_it(tmp_path, text):
 
 
 def test_provenance_and_case_of_suffix(tmp_path):
-    import hashlib
-
     path = written(tmp_path, sound()).rename(tmp_path / "flight.CSV")
     record = read_record(str(path), CHANNELS)
     assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -116,13 +110,10 @@ def test_provenance_and_case_of_suffix(tmp_path):
 # The file itself
 
 
-def test_missing_file_names_its_neighbour(tmp_path):
+def test_paths_that_are_no_files(tmp_path):
     written(tmp_path, sound())
     told(tmp_path / "fligt.csv", CHANNELS, "no such file", "did you mean flight.csv?")
     told(tmp_path / "nowhere" / "flight.csv", CHANNELS, "folder", "does not exist", "correct the path")
-
-
-def test_not_a_file(tmp_path):
     (tmp_path / "d.csv").mkdir()
     told(tmp_path / "d.csv", CHANNELS, "directory", "name a file")
     (tmp_path / "e.csv").touch()
@@ -170,14 +161,10 @@ def test_binary_named_as_text(tmp_path, suffix):
 # The card
 
 
-def test_odd_cards(tmp_path, channels):
+def test_odd_channels_and_impossible_units_of_a_card(tmp_path, channels, remap):
     path = written(tmp_path, sound())
     told(path, channels[1:], "channel time", "[channels]")
     told(path, (*channels, channels[1]), "channel alpha", "twice", "keep one")
-
-
-def test_impossible_units(tmp_path, remap):
-    path = written(tmp_path, sound())
     told(path, remap("alpha", unit="degre"), "channel alpha", "'degre'", "not known", '"deg"')
     told(path, remap("airspeed", unit="hPa"), "channel airspeed", "'hPa'", "'m/s'", "correct the unit")
     told(path, remap("q", unit="Hz"), "channel q", "'Hz'", '"rad/s"')
@@ -194,19 +181,16 @@ def test_missing_named_channel(tmp_path, suffix, remap):
     assert not read_record(path, remap("strain", label="no such")).has("strain")
 
 
-def test_missing_numbered_channel(tmp_path, remap):
+def test_numbered_channels_that_are_missing_and_headings_that_stand_twice(tmp_path, remap):
     path = written(tmp_path, sound(), ".asc")
     told(path, remap("alpha", column=12), "channel alpha", "column 12", "7 columns", "correct the column")
     told(path, remap("alpha", column=None), "channel alpha", "no column number", "add column = N")
     assert not read_record(path, remap("strain", column=8)).has("strain")
     assert not read_record(path, remap("strain", column=None)).has("strain")
     told(path, remap("time", column=99, required=False), "channel time", "required = true")
-
-
-def test_same_heading_twice(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("T,ALCG,ALCG\n0,1,2\n")
-    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "channel alpha", "2 columns", "rename")
+    told(path, TWO, "channel alpha", "2 columns", "rename")
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".csv"])
@@ -235,9 +219,9 @@ def test_text_where_a_number_should_be(tmp_path, suffix, cell, what):
 def test_empty_cell_and_headers_at_odds_with_the_format(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("T,ALCG\n0,1\n0.04,\n")
-    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "2 samples; at least 50")
+    told(path, TWO, "2 samples; at least 50")
     path.write_text("T,ALCG\n")
-    told(path, (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")), "no samples", "again")
+    told(path, TWO, "no samples", "again")
     path = written(tmp_path, sound(), ".csv").rename(tmp_path / "b.asc")
     path.write_text(path.read_text().replace(",", " "))
     np.testing.assert_allclose(
@@ -255,25 +239,19 @@ def test_empty_cell_and_headers_at_odds_with_the_format(tmp_path):
 
 
 def test_object_columns_are_refused(tmp_path):
-    import pandas as pd
-
     frame = pd.DataFrame({"T": np.arange(60) * 0.04, "ALCG": ["x"] * 60})
-    card = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
     frame.to_parquet(tmp_path / "a.parquet")
-    told(tmp_path / "a.parquet", card, "channel alpha", "numbers should be", "plain numbers")
+    told(tmp_path / "a.parquet", TWO, "channel alpha", "numbers should be", "plain numbers")
     frame["T"] = pd.date_range("2020-01-01", periods=60, freq="40ms")
     frame.to_parquet(tmp_path / "b.parquet")
     frame["ALCG"] = np.arange(60.0)
     frame.to_parquet(tmp_path / "b.parquet")
-    np.testing.assert_allclose(read_record(tmp_path / "b.parquet", card).time, np.arange(60) * 0.04, atol=1e-9)
+    np.testing.assert_allclose(read_record(tmp_path / "b.parquet", TWO).time, np.arange(60) * 0.04, atol=1e-9)
     (tmp_path / "c.parquet").write_bytes(pickle.dumps(frame))
-    told(tmp_path / "c.parquet", card, "not a readable Parquet")
+    told(tmp_path / "c.parquet", TWO, "not a readable Parquet")
 
 
-def test_mat_with_struct_text_or_matrix(tmp_path):
-    from scipy.io import savemat
-
-    card = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
+def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
     t = np.arange(60) * 0.04
     for value, words in (
         ({"x": t}, ("did you mean 'ALCG.x'",)),
@@ -282,19 +260,15 @@ def test_mat_with_struct_text_or_matrix(tmp_path):
         (np.ones(59), ("59 samples", "60", "same length")),
     ):
         savemat(tmp_path / "a.mat", {"T": t, "ALCG": value})
-        told(tmp_path / "a.mat", card, "channel alpha", *words)
+        told(tmp_path / "a.mat", TWO, "channel alpha", *words)
     savemat(tmp_path / "v4.mat", {"T": t}, format="4")
-    told(tmp_path / "v4.mat", card, "version 5 to 7.3", "-v7")
-
-
-def test_mat_that_unpacks_into_too_much(tmp_path, monkeypatch):
+    told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
     path = written(tmp_path, sound(2000), ".mat")
     monkeypatch.setattr("bayes_aero.flight.readers.mat.MAX_VALUES", 100)
     told(path, CHANNELS, "claims", "-v7")
 
 
-def test_matlab_v73(tmp_path):
-    h5py = pytest.importorskip("h5py")
+def test_matlab_v73_and_absurd_claims_of_hdf5(tmp_path):
     r = sound()
     path = tmp_path / "v73.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -303,29 +277,9 @@ def test_matlab_v73(tmp_path):
         file["s"] = "text"
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
-    card = [Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")]
-    np.testing.assert_allclose(read_record(path, card)["alpha"], r["alpha"], rtol=1e-15)
-    told(path, [*card, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
-    told(path, [*card, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
-
-
-def test_hdf5_without_h5py(tmp_path, monkeypatch):
-    path = written(tmp_path, sound(), ".nc")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.find_spec", lambda _: None)
-    told(path, CHANNELS, "h5py is not installed", "install h5py")
-
-
-def test_hdf5_that_takes_for_ever_or_crashes(tmp_path, monkeypatch):
-    path = written(tmp_path, sound(), ".nc")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.TIME_LIMIT", 0.001)
-    told(path, CHANNELS, "did not finish", "write it again")
-    monkeypatch.undo()
-    monkeypatch.setattr("sys.executable", "/bin/false")
-    told(path, CHANNELS, "crashed", "write it again")
-
-
-def test_absurd_claims_take_no_memory(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    np.testing.assert_allclose(read_record(path, TWO)["alpha"], r["alpha"], rtol=1e-15)
+    told(path, [*TWO, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
+    told(path, [*TWO, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
     path = tmp_path / "huge.nc"
     with h5py.File(path, "w") as file:
         file.create_dataset("T", shape=(10**12,), chunks=(1000,), dtype="f8")
@@ -333,20 +287,42 @@ def test_absurd_claims_take_no_memory(tmp_path):
     told(path, [Channel("time", "s", "T")], "channel time", "1000000000000 samples", "damaged")
 
 
-def test_netcdf_conventions(tmp_path):
-    import xarray as xr
+def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
+    path = written(tmp_path, sound(), ".nc")
+    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.TIME_LIMIT", 0.001)
+    told(path, CHANNELS, "did not finish", "write it again")
+    monkeypatch.undo()
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    told(path, CHANNELS, "crashed", "write it again")
+    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.find_spec", lambda _: None)
+    told(path, CHANNELS, "h5py is not installed", "install h5py")
 
+
+def test_netcdf_conventions_and_what_are_no_measured_numbers(tmp_path):
     r = sound()
     packed = np.round(np.rad2deg(r["alpha"]) / 0.001).astype("i4")
     packed[7] = -9999
     about = {"scale_factor": 0.001, "add_offset": 0.0, "_FillValue": np.int32(-9999), "units": "degrees"}
     data = xr.Dataset({"T": ("t", r.time), "ALCG": ("t", packed, about)})
-    card = [Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG")]
     for engine in ("h5netcdf", "scipy"):
         path = tmp_path / f"{engine}.nc"
         data.to_netcdf(path, engine=engine)
-        told(path, card, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
+        told(path, TWO, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
         data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
+    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
+    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
+    for about, words in (
+        (flags, ("channel flap", "flags", "flag_meanings")),
+        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
+        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
+    ):
+        for engine in ("h5netcdf", "scipy"):
+            path = tmp_path / f"{engine}.nc"
+            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
+            data = xr.Dataset(columns)
+            data["FLAP"].attrs = about
+            data.to_netcdf(path, engine=engine)
+            told(path, card, *words)
 
 
 PACKED = {
@@ -383,9 +359,6 @@ UNPACKED = [
 @pytest.mark.parametrize("suffix", [".nc", "classic.nc"])
 def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
     """By hand, after the CF conventions and the NetCDF User's Guide."""
-    import h5py
-    from scipy.io import netcdf_file
-
     path = tmp_path / f"packed{suffix}"
     names = [f"v{i}" for i in range(len(PACKED))]
     if suffix == ".nc":
@@ -406,30 +379,8 @@ def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
         np.testing.assert_allclose(read[name], right, rtol=1e-14, err_msg=case)
 
 
-def test_netcdf_refuses_what_are_no_measured_numbers(tmp_path):
-    import xarray as xr
-
-    r = sound()
-    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
-    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
-    for about, words in (
-        (flags, ("channel flap", "flags", "flag_meanings")),
-        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
-        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
-    ):
-        for engine in ("h5netcdf", "scipy"):
-            path = tmp_path / f"{engine}.nc"
-            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
-            data = xr.Dataset(columns)
-            data["FLAP"].attrs = about
-            data.to_netcdf(path, engine=engine)
-            told(path, card, *words)
-
-
-def test_time_since_a_date_is_in_its_unit(tmp_path):
+def test_netcdf_of_the_classic_format_and_times_since_a_date(tmp_path):
     """At 1 kHz a step of 1 ms could be one of 1 s."""
-    import xarray as xr
-
     r = sound()
     columns = {"T": ("t", 1000.0 * r.time, {"units": "milliseconds since 2020-01-01"}), "ALCG": ("t", r["alpha"])}
     for engine in ("h5netcdf", "scipy"):
@@ -438,12 +389,6 @@ def test_time_since_a_date_is_in_its_unit(tmp_path):
         told(path, [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")], "'milliseconds'", 'unit = "ms"')
         read = read_record(path, [Channel("time", "ms", "T"), Channel("alpha", "rad", "ALCG")])
         np.testing.assert_allclose(read.time, r.time, rtol=1e-14)
-
-
-def test_classic_netcdf(tmp_path):
-    import xarray as xr
-
-    r = sound()
     path = tmp_path / "classic.nc"
     about = {"units": "rad"}
     xr.Dataset({"T": ("t", r.time), "ALCG": ("t", r["alpha"], about)}).to_netcdf(path, engine="scipy")
@@ -455,7 +400,7 @@ def test_classic_netcdf(tmp_path):
 # Writing
 
 
-def test_writing_refuses_what_cannot_be_read_back(tmp_path, remap):
+def test_what_is_written_can_be_read_back(tmp_path, remap):
     record = sound()
     for path, channels, words in (
         (tmp_path / "a.xls", CHANNELS, (".csv", "suffix")),
@@ -469,9 +414,5 @@ def test_writing_refuses_what_cannot_be_read_back(tmp_path, remap):
         for word in words:
             assert word in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_optional_channels_are_left_out_of_writing(tmp_path):
-    record = sound()
     lean = FlightRecord.from_arrays("lean", record.time, {k: v for k, v in record.channels.items() if k != "strain"})
     assert not read_record(written(tmp_path, lean), CHANNELS).has("strain")

@@ -1,6 +1,4 @@
-"""Settings of a trajectory fit: fixed initial states, no priors, held inputs, outputs on request, priors per rate."""
-
-from __future__ import annotations
+"""Settings of a trajectory fit, and noise that grows as the flow separates."""
 
 import json
 import tomllib
@@ -23,6 +21,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import parse_card, shipped_cards
 from bayes_aero.inference.likelihood.output_error import fit_output_error, trajectories
+from bayes_aero.inference.variance.noise_growth import MAX_GROWTH, SeparatedFlow
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
 from bayes_aero.jobs.provenance.provenance import as_json
@@ -32,6 +31,7 @@ from bayes_aero.physics.filters import differentiate
 from bayes_aero.report.tables.fly import parameter_rows
 from bayes_aero.report.text.fly import fly_sentences
 
+# Settings of a trajectory fit: fixed initial states, no priors, held inputs, outputs on request, priors per rate
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
 BEGIN = (0.04, 0.01)
 SYSTEM = (
@@ -72,30 +72,31 @@ def test_a_fixed_initial_state_is_flown_and_given_no_freedom():
     np.testing.assert_allclose(found.information, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
     free = fit_output_error(flown_of(noisy(4)))
     assert np.all(found.crb <= free.crb * 1.02)  # a state that is known leaves more to say of the rest
-
-
-def test_without_a_given_value_a_fixed_state_is_the_first_sample():
     record = noisy(4)
     flown = flown_of(record, fixed={"q": 0.02})
     theta = jnp.asarray([p.start for p in flown.dynamics.free])
     begin = trajectories(flown, theta, jnp.zeros((1, 2))).trajectory.states[0, 0]
     np.testing.assert_array_equal(begin, [record["alpha"][0], 0.02])
-
-
-def test_an_initial_state_of_no_state_is_refused():
     with pytest.raises(InputError, match="az, which is no state of the model; there are alpha, q"):
         flown_of(noisy(4), fixed={"az": 1.0})
 
 
-def test_held_inputs_are_a_zero_order_hold():
-    """Against one matrix exponential a sample; the derivative by the initial state against differences."""
-    n, dt = 120, 0.04
-    u = np.random.default_rng(2).normal(0.0, 0.03, n)
+def held_flight(u, dt):
+    """Angle of attack and pitch rate where the elevator is held between samples: a matrix exponential each."""
     A, B = SYSTEM
     step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
     x = [np.array(BEGIN)]
     for value in u[:-1]:
         x.append(step[:2] @ [*x[-1], value, 1.0])
+    return np.array(x)
+
+
+def test_held_inputs_are_a_zero_order_hold_and_find_the_truth():
+    """Against one matrix exponential a sample; the derivative by the initial state against differences."""
+    n, dt = 120, 0.04
+    u = np.random.default_rng(2).normal(0.0, 0.03, n)
+    A = SYSTEM[0]
+    x = held_flight(u, dt)
     dynamics = linear_dynamics(card_of(SHORT_PERIOD))
     system = dynamics.system(SHORT_PERIOD_TRUTH | {"Zq": 1.0}, NO_AIRCRAFT)
     inputs = {"elevator": jnp.asarray(u), "1": jnp.ones(n)}
@@ -107,19 +108,11 @@ def test_held_inputs_are_a_zero_order_hold():
     slope = jax.jvp(last, (jnp.array(BEGIN),), (jnp.array([1.0, 0.0]),))[1]
     np.testing.assert_allclose(slope, [expm(A * dt * k)[:, 0] for k in range(n)], rtol=0.0, atol=1e-6)
     linear = integrate(system, jnp.array(BEGIN), inputs, dt).states
-    assert np.abs(linear - np.array(x)).max() > 1e-3
-
-
-def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
-    """Mde from a digital actuator's record without noise; linear between samples it is off by more."""
+    assert np.abs(linear - x).max() > 1e-3
+    # Mde from a digital actuator's record without noise; linear between samples it is off by more.
     n, dt = 200, 0.04
     u = np.repeat(np.random.default_rng(7).normal(0.0, 0.03, n // 10), 10)
-    A, B = SYSTEM
-    step = expm(np.block([[A, B], [np.zeros((2, 4))]]) * dt)
-    x = [np.array(BEGIN)]
-    for value in u[:-1]:
-        x.append(step[:2] @ [*x[-1], value, 1.0])
-    states = np.array(x)
+    states = held_flight(u, dt)
     record = record_of({"alpha": states[:, 0], "q": states[:, 1], "elevator": u})
     off = {}
     for held in (True, False):
@@ -129,7 +122,7 @@ def test_held_inputs_find_the_truth_of_a_record_that_holds_them():
     assert off[False] > 10.0 * off[True]
 
 
-def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviation():
+def test_without_priors_nothing_but_the_record_counts():
     """An elevator at rest: its two derivatives; all else is known as well as if they were not there."""
     channels = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, n=200, x0=(0.1, -0.1))
     record = record_of(channels | {"elevator": np.zeros(200)}, noise=NOISE, rng=np.random.default_rng(3))
@@ -148,9 +141,6 @@ def test_without_priors_what_the_record_does_not_tell_is_said_and_has_no_deviati
     told = json.loads(as_json(fly_results(found, card_of(SHORT_PERIOD), [record], {})))
     assert told["parameters"]["Mde"]["sd_corrected"] is None
     assert told["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
-
-
-def test_without_priors_a_wrong_prior_has_no_say():
     table = tomllib.loads(SHORT_PERIOD)
     table["parameters"] = {"Mq": {"prior": {"family": "normal", "location": 5.0, "scale": 0.001}}}
     wrong = parse_card(table, "x", "x.toml")
@@ -227,3 +217,78 @@ def test_defaults_of_derivatives_per_rate_follow_the_card_s_length(card, clean_r
     table["parameters"]["Cmq"] = {"start": -20.0, "prior": {"family": "normal", "location": -20.0, "scale": 5.0}}
     stated = {p.name: p for p in Model.from_card(parse_card(table, "own", "own.toml")).parameters}["Cmq"]
     assert (stated.start, stated.prior.normal) == (-20.0, (-20.0, 5.0))
+
+
+# Noise of trajectories that grows as the flow separates: its size is found, and what it does to estimates
+SWELL_NOISE = {"alpha": 0.002, "q": 0.003}
+GROWTH = 9.0
+N = 500
+APART = np.where((np.arange(N) > 300) & (np.arange(N) < 400), 1.0, 0.0)  # a stall of four seconds
+
+
+def swell_flown(seed, growth=GROWTH):
+    card, rng = card_of(SHORT_PERIOD), np.random.default_rng(seed)
+    channels = short_period_flight(SHORT_PERIOD_TRUTH, n=N)
+    for name, level in SWELL_NOISE.items():
+        channels[name] = channels[name] + level * (1.0 + growth * APART) * rng.standard_normal(N)
+    dynamics = linear_dynamics(card)
+    flown = segments(join([record_of(channels)], card, dynamics.inputs), dynamics, outputs=("alpha", "q"))
+    return flown, np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names])
+
+
+def swelling(fit):
+    return SeparatedFlow(fit.columns[..., 0], np.broadcast_to(APART, fit.flown.inside.shape), fit.flown.inside)
+
+
+@pytest.mark.parametrize("growth", [GROWTH, 0.0])
+def test_the_growth_of_noise_is_found(growth):
+    """Of a hundred samples of separated flow a deviation is known to 7 %."""
+    flown, truth = swell_flown(4132, growth)
+    fit = fit_output_error(flown, start=truth, held={"az0": 0.0})
+    found = swelling(fit).growths()
+    assert found == pytest.approx(growth, abs=4.0 * 0.08 * (1.0 + growth))
+    noise_growth = swelling(fit).noise_growth()
+    assert noise_growth.shape == (1, N, 2)
+    np.testing.assert_allclose(noise_growth[0, APART == 0.0], 1.0)
+
+
+def test_growth_has_an_end_and_segments_left_out_no_say():
+    inside = np.ones((1, N), bool)
+    assert not SeparatedFlow(np.zeros((1, N, 1)), APART[None], inside).growths().any()
+    only = (APART[None, :, None] + 1e-9) * np.ones((1, N, 1))
+    assert SeparatedFlow(only, APART[None], inside).growths() == pytest.approx(MAX_GROWTH, rel=1e-3)
+    residual = np.random.default_rng(1).standard_normal((2, N, 1))
+    residual[1] *= 1.0 + GROWTH * APART[:, None]
+    parts = SeparatedFlow(residual, np.stack([APART, APART]), np.ones((2, N), bool))
+    assert parts.growths(without=1) < 1.0
+    assert parts.growths(without=0) > 5.0
+
+
+def test_weighed_estimates_are_nearer_the_truth():
+    """Weighted least squares beats plain least squares; R is that of attached flow, rms that of all as recorded."""
+    plain, weighed, sd = [], [], []
+    for seed in range(20):
+        flown, truth = swell_flown([4, seed])
+        noise_growth = 1.0 + GROWTH * np.broadcast_to(APART[None, :, None], (1, N, 2))
+        for found, one in ((plain, flown), (weighed, replace(flown, noise_growth=noise_growth))):
+            fit = fit_output_error(one, start=truth, held={"az0": 0.0})
+            own = fit.sd > 0.0
+            found.append((fit.estimate - truth)[own])
+        sd.append(fit.sd[own])
+    np.testing.assert_allclose(fit.R, [x**2 for x in SWELL_NOISE.values()], rtol=0.3)
+    residual = fit.columns[0, :, :, 0] * noise_growth[0]
+    np.testing.assert_allclose(fit.rms[0], np.sqrt(np.mean(residual**2, axis=0)))
+    ratio = np.mean(np.square(weighed), axis=0) / np.mean(np.square(plain), axis=0)
+    assert np.median(ratio) < 0.7
+    z = np.array(weighed) / np.array(sd)
+    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.25
+
+
+def test_a_steady_swell_changes_nothing_but_the_scale_of_R():
+    flown, truth = swell_flown(3, 0.0)
+    twice = replace(flown, noise_growth=np.full((1, N, 2), 2.0))
+    plain, scaled = (fit_output_error(f, start=truth, held={"az0": 0.0}) for f in (flown, twice))
+    np.testing.assert_allclose(scaled.estimate, plain.estimate, rtol=1e-6)
+    np.testing.assert_allclose(scaled.sd, plain.sd, rtol=1e-6)
+    np.testing.assert_allclose(4.0 * scaled.R, plain.R, rtol=1e-8)
+    assert scaled.cost == pytest.approx(plain.cost, rel=1e-9)

@@ -1,7 +1,5 @@
 """Fits in a band: exact transforms, recovery of known truths, bounds against scatter, and what drift does to them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -63,17 +61,14 @@ def z_scores(found, truth, sd):
     return {n: (x - truth[n]) / s for n, x, s in zip(found.names, found.estimate, sd, strict=True)}
 
 
-def test_rows_keep_the_variance_of_white_noise_and_lose_straight_lines():
+def test_rows_keep_white_noise_and_lose_straight_lines_and_a_sine_is_one_line():
     n = 500
     plain = transform_rows(lines_in(BAND, n, DT, "it"), n, DT)
     rows = without_trend(plain)
     np.testing.assert_allclose(rows @ np.array([np.ones(n), np.arange(n)]).T, 0.0, atol=1e-10)
     np.testing.assert_allclose(plain @ plain.T, np.eye(len(plain)), atol=1e-12)
     np.testing.assert_allclose(np.diag(rows @ rows.T), 1.0, rtol=1e-12)
-
-
-def test_a_sine_is_one_line():
-    """sin(w t) over whole periods: -j sqrt(n/2) at w, nothing elsewhere."""
+    # sin(w t) over whole periods: -j sqrt(n/2) at w, nothing elsewhere.
     n, lines = 500, lines_in(BAND, 500, DT, "it")
     found = transform_rows(lines, n, DT) @ np.sin(2.0 * np.pi * 0.5 * np.arange(n) * DT)
     expected = np.zeros(2 * len(lines))
@@ -211,12 +206,18 @@ def test_a_band_without_lines_is_refused(band, said):
         lines_in(band, 500, DT, "it")
 
 
-def test_sampling_times_that_differ_are_refused():
+def test_records_that_do_not_go_together_or_lack_a_state_are_refused():
     card, channels = card_of(LATERAL), lateral_flight(LATERAL_TRUTH)
     records = [record_of(channels, dt, name=f"at {dt:g}") for dt in (0.04, 0.05)]
     dynamics = linear_dynamics(card, tuple(record.n for record in records))
     with pytest.raises(InputError, match="different sampling times"):
         linear_in_band(join(records, card, dynamics.inputs), dynamics, BAND)
+    channels = short_period_flight(SHORT_PERIOD_TRUTH)
+    card = card_of(SHORT_PERIOD.replace('"alpha", unit', '"alpha", required = false, unit'))
+    record = record_of({name: x for name, x in channels.items() if name != "alpha"})
+    dynamics = linear_dynamics(card)
+    with pytest.raises(InputError, match="alpha was not recorded"):
+        LinearFrequencyError.in_band(join([record], card, ("elevator",)), dynamics, BAND)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -238,15 +239,6 @@ def test_published_fourier_transform_regression(case):
     for name, theirs in published["parameters"].items():
         i = found.names.index(OURS.get(name, name))
         assert abs(found.estimate[i] - theirs["estimate"]) < 2.0 * theirs["std"], name
-
-
-def test_a_state_that_was_not_recorded_is_named():
-    channels = short_period_flight(SHORT_PERIOD_TRUTH)
-    card = card_of(SHORT_PERIOD.replace('"alpha", unit', '"alpha", required = false, unit'))
-    record = record_of({name: x for name, x in channels.items() if name != "alpha"})
-    dynamics = linear_dynamics(card)
-    with pytest.raises(InputError, match="alpha was not recorded"):
-        LinearFrequencyError.in_band(join([record], card, ("elevator",)), dynamics, BAND)
 
 
 def test_an_output_that_the_model_reproduces_exactly_leaves_its_neighbours_their_bounds():

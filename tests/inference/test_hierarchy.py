@@ -50,10 +50,7 @@ def test_the_density_of_the_scatter_is_that_of_all_estimates_together():
     points = [(0.3, 0.6), (1e-9, 1.2), (2.0, 1e-3)]
     ours = [float(density.log_likelihood(jnp.asarray(x))) for x in points]
     np.testing.assert_allclose(np.subtract(ours[1:], ours[0]), [marginal(x) - marginal(points[0]) for x in points[1:]])
-
-
-def test_a_manoeuvre_that_says_nothing_of_a_parameter_counts_for_the_others_alone():
-    """It counts like one with a standard error of a thousand prior deviations."""
+    # It counts like one with a standard error of a thousand prior deviations.
     information = np.linalg.inv(C)
     information[2] = [[0.0, 0.0], [0.0, 5.0]]
     moved = Y.copy()
@@ -238,7 +235,7 @@ def test_a_parameter_without_information_rests_on_the_other_manoeuvres(unmoved):
     assert np.all(np.abs(given.information[0][i]) < 1e-6 * np.abs(expected).max())
 
 
-def test_the_next_flight_names_what_a_manoeuvre_does_not_determine(unmoved):
+def test_the_next_flight_names_what_is_undetermined_and_needs_two_usable_fits(unmoved):
     model, parts, fits = unmoved
     broken = replace(fits["flight0"], status=MleStatus.NOT_CONVERGED)
     whole = replace(parts[1], names=tuple(fits), manoeuvre=np.ones(500, int))  # of the others the fit is enough
@@ -256,16 +253,11 @@ def test_the_next_flight_names_what_a_manoeuvre_does_not_determine(unmoved):
     posterior = found.tree["posterior"]
     assert posterior["next_flight"].dims == ("chain", "draw", "parameter")
     assert list(posterior["manoeuvre"].coords["flown"].values) == ["flight0", "flight1", "flight2"]
+    with pytest.raises(InputError, match="fewer than two manoeuvres"):
+        next_flight(model, parts[0], {"flight0": broken, "flight2": fits["flight2"]})
 
 
 @pytest.mark.parametrize("count", [1, 25])
 def test_manoeuvres_that_show_no_scatter_are_refused(count):
     with pytest.raises(InputError, match=f"and there (is|are) {count}; give other records"):
         check_manoeuvres(count)
-
-
-def test_fewer_than_two_usable_fits_are_refused(unmoved):
-    model, parts, fits = unmoved
-    broken = replace(fits["flight0"], status=MleStatus.NOT_CONVERGED)
-    with pytest.raises(InputError, match="fewer than two manoeuvres"):
-        next_flight(model, parts[0], {"flight0": broken, "flight2": fits["flight2"]})

@@ -1,4 +1,4 @@
-"""Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms."""
+"""Maximum likelihood against published estimates, simulated truth and closed forms, with and without noise bias."""
 
 from dataclasses import replace
 
@@ -6,14 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import bayes_aero as ba
 from bayes_aero.inference.likelihood.mle import descend, fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
+from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
 from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.model.observations import observe
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
+# Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms
 # ../shared/attas/README.md: estimate and Cramer-Rao deviation, reproduced from the published program.
 PUBLISHED = {
     "CD0": (4.34961e-02, 4.3651e-04), "e": (8.39351e-01, 6.8668e-03), "CL0": (1.57696e-01, 3.2766e-03),
@@ -30,7 +34,7 @@ def published_fit(attas, model):
     return fit_mle(model, attas)
 
 
-def test_published_estimates_and_bounds(published_fit):
+def test_published_estimates_bounds_cost_and_fit(published_fit, attas, model):
     r = published_fit
     assert r.status is MleStatus.CONVERGED
     assert set(r.names) == set(PUBLISHED)
@@ -38,19 +42,28 @@ def test_published_estimates_and_bounds(published_fit):
         value, deviation = PUBLISHED[name]
         assert abs(estimate - value) < 0.3 * deviation, name
         assert crb == pytest.approx(deviation, rel=0.015), name
-
-
-def test_published_cost_and_fit(published_fit):
     assert published_fit.det_R == pytest.approx(1.2076e-11, rel=1e-3)
     for name, (r, rmse) in PUBLISHED_FIT.items():
         assert published_fit.fit[name].r == pytest.approx(r, abs=2e-4)
         assert published_fit.fit[name].rmse == pytest.approx(rmse, rel=1e-3)
-
-
-def test_published_program_stopped_above_our_optimum(published_fit, attas, model):
     theta = jnp.asarray([PUBLISHED[name][0] for name in model.names])
     residual = attas.measured - model.predicted(theta, attas.signals, attas.aircraft)
     assert published_fit.det_R <= float(jnp.prod(jnp.mean(residual**2, axis=0)))
+    costs = [cost for cost, _ in published_fit.starts]
+    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
+        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
+    )
+    assert len(costs) > 3
+    # Finite differences of the cost vanish at the optimum, to the scale of one bound.
+    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
+    for i, crb in enumerate(published_fit.crb):
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[i] += sign * 0.05 * crb
+            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
+            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
+    again = descend(model, attas, theta)
+    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
 
 
 @pytest.mark.parametrize("manoeuvre", [0, 1])
@@ -60,14 +73,6 @@ def test_each_real_manoeuvre_alone_finds_a_stall(attas, model, manoeuvre):
     assert r.status is MleStatus.CONVERGED
     alpha_star = r.estimate[r.names.index("alpha_star")]
     assert 0.2 < alpha_star < 0.4
-
-
-def test_no_fitted_cost_is_below_ours_from_another_start(attas, published_fit):
-    costs = [cost for cost, _ in published_fit.starts]
-    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
-        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
-    )
-    assert len(costs) > 3
 
 
 def simulated(observations, model, noise, seed):
@@ -123,7 +128,7 @@ def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
     assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
 
 
-def test_a_record_that_never_stalls_says_so(clean, model):
+def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model):
     calm = clean.subset(np.flatnonzero(np.asarray(clean.signals["alpha"]) < 0.13))
     data = simulated(calm, model, NOISE, 3)
     r = fit_mle(model, data)
@@ -131,16 +136,10 @@ def test_a_record_that_never_stalls_says_so(clean, model):
         "not identified" in w or "never approached" in w for w in r.warnings()
     )
     assert told
-
-
-def test_twin_a_record_that_stalls_is_silent_about_it(clean, model):
     r = fit_mle(model, simulated(clean, model, NOISE, 3))
     assert r.status is MleStatus.CONVERGED
     assert not any("not identified" in w or "never approached" in w for w in r.warnings())
-
-
-def test_a_parameter_at_a_bound_of_zero_has_a_deviation_and_no_share_of_it(clean, model):
-    """tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate."""
+    # tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate.
     r = fit_mle(model, simulated(clean, model, NOISE, 3), extra_starts=0)
     at = r.names.index("tau2")
     zero = replace(r, estimate=np.where(np.arange(len(r.names)) == at, 0.0, r.estimate))
@@ -148,21 +147,16 @@ def test_a_parameter_at_a_bound_of_zero_has_a_deviation_and_no_share_of_it(clean
     assert expected in zero.warnings()
 
 
-def test_an_unused_parameter_makes_the_information_singular(clean):
+def test_singular_information_and_bounds_are_reported(clean, model):
     """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
-    model = Model.of(
+    twice = Model.of(
         ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
     )
     flat = clean.with_measured(clean.measured)
     flat.signals["mach"] = jnp.full(clean.n, 0.25)
-    r = fit_mle(model, flat, extra_starts=0)
+    r = fit_mle(twice, flat, extra_starts=0)
     assert r.status is MleStatus.SINGULAR
     assert np.all(np.isnan(r.crb))
-
-
-def test_bounds_are_respected_and_reported(clean, model):
-    from dataclasses import replace
-
     tight = replace(
         model,
         parameters=tuple(p.changed(bounds=(30.0, 60.0), start=40.0) if p.name == "a1" else p for p in model.parameters),
@@ -173,14 +167,61 @@ def test_bounds_are_respected_and_reported(clean, model):
     assert r.estimate[r.names.index("a1")] == 30.0
 
 
-def test_gauss_newton_reaches_a_stationary_point(attas, model, published_fit):
-    """Finite differences of the cost vanish at the optimum, to the scale of one bound."""
-    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
-    for i, crb in enumerate(published_fit.crb):
-        for sign in (1, -1):
-            moved = theta.copy()
-            moved[i] += sign * 0.05 * crb
-            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
-            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
-    again = descend(model, attas, theta)
-    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
+# Estimates without the bias from recording noise: simulated truth, records without noise, an identity
+VANE = np.radians(0.3)
+
+
+def flown(card, seed, sensor_noise):
+    return [simulate_stall(i, card=card, seed=seed, sensor_noise=sensor_noise, disturbance=0.0) for i in range(2)]
+
+
+def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
+    """The mean of estimates with noise added and subtracted, less that without noise, is the bias."""
+    exact = flown(card, 11, 0.0)
+    truth = fit_mle(model, observe(exact, card, model), extra_starts=0).estimate
+    rng, before, after = np.random.default_rng(1), [], []
+    for _ in range(3):
+        noise = [VANE * rng.standard_normal(record.n) for record in exact]
+        for sign in (1.0, -1.0):
+            records = [
+                replace(record, channels={**record.channels, "alpha": record["alpha"] + sign * one})
+                for record, one in zip(exact, noise, strict=True)
+            ]
+            mle = fit_mle(model, observe(records, card, model), start=truth, extra_starts=0)
+            freed = without_noise_bias(mle, records, card, model)
+            before.append((mle.estimate - truth) / mle.crb_corrected)
+            after.append((freed.estimate - truth) / mle.crb_corrected)
+            assert np.all(np.diag(freed.corrected) >= np.diag(mle.corrected))
+    biased, rest = np.abs(np.mean(before, axis=0)), np.abs(np.mean(after, axis=0))
+    large = biased > 1.0
+    assert {"tau2", "Cmq", "Cmde"} <= {name for name, is_large in zip(mle.names, large, strict=True) if is_large}
+    assert np.all(rest[large] < 0.5 * biased[large])
+
+
+def test_without_noise_or_at_a_bound_nothing_moves(card, model):
+    records = flown(card, 11, 0.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    freed = without_noise_bias(mle, records, card, model)
+    assert freed.bias is not None
+    assert np.all(np.abs(freed.bias) < 0.05 * mle.crb_corrected)
+    records = flown(card, 11, 1.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    bounded = replace(mle, status=MleStatus.AT_BOUND)
+    assert without_noise_bias(bounded, records, card, model) is bounded
+
+
+@pytest.mark.parametrize("colour", list(Colour))
+def test_the_posterior_is_of_parameters_without_the_bias(clean, model, colour):
+    """Its density at x is that of the fitted parameters at x + bias, priors apart."""
+    noise, bias = Noise(colour), 0.01 * np.arange(len(model.names))
+    plain, freed = Density.of(clean, model, noise), Density.of(clean, model, noise, bias)
+    x = jnp.asarray([p.start for p in plain.parameters])
+    there = x.at[: len(bias)].add(bias)
+    assert float(freed.log_likelihood(x)) == pytest.approx(float(plain.log_likelihood(there)), rel=1e-12)
+    np.testing.assert_allclose(freed.predict(x), plain.predict(there))
+
+
+def test_published_coefficients_give_the_published_estimates(card):
+    records = flown(card, 11, 1.0)
+    assert ba.fit(records, card, coefficients="published").mle.bias is None
+    assert ba.fit(records, card).mle.bias is not None

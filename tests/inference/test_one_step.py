@@ -1,7 +1,9 @@
-"""One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does."""
+"""Predictions and their scores: one step ahead, probability integral transforms, and numbers worked by hand."""
 
-from __future__ import annotations
+import math
+from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,16 +19,26 @@ from linear_cards import (
 )
 from scipy.linalg import expm
 from scipy.signal import lfilter
-from scipy.stats import binom, norm
+from scipy.stats import binom, kstest, norm
 
 from bayes_aero.dynamics.filtering.innovations import filter_segments, prediction_errors
 from bayes_aero.dynamics.filtering.kalman import Filtered
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.identification import Histogram
 from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
-from bayes_aero.inference.scores import Calibration
+from bayes_aero.inference.posterior.pit import BAND, histogram, neighbours, pit
+from bayes_aero.inference.scores import Calibration, ScoreStatus, interval_coverage, score
+from bayes_aero.model.density import Density
 from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.observations import Observations
+from bayes_aero.simulate.demo import TRUTH
 
+# One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does
 DT, N = 0.04, 1500
 F = np.array([0.004, 0.02])  # alpha, q
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
@@ -118,7 +130,7 @@ def test_errors_of_an_output_do_not_know_the_other_outputs_of_their_sample(flown
     assert np.std(known[:, -1]) < 0.99 * np.std(errors[:, -1])
 
 
-def test_shares_of_the_true_filter_are_nominal(flown):
+def test_filters_are_calibrated_only_with_the_true_noise(flown):
     """Within exact binomial bounds of 99.9 %, for every output, level, and all together."""
     found = predicted(flown, 1.0)
     assert found.status == "calibrated"
@@ -129,9 +141,6 @@ def test_shares_of_the_true_filter_are_nominal(flown):
             low, high = binom.interval(0.999, one.count, level)
             assert low <= round(share.share * one.count) <= high
             assert share.sd == pytest.approx(np.sqrt(level * (1.0 - level) / one.count), rel=0.6)
-
-
-def test_a_filter_that_is_told_half_the_noise_is_not_calibrated(flown):
     found = predicted(flown, 0.5)
     assert found.status == "not_calibrated"
     for one in (*found.outputs.values(), found.together):
@@ -139,9 +148,6 @@ def test_a_filter_that_is_told_half_the_noise_is_not_calibrated(flown):
         assert one.ratio[0] > 1.1
         for share in one.shares:
             assert share.share * one.count < binom.interval(0.999, one.count, share.level)[0]
-
-
-def test_a_filter_that_is_told_four_times_the_noise_is_too_wide(flown):
     found = predicted(flown, 4.0)
     assert found.status == "not_calibrated"
     assert {one.calibration for one in found.outputs.values()} <= {Calibration.TOO_WIDE, Calibration.COLOURED}
@@ -197,7 +203,7 @@ def test_two_sensors_of_one_signal_know_no_more_than_one():
         assert both.sd == pytest.approx(one.sd, rel=0.3)
 
 
-def test_what_was_not_measured_does_not_count():
+def test_what_counts_in_a_score_and_what_is_too_few():
     """Every second sample, a short segment, and an output that was never measured."""
     z = white(2, 2, 500, 2)
     z[:, ::2, 0] = z[:, :, 1] = np.nan
@@ -208,9 +214,6 @@ def test_what_was_not_measured_does_not_count():
     assert found.outputs["y0"].count == len(kept) == 300
     assert found.outputs["y0"].shares[1].share == np.mean(np.abs(kept) < norm.ppf(0.95))
     assert np.isnan(probability_transform(innovations(z))[0, 0, 0])
-
-
-def test_too_few_are_not_judged():
     found = judged(3.0 * white(3, 1, 20, 1))
     assert found.status == "undecided"
     assert found.outputs["y0"].quantiles.shape[1] == 4
@@ -232,3 +235,139 @@ def test_quantiles_of_white_innovations_keep_to_their_band():
         _, value, low, high = judged(white(seed, 1, 600, 1)).outputs["y0"].quantiles.T
         left += bool(np.any((value < low) | (value > high)))
     assert left <= binom.ppf(0.999, 200, 0.05)
+
+
+# The probability integral transform: uniform for data of the model, not for others, and exact where it is known
+COUNT = 3000
+
+
+def measured(colour: Colour, size: float = 1.0) -> tuple[Density, np.ndarray]:
+    """The density of two manoeuvres drawn from its own model at known parameters, noise `size` times as large."""
+    model = Model.of(("attached_lift", "profile_drag", "pitching_moment"))
+    t = 0.04 * np.arange(COUNT)
+    start = np.arange(COUNT) % (COUNT // 2) == 0
+    signals = {"alpha": jnp.asarray(0.1 + 0.05 * np.sin(t)), "dt": jnp.full(COUNT, 0.04), "start": jnp.asarray(start)}
+    empty = Observations(
+        signals=signals, measured=jnp.zeros((COUNT, 3)), start=jnp.asarray(start), manoeuvre=np.cumsum(start) - 1,
+        time=t, aircraft=read_card("attas").aircraft, names=("a", "b"),
+    )  # fmt: skip
+    density = Density(empty, model, Noise(colour))
+    noise = {"sigma": 0.02, "rho": 0.9, "buffet": 0.0}
+    x = np.array([noise.get(n.split("_")[0], TRUTH.get(n, 0.1)) for n in density.names])
+    white = np.random.default_rng(0).standard_normal((COUNT, 3))
+    clean = density.predict(jnp.asarray(x))
+    noisy = clean + size * (density.replicate(jnp.asarray(x), jnp.asarray(white)) - clean)
+    return eqx.tree_at(lambda d: d.observations, density, empty.with_measured(noisy)), x
+
+
+def tied(density: Density, column: np.ndarray) -> float:
+    return neighbours(column, np.asarray(density.observations.start))
+
+
+@pytest.mark.parametrize("colour", Colour)
+def test_data_of_the_model_are_uniform_and_independent(colour):
+    density, x = measured(colour)
+    values = pit(density, x[None])
+    for column in values.T:
+        assert kstest(column, "uniform").pvalue > 1e-3
+        assert abs(tied(density, column)) < 4.0 / np.sqrt(COUNT)
+        assert histogram(column).outside <= 1
+
+
+@pytest.mark.parametrize("colour", Colour)
+def test_twice_the_noise_is_not_uniform(colour):
+    """It falls beyond the outer twentieths as often as a normal deviate beyond half the limits: 2 Phi(-0.822)."""
+    density, x = measured(colour, size=2.0)
+    for column in pit(density, x[None]).T:
+        assert kstest(column, "uniform").pvalue < 1e-6
+        bars = histogram(column)
+        assert bars.outside > 2
+        outer = (bars.height[0] + bars.height[-1]) / len(bars.height)
+        assert outer == pytest.approx(2.0 * norm.cdf(0.5 * norm.ppf(0.05)), abs=0.03)
+
+
+def test_white_predictions_of_coloured_data_show_their_colour():
+    """Uniform each by itself, but tied to its neighbours by the correlation of the noise."""
+    density, x = measured(Colour.AR1)
+    white = Density(density.observations, density.model, Noise(Colour.WHITE))
+    values = pit(white, np.array([[x[density.names.index(n)] for n in white.names]]))
+    for column in values.T:
+        assert tied(density, column) == pytest.approx(0.9, abs=0.05)
+
+
+def test_uncertain_parameters_widen_the_prediction():
+    """A normal mean known to +-s: the predictive is normal with variance sigma^2 + s^2."""
+    density, x = measured(Colour.WHITE)
+    s, sigma = 0.05, 0.02
+    draws = np.tile(x, (200, 1))
+    draws[:, density.names.index("CL0")] += s * norm.ppf((np.arange(200) + 0.5) / 200)
+    residual = np.asarray(density.observations.measured - density.predict(jnp.asarray(x)))[:, 0]
+    assert pit(density, draws)[:, 0] == pytest.approx(norm.cdf(residual / np.hypot(s, sigma)), abs=0.005)
+
+
+@pytest.mark.parametrize("n", [60, 300, 3000])
+def test_the_band_holds_uniform_values_as_often_as_it_says(n):
+    rng = np.random.default_rng(n)
+    whole = np.mean([histogram(rng.uniform(size=n)).outside == 0 for _ in range(1000)])
+    assert whole >= BAND - 0.02  # three deviations of a share of a thousand
+    found = histogram(rng.uniform(size=n))
+    assert np.mean(found.height) == pytest.approx(1.0)
+    assert found.lower <= 1.0 <= found.upper
+
+
+def test_bars_outside_are_counted():
+    bars = Histogram(np.linspace(0.0, 1.0, 4), np.array([0.5, 1.0, 1.5]), 0.8, 1.2)
+    assert bars.outside == 2
+    assert replace(bars, lower=0.4).outside == 1
+
+
+# The scores against hand-worked numbers and their own definitions
+def test_scores_of_a_hand_worked_case_constant_channels_and_bad_samples():
+    s = score(np.array([1.0, 2, 3, 4]), np.array([1.0, 2, 3, 5]))
+    assert s.rmse == pytest.approx(0.5)
+    assert s.r2 == pytest.approx(0.8)
+    assert s.theil == pytest.approx(0.5 / (math.sqrt(7.5) + math.sqrt(9.75)))
+    assert s.r == pytest.approx(6.5 / math.sqrt(5 * 8.75))
+    assert s.status is ScoreStatus.ok
+    z = np.linspace(0.0, 1, 20)
+    flat = np.full(20, 0.1)
+    assert score(flat, z).status is ScoreStatus.constant_measurement
+    assert score(z, flat).status is ScoreStatus.constant_prediction
+    assert math.isnan(score(z, flat).r)
+    assert math.isfinite(score(z, flat).r2)
+    assert score(np.zeros(5), np.zeros(5)).theil == 0.0
+    z = np.zeros(6)
+    y = z.copy()
+    y[4] = np.nan
+    with pytest.raises(InputError, match="sample 4"):
+        score(z, y)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scores_do_not_depend_on_the_unit(seed):
+    rng = np.random.default_rng(seed)
+    z, e = rng.normal(size=(2, 200))
+    a, b = score(z, z + 0.3 * e), score(57.3 * z, 57.3 * (z + 0.3 * e))
+    assert b.r == pytest.approx(a.r)
+    assert b.theil == pytest.approx(a.theil)
+    assert b.r2 == pytest.approx(a.r2)
+    assert b.rmse == pytest.approx(57.3 * a.rmse)
+
+
+@pytest.mark.parametrize(("z", "y"), [(np.zeros(4), np.zeros(5)), (np.zeros(1), np.zeros(1))])
+def test_shapes_that_do_not_match_are_refused(z, y):
+    with pytest.raises(InputError, match="one length"):
+        score(z, y)
+
+
+def test_coverage_of_a_known_distribution_and_what_cannot_be_counted():
+    rng = np.random.default_rng(11)
+    z, draws = rng.normal(size=20000), rng.normal(size=(2000, 1)) * np.ones(20000)
+    for level, share in interval_coverage(z, draws).items():
+        assert share == pytest.approx(level, abs=0.03)
+    narrow = interval_coverage(z, 0.5 * draws)
+    assert narrow[0.95] == pytest.approx(0.673, abs=0.04)  # P(|z| < 0.98)
+    with pytest.raises(InputError, match="measurements"):
+        interval_coverage(np.zeros(4), np.zeros((10, 5)))
+    with pytest.raises(InputError, match="levels"):
+        interval_coverage(np.zeros(4), np.zeros((10, 4)), (95.0,))

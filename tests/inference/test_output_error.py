@@ -1,7 +1,5 @@
 """Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import equinox as eqx
@@ -25,6 +23,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, Priors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
@@ -34,6 +33,7 @@ from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
 
+# Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}
 
 
@@ -61,7 +61,7 @@ def lateral():
     return fit_output_error(flown_of(LATERAL, lateral_flight(LATERAL_TRUTH), 2))
 
 
-def test_the_short_period_is_recovered_from_a_start_of_zeros(short_period):
+def test_short_period_and_lateral_motion_are_recovered(short_period, lateral):
     _, found = short_period
     assert found.status is OutputErrorStatus.CONVERGED
     assert set(found.names) == set(SHORT_PERIOD_TRUTH)
@@ -71,9 +71,6 @@ def test_the_short_period_is_recovered_from_a_start_of_zeros(short_period):
         assert found.estimate[k] == pytest.approx(SHORT_PERIOD_TRUTH[name], rel=0.05)
     np.testing.assert_allclose(np.sqrt(found.R), [NOISE[name] for name in found.flown.outputs], rtol=0.1)
     assert found.held_by_prior == ()
-
-
-def test_lateral_motion_is_recovered(lateral):
     assert lateral.status is OutputErrorStatus.CONVERGED
     assert np.all(np.abs(scores(lateral, LATERAL_TRUTH)) < 4.0)
     for name in ("Lp", "Lda", "Nr", "Nbeta"):
@@ -153,7 +150,7 @@ def test_deviations_are_those_of_a_fisher_information_by_differences():
     np.testing.assert_allclose(got, expected, rtol=0.01)
 
 
-def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
+def test_what_the_record_does_not_move_and_what_is_held(short_period):
     prior = """
     [parameters.Mde]
     start = 0.0
@@ -177,9 +174,6 @@ def test_what_the_record_does_not_move_is_held_by_its_prior(short_period):
         k = found.names.index(name)
         assert abs(found.estimate[k] - truth[name]) < 4.0 * found.sd[k] < 0.4 * abs(truth[name])
     assert "Mde" not in short_period[1].held_by_prior
-
-
-def test_a_parameter_that_is_held_keeps_its_value(short_period):
     flown, free = short_period
     found = fit_output_error(flown, start=free.estimate, held={"Mde": -2.0})
     k = found.names.index("Mde")
@@ -207,13 +201,15 @@ def test_segments_that_do_not_count_have_no_say(short_period):
     assert not beside.columns[~first].any()
 
 
-def test_a_bound_in_the_way_is_said():
+def test_a_bound_in_the_way_is_said_and_a_bias_of_nothing_refused():
     text = SHORT_PERIOD + "\n[parameters.Mq]\nstart = -0.3\nbounds = [-0.8, 0.0]\n"
     flown = flown_of(text, short_period_flight(SHORT_PERIOD_TRUTH), 1)
     found = fit_output_error(flown, start=np.array([SHORT_PERIOD_TRUTH[name] for name in flown.dynamics.names]))
     assert found.status is OutputErrorStatus.AT_BOUND
     assert found.at_bound == ("Mq",)
     assert found.estimate[found.names.index("Mq")] == -0.8
+    with pytest.raises(InputError, match="altitude cannot have a bias"):
+        fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
 
 
 def test_an_aircraft_that_cannot_fly_the_record_is_said(card):
@@ -370,11 +366,6 @@ def test_a_second_of_flight_without_input_is_fitted_and_says_what_it_cannot_tell
         assert np.all(np.isfinite(array))
 
 
-def test_a_bias_of_what_was_not_recorded_is_refused():
-    with pytest.raises(InputError, match="altitude cannot have a bias"):
-        fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
-
-
 @pytest.mark.verify
 def test_cramer_rao_intervals_cover_the_truth():
     """A hundred flights with new noise: 95 % intervals hold the truth as often as they say."""
@@ -394,3 +385,28 @@ def test_cramer_rao_intervals_cover_the_truth():
 def fit_crb(found, own):
     """Cramer-Rao deviations of the parameters `own`, from the data's information alone."""
     return np.sqrt(np.diag(np.linalg.inv(found.information[np.ix_(own, own)])))
+
+
+# The linear cards that are shipped: from their starts to the truth of flights by the matrix exponential
+SHIPPED_NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003}
+SPEED = 90.0  # m/s, of the flight by which az follows alpha
+TRUTH = {
+    "short_period": SHORT_PERIOD_TRUTH
+    | {"azalpha": SPEED * SHORT_PERIOD_TRUTH["Zalpha"], "azde": SPEED * SHORT_PERIOD_TRUTH["Zde"]},
+    "lateral": LATERAL_TRUTH | {"Nda": 0.0},
+}
+FLIGHT = {"short_period": short_period_flight, "lateral": lateral_flight}
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_it_recovers_the_truth(name):
+    card, truth = read_card(name), TRUTH[name]
+    dynamics = linear_dynamics(card)
+    channels = {c.name for c in card.channels}
+    true = {k: x for k, x in FLIGHT[name](truth).items() if k in channels}
+    record = record_of(true, 0.04, SHIPPED_NOISE, np.random.default_rng(5))
+    found = fit_output_error(segments(join([record], card, dynamics.inputs), dynamics))
+    assert found.status is OutputErrorStatus.CONVERGED
+    assert set(found.names) == set(truth)
+    off = (found.estimate - np.array([truth[n] for n in found.names])) / found.sd
+    assert np.all(np.abs(off) < 4.0), dict(zip(found.names, off, strict=True))

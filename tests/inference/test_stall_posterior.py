@@ -1,25 +1,35 @@
-"""The posterior: closed form, agreement of engines, white noise against bounds, coloured noise."""
+"""The posterior of a stall: closed forms, agreement of engines, modes, the highest lift, and samplers' coordinates."""
 
 from dataclasses import replace
 from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from jax.scipy.special import logsumexp
+from jax.scipy.stats import norm
+from scipy.optimize import minimize_scalar
+from scipy.stats import multivariate_normal
 
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode
+from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.inference.stall import maxima, stall_of
 from bayes_aero.model.density import Density
+from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import observe
-from bayes_aero.parameter import Prior
+from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
+# The posterior: closed form, agreement of engines, white noise against bounds, coloured noise
 SIGMA = np.array([0.02, 0.005, 0.004])
 COLOURED = {
     "sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95,
@@ -57,7 +67,6 @@ def linear(thinned):
 
 
 MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
-
 STEP_ALONE = partial(sample_nuts, length=NutsLength(4, WarmUp(100, acceptance=0.8, metric=False)))
 
 
@@ -156,10 +165,8 @@ def test_thinning_stays_within_manoeuvres(clean):
 
 
 @pytest.mark.parametrize("colour", list(Colour))
-def test_density_is_that_of_the_multivariate_normal(thinned, model, colour):
+def test_density_is_that_of_the_multivariate_normal_and_standardises_its_noise(thinned, model, colour):
     """Sum of the conditional densities against scipy's joint density of each manoeuvre and coefficient."""
-    from scipy.stats import multivariate_normal
-
     short = thinned.subset(np.concatenate([np.arange(40), np.flatnonzero(thinned.manoeuvre == 1)[:30]]))
     density = Density(short, model, Noise(colour))
     rng = np.random.default_rng(8)
@@ -178,10 +185,6 @@ def test_density_is_that_of_the_multivariate_normal(thinned, model, colour):
             covariance = values[f"sigma_{k}"] ** 2 * rho**lag * np.outer(noise_growth, noise_growth)
             expected += multivariate_normal(cov=covariance).logpdf(residual[at, i])
     assert float(density.log_likelihood(x)) == pytest.approx(expected, rel=1e-10)
-
-
-@pytest.mark.parametrize("colour", list(Colour))
-def test_simulated_noise_standardises_to_what_made_it(thinned, model, colour):
     density = Density(thinned, model, Noise(colour))
     values = TRUTH | COLOURED | {f"buffet_{k}": 1.5 for k in ("CL", "CD", "Cm")}
     x = jnp.asarray([values[name] for name in density.names])
@@ -191,8 +194,6 @@ def test_simulated_noise_standardises_to_what_made_it(thinned, model, colour):
 
 
 def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
-    import jax
-
     density = Density(thinned, model, Noise(Colour.BUFFET_AR1))
     rng = np.random.default_rng(4)
     x = jnp.asarray(density.sample_prior(rng, 1)[0])
@@ -225,3 +226,151 @@ def test_saved_tree_loads_with_its_groups(linear, tmp_path):
         np.testing.assert_array_equal(tree["posterior"]["CLa"], posterior.tree["posterior"]["CLa"])
         assert tree["log_likelihood"]["CL"].shape[-1] == data.n
     assert not list(tmp_path.glob("*.part"))
+
+
+# Highest steady lift and the angle of it: closed forms, an independent search, and what lies beyond the record
+FLOWN = {
+    "alpha": np.deg2rad(np.linspace(2.0, 22.0, 500)),
+    "alpha_dot": np.deg2rad(5.0) * np.sin(np.linspace(0.0, 20.0, 500)),
+    "airspeed": np.linspace(110.0, 60.0, 500),
+    "q": np.full(500, 0.1),
+}
+
+
+def _parabola():
+    """CL = 2 b alpha - c alpha^2: its maximum is b^2/c, at b/c."""
+    parameters = tuple(Parameter(n, "1", 0.0, 1.0, "of a test", Prior("normal", 0.0, 1.0)) for n in ("b", "c"))
+    return Effect(
+        "parabola", Kind.AERODYNAMICS, Stage.TOTAL, "test", parameters, ("alpha",),
+        lambda v, s, *_: {"CL": 2.0 * v["b"] * s["alpha"] - v["c"] * s["alpha"] ** 2},
+        Example({}, {}, {}, ""), "",
+    )  # fmt: skip
+
+
+def test_a_parabola_has_its_known_maximum_and_one_beyond_the_record_is_flagged(card):
+    rng = np.random.default_rng(0)
+    c = rng.uniform(20.0, 30.0, 300)
+    b = c * rng.uniform(0.2, 0.3, 300)
+    found = stall_of(Model.of([_parabola()]), np.stack([b, c], axis=1), FLOWN, card.aircraft)
+    low, median, high = np.quantile(b**2 / c, [0.025, 0.5, 0.975])
+    assert (found.CL_max.low, found.CL_max.median, found.CL_max.high) == pytest.approx((low, median, high), rel=1e-9)
+    low, median, high = np.quantile(b / c, [0.025, 0.5, 0.975])
+    assert (found.alpha_max.low, found.alpha_max.median, found.alpha_max.high) == pytest.approx((low, median, high))
+    assert found.at_edge == 0.0
+    assert found.seen
+    draws = np.array([[0.5 * c, c] for c in (20.0, 25.0)])  # at 0.5 rad, 29 deg, where nobody flew
+    found = stall_of(Model.of([_parabola()]), draws, FLOWN, card.aircraft)
+    assert found.at_edge == 1.0
+    assert not found.seen
+    assert found.alpha_max.high == pytest.approx(np.deg2rad(22.0))
+    x = np.linspace(0.0, 1.0, 11)
+    rows = np.stack([1.0 - (x - 0.33) ** 2, x, -x])
+    peak, place, edge = maxima(x, rows)
+    assert peak == pytest.approx([1.0, 1.0, 0.0])
+    assert place == pytest.approx([0.33, 1.0, 0.0])
+    assert edge.tolist() == [False, True, True]
+
+
+def test_kirchhoffs_stall_by_another_search(card, model):
+    """CL written out by hand and searched by Brent's method: no code shared with the package."""
+    value = {"CL0": 0.2, "CLa": 3.0, "CLaM": 4.0, "a1": 25.0, "alpha_star": 0.3}
+    theta = np.array([value.get(p.name, p.start) for p in model.free])
+    signals = {**FLOWN, "mach": np.full(500, 0.3), "elevator": np.zeros(500)}
+    found = stall_of(model, theta[None], signals, card.aircraft)
+
+    def lift(alpha):
+        X = 0.5 * (1.0 - np.tanh(25.0 * (alpha - 0.3)))
+        return 0.2 + (3.0 * ((1.0 + np.sqrt(X)) / 2.0) ** 2 + 4.0 * 0.3) * alpha
+
+    best = minimize_scalar(lambda a: -lift(a), bounds=(0.1, 0.34), method="bounded", options={"xatol": 1e-10})
+    steady = lift(found.alpha)
+    assert found.CL[1] == pytest.approx(steady, abs=1e-12)
+    assert found.CL_max.median == pytest.approx(-best.fun, abs=2e-6)
+    assert found.alpha_max.median == pytest.approx(best.x, abs=2e-4)
+    falling, still, rising = found.X[:, 1]
+    assert np.all(falling <= still)  # late reattachment: less attached flow at the same angle
+    assert np.array_equal(rising, still)  # one-sided as published
+    assert np.any(falling < still - 0.01)
+
+
+# The search for the mode that holds most: closed-form mixtures, and stalls of which the truth is known
+PRIOR = Prior("normal", 0.0, 2.0)
+
+
+class Mixture(LogDensity):
+    """A posterior that is two normals: `left` of the probability at -1.5, the rest at 2, which is twice as wide."""
+
+    left: float
+
+    @property
+    def parameters(self):
+        return (Parameter("a", "1", 0.0, 0.1, "-", PRIOR),)
+
+    @property
+    def noise_label(self):
+        return "white"
+
+    def log_likelihood(self, x):
+        parts = jnp.stack([norm.logpdf(x[0], -1.5, 0.2), norm.logpdf(x[0], 2.0, 0.4)])
+        return logsumexp(parts + jnp.log(jnp.array([self.left, 1.0 - self.left]))) - PRIOR.log_density(x[0])
+
+
+@pytest.mark.parametrize(("left", "at"), [(0.7, -1.5), (0.2, 2.0)])
+def test_the_mode_with_most_of_the_probability_is_taken_and_the_rest_is_told(left, at):
+    mode = search_modes(Mixture(left), np.array([2.0 if left > 0.5 else -1.5]), 10, draws=30)
+    assert mode.u[0] == pytest.approx(at, abs=0.01)
+    assert mode.other_share == pytest.approx(min(left, 1.0 - left), abs=0.01)
+    (said,) = other_modes(mode, "emcee")
+    assert f"{mode.other_share:.0%}" in said
+
+
+def test_one_mode_is_one_however_often_it_is_found():
+    alone = search_modes(Mixture(1.0 - 1e-9), np.array([-1.4]), 10, draws=30)
+    assert alone.other_share < 1e-6
+    assert other_modes(alone, "emcee") == ()
+    assert alone.u[0] == find_mode(Mixture(1.0 - 1e-9), np.array([-1.4])).u[0]  # that of the start, to the last digit
+
+
+@pytest.mark.verify
+def test_no_better_mode_lies_at_the_truth():
+    """Of stalls drawn from the prior, whose maximum likelihood under white noise may lie elsewhere altogether."""
+    card = read_card("attas")
+    model = Model.from_card(card)
+    signals = observe([simulate_stall(0, card=card)], card, model).thinned(16)
+    rng = np.random.default_rng(4132)
+    for seed in rng.integers(10**6, size=4):
+        draw = np.random.default_rng(seed)
+        maker = Density(signals, model, Noise(Colour.AR1))
+        x = maker.sample_prior(draw, 1)[0]
+        data = signals.with_measured(maker.replicate(jnp.asarray(x), jnp.asarray(draw.standard_normal((signals.n, 3)))))
+        density = Density(data, model, Noise(Colour.AR1))
+        found = search_modes(density, density_start(density, fit_mle(model, data)), data.n)
+        there = find_mode(density, x)
+        assert found.log_mass > there.log_mass - 2.0, f"seed {seed}"
+
+
+# The coordinate of samplers with a knee: a bijection with the stated slope, logarithm below and parameter above
+def parameter(knee, upper):
+    return Parameter("b", "1", 0.0, 2.5, "of a test", Prior("normal", 2.0, 1.0), (2.0, upper), knee=knee)
+
+
+@pytest.mark.parametrize("upper", [5.0, np.inf])
+@pytest.mark.parametrize("knee", [1e-3, 0.2, np.inf])
+def test_it_is_a_bijection_with_the_stated_slope(knee, upper):
+    p = parameter(knee, upper)
+    x = jnp.asarray([2.0 + 1e-6, 2.01, 2.5, 4.9])
+    u = to_unbounded(p, x)
+    back, log_slope = from_unbounded(p, u)
+    np.testing.assert_allclose(back - 2.0, x - 2.0, rtol=1e-9)
+    slope = jax.vmap(jax.grad(lambda u: from_unbounded(p, u)[0]))(u)
+    np.testing.assert_allclose(log_slope, jnp.log(slope), rtol=1e-9)
+
+
+def test_a_knee_is_a_logarithm_below_the_parameter_above_and_a_logit_where_wide():
+    p = parameter(0.1, np.inf)
+    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(2.0 + 1e-7)), np.log(1e-6), atol=1e-6)
+    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(4.0)), 2.0 / 0.1, rtol=1e-6)
+    x = jnp.asarray([2.1, 3.0, 4.5])
+    np.testing.assert_allclose(
+        to_unbounded(parameter(3.0 - 1e-12, 5.0), x), to_unbounded(parameter(9.0, 5.0), x), rtol=1e-9
+    )

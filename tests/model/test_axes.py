@@ -1,12 +1,12 @@
-"""Which effects a model of one axis has, proposes and computes, and in which reference lengths its defaults stand."""
-
-from __future__ import annotations
+"""Models of one axis, of both, and of two wings."""
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.effect import Stage
@@ -18,7 +18,10 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+from bayes_aero.physics.separation import lagged
+from bayes_aero.simulate.demo import TRUTH
 
+# Which effects a model of one axis has, proposes and computes, and in which reference lengths its defaults stand
 BOTH = tuple(Axis)
 LONGITUDINAL_CANDIDATES = """
     accel_x_bias accel_y_bias accel_y_scale accel_z_bias airspeed_bias airspeed_scale alpha_bias alpha_delay
@@ -31,7 +34,6 @@ LONGITUDINAL_CANDIDATES = """
     spoiler_drag spoiler_lift spoiler_moment stabilizer_trim thrust_lag thrust_lift thrust_moment thrust_scale
     vane_position vertical_wind yaw_rate_bias yaw_rate_scale
 """.split()  # noqa: SIM905
-"""What the published ATTAS model lacks of the catalogue, where every channel was recorded and moves."""
 
 
 def everything_recorded() -> FlightRecord:
@@ -52,26 +54,24 @@ def candidates(card, axes) -> CandidateModel:
     return candidate_model(Model.of(names, fixed, axes), flights)
 
 
-def test_a_longitudinal_card_knows_no_lateral_effect(card):
+def test_cards_of_each_axis_have_its_candidates_and_no_others(card):
     found = candidates(card, (Axis.LONGITUDINAL,))
     assert sorted(e.name for e in found.candidates) == LONGITUDINAL_CANDIDATES
     assert found.not_testable == {}
     lateral = {name for name, effect in CATALOGUE.items() if effect.axes == (Axis.LATERAL,)}
     assert {"roll_damping", "sideslip_yaw", "rudder_side_force"} <= lateral
     assert not lateral & {e.name for e in found.model.effects}
-
-
-def test_a_card_of_both_axes_has_the_candidates_of_both(card):
     found = {e.name for e in candidates(card, BOTH).candidates}
     assert found >= {*LONGITUDINAL_CANDIDATES, "roll_damping", "aileron_yaw", "spoiler_roll", "side_force_offset"}
-
-
-def test_a_lateral_card_lacks_what_adds_to_lift_drag_and_pitching_moment(card):
     found = candidates(card, (Axis.LATERAL,))
     assert found.model.coefficients == LATERAL
     names = {e.name for e in found.model.effects} | set(found.not_testable)
     assert {"roll_damping", "sideslip_bias", "mass_scale", "roll_rate_bias"} <= names
     assert not {"pitch_rate_lift", "kirchhoff_lift", "thrust_moment", "elevator_lift", "mach_drag"} & names
+    with pytest.raises(InputError, match=r'effect roll_damping acts on Cl .* add "lateral" to the axes'):
+        Model.of([*card.effects, "roll_damping"])
+    with pytest.raises(InputError, match="effect pitch_damping acts on Cm of the longitudinal axis"):
+        Model.of(["roll_damping", "pitch_damping"], axes=(Axis.LATERAL,))
 
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
@@ -81,13 +81,6 @@ def test_what_adds_to_coefficients_of_one_axis_acts_on_it(effect):
         assert effect.axes == (BOTH if added & set(NAMES) else (Axis.LATERAL,))
     if effect.stage > Stage.AIRCRAFT and added and added <= {*NAMES, "CL_attached"}:
         assert effect.axes == (Axis.LONGITUDINAL,)
-
-
-def test_a_model_refuses_an_effect_of_an_axis_that_it_lacks(card):
-    with pytest.raises(InputError, match=r'effect roll_damping acts on Cl .* add "lateral" to the axes'):
-        Model.of([*card.effects, "roll_damping"])
-    with pytest.raises(InputError, match="effect pitch_damping acts on Cm of the longitudinal axis"):
-        Model.of(["roll_damping", "pitch_damping"], axes=(Axis.LATERAL,))
 
 
 TERMS = ["roll_damping", "sideslip_roll", "yaw_damping", "rudder_side_force", "pitch_damping"]
@@ -113,3 +106,125 @@ def test_defaults_in_the_lengths_of_a_card_are_the_same_forces_and_moments(card,
     changed = {p.name for p, q in zip(before.parameters, after.parameters, strict=True) if p.prior != q.prior}
     moment = {"Clp", "Clbe", "Cnr"} if moment_length else set()
     assert changed == moment | ({"Clp", "Cnr"} if rate_length else set())
+
+
+# Two separation points, left and right: each wing at its own incidence, one mechanism for all that follows
+N, DT = 300, 0.04
+TELL_APART = {"wing_asymmetry": 0.012, "roll_rate_incidence": 0.6, "sideslip_incidence": 0.2, "aileron_incidence": -0.3}
+WINGS = ("wing_lift_difference", "wing_drag_difference")
+
+
+def signals() -> dict[str, jax.Array]:
+    t = np.arange(N) * DT
+    s = {
+        "alpha": 0.2 + 0.13 * np.sin(0.8 * t), "alpha_dot": 0.104 * np.cos(0.8 * t), "airspeed": 80.0 + 5.0 * np.cos(t),
+        "q": 0.05 * np.cos(t), "elevator": -0.1 * np.sin(t), "mach": np.full(N, 0.25), "p": 0.2 * np.sin(1.3 * t),
+        "beta": 0.06 * np.cos(0.9 * t), "aileron": 0.1 * np.sin(0.7 * t), "dt": np.full(N, DT), "start": t == 0.0,
+    }  # fmt: skip
+    return {name: jnp.asarray(x) for name, x in s.items()}
+
+
+def model_and_values(card, tell=TELL_APART, **changes):
+    """The card's model with wings told apart by effects `tell`, whose values they have, and the demo's truth."""
+    own = {p.name: x for name, x in tell.items() for p in CATALOGUE[name].parameters}
+    model = Model.of([*card.effects, *tell, *WINGS], axes=BOTH)
+    return model, {k: jnp.asarray(v) for k, v in (TRUTH | own | changes).items()}
+
+
+def difference(s, aircraft) -> np.ndarray:
+    """Incidence of the right wing less that of the left."""
+    roll = 2.0 * 0.6 * np.asarray(s["p"]) * aircraft.half_span / np.asarray(s["airspeed"])
+    return 0.012 + roll + 0.2 * np.asarray(s["beta"]) - 0.3 * np.asarray(s["aileron"])
+
+
+def test_each_wing_stalls_by_itself_and_rolls_and_yaws_as_strips_do(card):
+    s = signals()
+    model, v = model_and_values(card, tau1=0.0, tau2=0.0)
+    known = model.flow(v, s, card.aircraft)
+    alpha, half = np.asarray(s["alpha"]), difference(s, card.aircraft) / 2.0
+    right, left = (expit(-2.0 * TRUTH["a1"] * (alpha + side - TRUTH["alpha_star"])) for side in (half, -half))
+    np.testing.assert_allclose(known["X"], (right + left) / 2.0, rtol=1e-10)
+    np.testing.assert_allclose(known["X_difference"], right - left, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(model.static_separation(v, s, card.aircraft), known["X"], rtol=1e-14)
+    assert np.abs(right - left).max() > 0.2
+    # Force of either wing at 4/(3 pi) of the half span, moment r x F about body axes in N m.
+    s, a = signals(), card.aircraft
+    known = model.flow(v, s, a)
+    alpha, half = np.asarray(s["alpha"]), difference(s, a) / 2.0
+    pressure_area, roll, yaw = 1234.0, 0.0, 0.0
+    for side in (1.0, -1.0):
+        X = expit(-2.0 * TRUTH["a1"] * (alpha + side * half - TRUTH["alpha_star"]))
+        lift = TRUTH["CLa"] * alpha * ((1.0 + np.sqrt(X)) / 2.0) ** 2 * pressure_area / 2.0
+        drag = TRUTH["CDX"] * (1.0 - X) * pressure_area / 2.0
+        y = side * 4.0 / (3.0 * np.pi) * a.half_span
+        along, down = lift * np.sin(alpha) - drag * np.cos(alpha), -lift * np.cos(alpha) - drag * np.sin(alpha)
+        roll, yaw = roll + y * down, yaw - y * along
+    span = 2.0 * a.half_span
+    np.testing.assert_allclose(known["Cl"], roll / pressure_area / span, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(known["Cn"], yaw / pressure_area / span, rtol=1e-7, atol=1e-12)
+    # Right first: rolls and yaws to the right, most of all about the stall angle.
+    s = signals() | dict.fromkeys(("p", "beta", "aileron"), jnp.zeros(N))
+    model, v = model_and_values(card, {"wing_asymmetry": 0.01})
+    known = model.flow(v, s, card.aircraft)
+    assert np.all(known["X_difference"] < 0.0)
+    assert np.all((known["Cl"] > 0.0) & (known["Cn"] > 0.0))
+    assert np.max(known["Cl"]) > 50.0 * known["Cl"][np.argmin(s["alpha"])]
+
+
+def test_wings_that_are_alike_are_one_and_computed_once(card):
+    s = signals()
+    one = Model.of([*card.effects], axes=BOTH)
+    v = {k: jnp.asarray(x) for k, x in (TRUTH | {"tau1": 12.0}).items()}
+    expected = one.flow(v, s, card.aircraft)
+    model, alike = model_and_values(card, dict.fromkeys(TELL_APART, 0.0), tau1=12.0)
+    for found in (model.flow(alike, s, card.aircraft), Model.of([*card.effects]).flow(v, s, card.aircraft)):
+        for name in ("X", "CL", "CD", "Cm", "Cl", "Cn", "X_difference"):
+            np.testing.assert_array_equal(found[name], expected[name], name)
+
+    # The program of a model of one axis is that of the same effects before wings were known: one X.
+    def steps(model, values):
+        program = jax.make_jaxpr(lambda s: model.flow(values, s, card.aircraft)["CL"])(signals())
+        return str(program).count("logistic")
+
+    v = {k: jnp.asarray(x) for k, x in TRUTH.items()}
+    at_neutral: dict[str, float] = dict.fromkeys(("wing_asymmetry", "roll_station"), 0.0)
+    held = Model.of([*card.effects, "wing_asymmetry", "roll_rate_incidence", *WINGS], at_neutral, BOTH)
+    assert not held.two_wings
+    assert steps(Model.of(card.effects), v) == steps(held, v | at_neutral) == 1
+    assert steps(*model_and_values(card)) == 2
+
+
+def test_either_wing_lags_by_itself_and_without_lag_gives_the_mean(card):
+    s, lag = signals(), 20.0
+    model, v = model_and_values(card, tau1=lag)
+    static, _ = model_and_values(card, tau1=0.0)
+    before = static.flow(v | {"tau1": jnp.asarray(0.0)}, s, card.aircraft)
+    after = model.flow(v, s, card.aircraft)
+    tau = lag * card.aircraft.chord / s["airspeed"]
+    right, left = (
+        lagged(before["X"] + side * before["X_difference"] / 2.0, tau, s["dt"], s["start"]) for side in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(after["X"], (right + left) / 2.0, rtol=1e-9)
+    np.testing.assert_allclose(after["X_difference"], right - left, atol=1e-12)
+    s, (_, v) = signals(), model_and_values(card, tau1=0.0)
+    model = Model.of([*card.effects, *TELL_APART, *WINGS], {"tau1": 0.0}, BOTH)
+    whole = model.flow(v, s, card.aircraft)
+    given = model.flow(v, s, card.aircraft, X=model.static_separation(v, s, card.aircraft))
+    for name in ("X", "X_difference", "CL", "Cl", "Cn"):
+        np.testing.assert_array_equal(given[name], whole[name])
+
+
+@pytest.mark.parametrize("name", TELL_APART)
+def test_moments_follow_the_strength_of_each_cause(card, name):
+    """Derivatives of Cl and Cn by it, against central differences."""
+    s, (model, v) = signals(), model_and_values(card, {name: 0.1 * TELL_APART[name]})
+    (parameter,) = CATALOGUE[name].parameters
+
+    def moments(x):
+        known = model.flow(v | {parameter.name: x}, s, card.aircraft)
+        return jnp.stack([known["Cl"], known["Cn"], known["CL"]])
+
+    at, h = jnp.asarray(0.1 * TELL_APART[name]), 1e-6
+    _, slope = jax.jvp(moments, (at,), (jnp.ones_like(at),))
+    assert np.abs(slope[0]).max() > 1e-4
+    np.testing.assert_allclose(slope, (moments(at + h) - moments(at - h)) / (2.0 * h), atol=2e-8)

@@ -65,7 +65,7 @@ def test_a_segment_starts_where_it_was_measured_and_has_no_residual():
     assert float(jnp.abs(found.residual[0, :, :2]).max()) < 1e-8
 
 
-def test_a_system_without_inputs_flies():
+def test_closed_forms_of_a_ramp_and_of_a_system_without_inputs():
     text = """
     [channels]
     time = { label = "t", unit = "s" }
@@ -82,9 +82,13 @@ def test_a_system_without_inputs_flies():
     system = dynamics.system({"Mq": jnp.asarray(-0.8)}, flights.aircraft)
     found = integrate(system, jnp.asarray([0.3]), dynamics.drives({}, flights.channels, flights), 0.04)
     np.testing.assert_allclose(found.outputs["q"], 0.3 * np.exp(-0.8 * t), atol=1e-8)
+    # x' = -x + u with a ramp u = t from x = 0 is t - 1 + exp(-t).
+    t = np.arange(20) * 0.1
+    x = first_order_hold(np.array([[-1.0]]), np.array([[1.0]]), [0.0], t[:, None], 0.1)[:, 0]
+    np.testing.assert_allclose(x, t - 1.0 + np.exp(-t), atol=1e-14)
 
 
-def test_parameters_say_unit_and_meaning():
+def test_parameters_have_unit_meaning_and_what_the_card_sets():
     free = {p.name: p for p in linear_dynamics(card_of(SHORT_PERIOD)).free}
     assert {name: p.unit for name, p in free.items()} == {
         "Z0": "rad/s", "Zalpha": "1/s", "Zde": "1/s", "M0": "rad/s^2", "Malpha": "1/s^2", "Mq": "1/s", "Mde": "1/s^2",
@@ -94,9 +98,6 @@ def test_parameters_say_unit_and_meaning():
     assert free["Mde"].prior.family == "normal"
     assert free["Mde"].prior.scale >= 100.0
     assert free["Mde"].start == 0.0
-
-
-def test_the_card_sets_start_bounds_and_prior():
     extra = """
     [parameters.Mq]
     start = -1.0
@@ -109,26 +110,16 @@ def test_the_card_sets_start_bounds_and_prior():
         linear_dynamics(card_of(SHORT_PERIOD + "\n[parameters.Mq]\nstart = 1.0\nbounds = [-5.0, 0.0]"))
 
 
-def test_what_is_no_linear_card_and_what_is_no_model_is_said(card):
+def test_what_is_no_linear_card_no_model_or_lacks_an_input_is_said(card):
     with pytest.raises(InputError, match=r"no section \[linear\]"):
         linear_dynamics(card)
     with pytest.raises(InputError, match="linear system"):
         Model.from_card(card_of(SHORT_PERIOD))
-
-
-def test_a_record_without_an_input_is_refused_by_its_name():
     card = card_of(SHORT_PERIOD)
     true = short_period_flight(SHORT_PERIOD_TRUTH)
     without = record_of({name: x for name, x in true.items() if name != "elevator"})
     with pytest.raises(InputError, match="no channel elevator"):
         join([without], card, linear_dynamics(card).inputs)
-
-
-def test_the_closed_form_itself():
-    """x' = -x + u with a ramp u = t from x = 0 is t - 1 + exp(-t)."""
-    t = np.arange(20) * 0.1
-    x = first_order_hold(np.array([[-1.0]]), np.array([[1.0]]), [0.0], t[:, None], 0.1)[:, 0]
-    np.testing.assert_allclose(x, t - 1.0 + np.exp(-t), atol=1e-14)
 
 
 BIASED = SHORT_PERIOD.replace("[linear.rates.q]", '[linear.outputs.q]\nby_q = "1"\n[linear.rates.q]', 1)
@@ -144,7 +135,7 @@ def test_a_bias_is_what_a_record_shows_beyond_the_state():
     assert dynamics.outputs.count("q") == 1
 
 
-def test_a_constant_by_manoeuvre_is_that_of_each_sample_s_manoeuvre():
+def test_a_constant_by_manoeuvre_is_that_of_each_sample_s_and_cannot_be_fixed():
     card = card_of(SHORT_PERIOD.replace("[linear]", '[linear]\nby_manoeuvre = ["M0"]', 1))
     records = [record_of(short_period_flight(SHORT_PERIOD_TRUTH)) for _ in range(2)]
     flights = join([replace(r, name=f"flight_{k}") for k, r in enumerate(records)], card, ("elevator",))
@@ -158,24 +149,18 @@ def test_a_constant_by_manoeuvre_is_that_of_each_sample_s_manoeuvre():
     own, x = dynamics.system(values, NO_AIRCRAFT), jnp.array([0.1, 0.3])
     u = {"elevator": jnp.asarray(0.05), "M0": drive[0]}
     np.testing.assert_allclose(own.motion(x, u)[0], same.motion(x, u)[0])
-
-
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        (("[linear]", '[linear]\nby_manoeuvre = ["Mq"]'), "has Mq, which is no constant"),
-        (("[linear]", '[linear]\nby_manoeuvre = "M0"'), "must be a list of constants"),
-        (("[linear]", '[linear]\ndelays = { q = "Mq" }'), "must be the name of a parameter of no row"),
-        (("[linear]", '[linear]\ndelays = { theta = "tau" }'), "theta"),
-        (("[linear.rates.q]", '[linear.outputs.q]\none = "q"\n[linear.rates.q]'), "it may only have a bias"),
-    ],
-)
-def test_a_row_that_means_nothing_is_refused(changed, said):
-    with pytest.raises(InputError, match=re.escape(said)):
-        card_of(SHORT_PERIOD.replace(*changed, 1))
-
-
-def test_a_constant_cannot_be_fixed_and_differ_between_manoeuvres():
     text = SHORT_PERIOD.replace("[linear]", '[linear]\nby_manoeuvre = ["M0"]', 1)
     with pytest.raises(InputError, match="M0 is fixed and differs between manoeuvres"):
         card_of(text.replace("[linear.fixed]", "[linear.fixed]\nM0 = 0.0", 1))
+
+
+@pytest.mark.parametrize(("changed", "said"), [
+    (("[linear]", '[linear]\nby_manoeuvre = ["Mq"]'), "has Mq, which is no constant"),
+    (("[linear]", '[linear]\nby_manoeuvre = "M0"'), "must be a list of constants"),
+    (("[linear]", '[linear]\ndelays = { q = "Mq" }'), "must be the name of a parameter of no row"),
+    (("[linear]", '[linear]\ndelays = { theta = "tau" }'), "theta"),
+    (("[linear.rates.q]", '[linear.outputs.q]\none = "q"\n[linear.rates.q]'), "it may only have a bias"),
+])  # fmt: skip
+def test_a_row_that_means_nothing_is_refused(changed, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        card_of(SHORT_PERIOD.replace(*changed, 1))

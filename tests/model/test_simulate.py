@@ -1,7 +1,5 @@
 """The simulated flight against flight mechanics that was not taken from the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax
@@ -12,6 +10,7 @@ import pytest
 from bayes_aero.dynamics.simulated.manoeuvres import ramps
 from bayes_aero.dynamics.simulated.plant import INPUTS, FlightState, Plant
 from bayes_aero.dynamics.simulated.simulate import Pilot, fly
+from bayes_aero.dynamics.simulated.steady import conditions
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
@@ -20,6 +19,7 @@ from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import PROFILES, TRUTH
 
+# The simulated flight against flight mechanics that was not taken from the simulator
 DT = 0.04
 N = 2001
 INNER = slice(20, -20)
@@ -44,16 +44,9 @@ def constants() -> dict:
 
 
 BARE = Effect(
-    "bare",
-    Kind.AERODYNAMICS,
-    Stage.TOTAL,
-    "Constant coefficients.",
-    (),
-    (),
-    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")},
-    Example({}, {}, {}, "-"),
-    "-",
-)
+    "bare", Kind.AERODYNAMICS, Stage.TOTAL, "Constant coefficients.", (), (),
+    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")}, Example({}, {}, {}, "-"), "-",
+)  # fmt: skip
 
 
 def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
@@ -104,7 +97,7 @@ def test_wings_level_equations_are_the_symmetric_ones(card):
         assert rates.q == pytest.approx((qS * a.chord * Cm_cg + 9e3 * a.engine[2]) / a.Iy, rel=1e-10)
 
 
-def test_a_body_without_forces_keeps_its_energy(card):
+def test_energy_changes_by_the_work_of_the_side_force_alone(card):
     """Rolling does no work: V^2/2 + g h is constant in a parabola with any bank angle."""
     model = Model.of([BARE])
     phi, _ = weave(150)
@@ -112,10 +105,7 @@ def test_a_body_without_forces_keeps_its_energy(card):
     energy = 0.5 * flight["airspeed"] ** 2 + GRAVITY * flight["altitude"]
     assert float(jnp.ptp(flight["altitude"])) > 10.0
     np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
-
-
-def test_with_sideslip_only_the_side_force_works(card):
-    """d/dt (V^2/2 + g h) = side force x side velocity, and the side force is what `ay` records at the CG."""
+    # d/dt (V^2/2 + g h) = side force x side velocity, and the side force is what `ay` records at the CG.
     model, n = Model.of([BARE]), 150
     phi, beta = weave(n)
     aircraft = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0))
@@ -150,7 +140,7 @@ def test_steady_level_turn(card, degrees):
     np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
 
 
-def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
+def test_the_record_obeys_rigid_body_kinematics_and_gives_the_coefficients_back(card, stall):
     """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
     s = stall
     d = {
@@ -175,13 +165,25 @@ def test_recorded_signals_obey_rigid_body_kinematics(card, stall):
     for name, (derivative, equation) in found.items():
         error = float(jnp.sqrt(jnp.mean((derivative - equation)[INNER] ** 2)))
         assert error < 2e-3 * float(jnp.std(derivative[INNER])), name
-
-
-def test_coefficients_come_back_with_lateral_motion(card, stall):
-    """What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing."""
+    # What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing.
     n = len(stall["alpha"])
     ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
     found = coefficients(condition_joined(stall, *ends), card.aircraft)
     for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
         error = np.asarray(getattr(found, name) - stall[name])[INNER]
         assert np.sqrt(np.mean(error**2)) < limit, name
+
+
+# Conditions of the stall, from signals made by hand
+def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
+    """Lift peaks in the first tenth; the angle of attack in the last, with the elevator pulled further."""
+    n = 100
+    alpha, elevator, az = np.full(n, 0.1), np.full(n, -0.05), np.full(n, -9.8)
+    az[:10], elevator[:10] = -12.0, -0.15
+    alpha[-10:], elevator[-10:] = 0.4, -0.28
+    signals = {"alpha": alpha, "elevator": elevator, "az": az, "density": np.full(n, 1.0), "airspeed": np.full(n, 50.0)}
+    held = conditions(signals | {"q": np.full(n, 0.3)})
+    assert held["elevator"] == pytest.approx(-0.15)
+    assert held["q"] == 0.0
+    without = {name: x for name, x in signals.items() if name != "az"}
+    assert conditions(without)["elevator"] == pytest.approx(-0.28)

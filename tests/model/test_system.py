@@ -1,7 +1,5 @@
 """The simulation against closed forms, balances of momentum and energy, and the coefficients taken apart again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -81,7 +79,7 @@ class Falling(System):
         return -2.0 * u["t"] * x**2, {"x": x[0]}
 
 
-def test_the_integration_is_of_fourth_order():
+def test_the_integration_is_of_fourth_order_and_substeps_are_steps():
     errors = []
     for n in (51, 101, 201):
         t = jnp.linspace(0.0, 3.0, n)
@@ -90,10 +88,7 @@ def test_the_integration_is_of_fourth_order():
     assert errors[0] < 1e-4
     for coarse, fine in pairwise(errors):
         assert coarse / fine == pytest.approx(16.0, rel=0.2)
-
-
-def test_substeps_are_steps():
-    """An input that is linear all along is the same at the half step, however it was sampled."""
+    # An input that is linear all along is the same at the half step, however it was sampled.
     coarse = fly(Falling(), jnp.ones(1), {"t": jnp.linspace(0.0, 3.0, 51)}, 0.06, substeps=4)
     fine = fly(Falling(), jnp.ones(1), {"t": jnp.linspace(0.0, 3.0, 201)}, 0.015)
     np.testing.assert_allclose(coarse.states, fine.states[::4], rtol=1e-12)
@@ -110,7 +105,7 @@ def test_flight_is_integrated_to_fourth_order(card, more):
     np.testing.assert_allclose(first / second, 16.0, rtol=0.2)
 
 
-def test_power_is_force_times_speed(card):
+def test_power_and_momentum_change_by_what_accelerometers_feel(card):
     """d/dt (V^2/2 + g h) is the specific force, as accelerometers at the CG feel it, times the velocity."""
     flight = fly(system(LINEAR, at_cg(card)), start(), inputs(), DT).outputs
     energy = 0.5 * flight["airspeed"] ** 2 + GRAVITY * flight["altitude"]
@@ -118,10 +113,7 @@ def test_power_is_force_times_speed(card):
     power = flight["airspeed"] * force
     assert float(jnp.ptp(power)) > 50.0
     np.testing.assert_allclose(differentiate(energy, DT)[INNER], power[INNER], atol=1e-3)
-
-
-def test_momentum_changes_by_what_accelerometers_feel_and_by_gravity(card):
-    """In earth axes: horizontal and vertical velocity, differentiated, against the turned specific force."""
+    # In earth axes: horizontal and vertical velocity, differentiated, against the turned specific force.
     s = fly(system(LINEAR, at_cg(card)), start(), inputs(), DT).outputs
     climb, theta = s["theta"] - s["alpha"], s["theta"]
     forward, up = s["airspeed"] * jnp.cos(climb), s["airspeed"] * jnp.sin(climb)
@@ -136,7 +128,7 @@ def test_momentum_changes_by_what_accelerometers_feel_and_by_gravity(card):
     np.testing.assert_allclose(differentiate(s["q"], DT)[INNER], s["q_dot"][INNER], atol=2e-4)
 
 
-def test_level_flight_in_trim_goes_on(card):
+def test_level_flight_in_trim_goes_on_and_without_forces_it_is_a_parabola(card):
     """Lift, drag and moment chosen by hand so that forces and moments vanish: for a minute nothing moves."""
     a, V, alpha, h, T = card.aircraft, 110.0, 0.08, 4000.0, 2.5e4
     qS = 0.5 * float(air(jnp.asarray(h))[0]) * V**2 * a.wing_area
@@ -149,16 +141,11 @@ def test_level_flight_in_trim_goes_on(card):
     values |= {"Cm0": Cm + 0.5 * alpha, "Cma": -0.5, "Cmq": -8.0, "Cmde": -0.7}
     n = 1501
     flight = fly(
-        system(LINEAR, a, **values),
-        start(V, alpha, alpha, 0.0, h),
-        inputs(n, elevator=jnp.zeros(n), thrust=jnp.full(n, T)),
-        DT,
-    )
+        system(LINEAR, a, **values), start(V, alpha, alpha, 0.0, h),
+        inputs(n, elevator=jnp.zeros(n), thrust=jnp.full(n, T)), DT,
+    )  # fmt: skip
     for name, value in {"airspeed": V, "alpha": alpha, "theta": alpha, "q": 0.0, "altitude": h}.items():
         np.testing.assert_allclose(flight.outputs[name], value, rtol=1e-9, atol=1e-9, err_msg=name)
-
-
-def test_without_forces_it_is_a_parabola(card):
     nothing, n = dict.fromkeys(("CL0", "CLa", "CD0", "Cm0", "Cma", "Cmq", "Cmde"), 0.0), 200
     thrown, u = start(90.0, 0.1, 0.5, 0.02, 3000.0), inputs(n, thrust=jnp.zeros(n))
     flight = fly(system(LINEAR, card.aircraft, **nothing), thrown, u, DT)
@@ -166,12 +153,10 @@ def test_without_forces_it_is_a_parabola(card):
     t = np.arange(n) * DT
     forward, up = 90.0 * np.cos(0.4), 90.0 * np.sin(0.4) - GRAVITY * t
     expected = {
-        "airspeed": np.hypot(forward, up),
-        "theta": 0.5 + 0.02 * t,
-        "alpha": 0.5 + 0.02 * t - np.arctan2(up, forward),
-        "q": np.full(n, 0.02),
+        "airspeed": np.hypot(forward, up), "theta": 0.5 + 0.02 * t,
+        "alpha": 0.5 + 0.02 * t - np.arctan2(up, forward), "q": np.full(n, 0.02),
         "altitude": 3000.0 + 90.0 * np.sin(0.4) * t - 0.5 * GRAVITY * t**2,
-    }
+    }  # fmt: skip
     for name, value in expected.items():
         np.testing.assert_allclose(flight.outputs[name], value, rtol=1e-8, atol=1e-8, err_msg=name)
 
@@ -289,7 +274,7 @@ def test_sensitivities_are_those_of_finite_differences(card, lag):
         assert np.all(np.asarray(error) <= 1e-4 * np.asarray(size) + 1e-9), name
 
 
-def test_what_leaves_the_envelope_stops_and_stays_finite(card):
+def test_what_leaves_the_envelope_stops_and_a_start_that_is_no_number_is_outside(card):
     """An unstable aircraft tumbles; states, outputs and their derivatives are numbers all the same."""
 
     def respond(Cma):
@@ -310,8 +295,5 @@ def test_what_leaves_the_envelope_stops_and_stays_finite(card):
     for tree in (found.states, found.outputs, slope.states, slope.outputs):
         assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(tree))
     assert np.ptp(np.asarray(slope.states)[:out], axis=0).min() > 0.0
-
-
-def test_a_start_that_is_no_number_is_outside_from_the_first_sample(card):
     found = fly(system(LINEAR, card.aircraft), start(alpha=np.nan), inputs(20), DT)
     assert not np.asarray(found.inside).any()

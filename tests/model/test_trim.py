@@ -1,12 +1,14 @@
-"""Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it."""
-
-from __future__ import annotations
+"""Trim of one axis and of six degrees of freedom, from the model's coefficients and against another simulator."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import six_axes as six
+import stranger_six
+from stranger_six import Plane
 
 from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
+from bayes_aero.dynamics.simulated.rigid_trim import Condition, rigid_trim
 from bayes_aero.dynamics.simulated.trim import lead, level_speed, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
@@ -15,6 +17,7 @@ from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.simulate.demo import TRUTH
 
+# Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it
 AIRSPEED, ALTITUDE = 95.0, 5200.0
 TRIM = {"Cmih": -2.0, "Cm_stick": 0.7}  # the stick pitches up as much as the demo's elevator pitches down
 
@@ -52,11 +55,18 @@ def standard(model, card):
     return found.channels, found.refused
 
 
-def test_the_command_of_attached_flow_is_the_elevator_of_the_textbook(card):
+def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):
     alpha = jnp.asarray([0.05, 0.1, 0.2])
     shares, command = lead(Model.of(card.effects), values(), card.aircraft, alpha, AIRSPEED, ALTITUDE)
     np.testing.assert_array_equal(shares, [1.0, 0.0])
     np.testing.assert_allclose(command, -(TRUTH["Cm0"] + TRUTH["Cma"] * alpha) / TRUTH["Cmde"], rtol=1e-14)
+    usual, refused = standard(Model.of(card.effects), card)
+    own, refused_own = standard(pitched_by(card, STICK), card)
+    assert not refused
+    assert not refused_own
+    for name, channels in usual.items():
+        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
+        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
 
 
 @pytest.mark.parametrize("mach", [None, 0.3])
@@ -68,17 +78,7 @@ def test_at_level_speed_the_attached_lift_carries_the_weight(card, mach):
     assert lift == pytest.approx(card.aircraft.mass * GRAVITY, rel=1e-9)
 
 
-def test_a_control_that_pitches_up_is_moved_the_other_way(card):
-    usual, refused = standard(Model.of(card.effects), card)
-    own, refused_own = standard(pitched_by(card, STICK), card)
-    assert not refused
-    assert not refused_own
-    for name, channels in usual.items():
-        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
-        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
-
-
-def test_a_model_without_an_elevator_is_flown_by_its_stabilizer(card):
+def test_a_model_is_flown_by_its_stabilizer_or_cannot_be_trimmed(card):
     model = pitched_by(card, "stabilizer_trim")
     flown, refused = standard(model, card)
     assert not refused
@@ -88,8 +88,62 @@ def test_a_model_without_an_elevator_is_flown_by_its_stabilizer(card):
     begin = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
     assert doublet["alpha"][:25] == pytest.approx(begin.alpha, abs=np.deg2rad(0.1))
     assert np.ptp(doublet["alpha"]) > np.deg2rad(1.0)
-
-
-def test_a_model_that_no_control_pitches_cannot_be_trimmed(card):
     with pytest.raises(InputError, match="neither elevator nor stabilizer pitches it"):
         trimmed(pitched_by(card), values(), card.aircraft, AIRSPEED, ALTITUDE)
+
+
+# Steady flight in six degrees of freedom: the equations of another simulator say that nothing changes in it
+PLANE = Plane(**six.ATTACHED, Ixy=1.5e3, Iyz=-2e3)
+SPEED, HEIGHT = 120.0, 4000.0
+
+
+def trimmed_six(effects=(*six.LONGITUDINAL, *six.LATERAL), **condition):
+    model = six.model(effects)
+    asked = Condition(condition.pop("airspeed", SPEED), HEIGHT, **condition)
+    return rigid_trim(model, six.values(PLANE, model), six.aircraft(PLANE), asked)
+
+
+def rates(found, unequal=0.0):
+    """Those of the other simulator there."""
+    V, alpha, beta = (found.state[name] for name in ("airspeed", "alpha", "beta"))
+    x = np.zeros(12)
+    x[:3] = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    x[3:9] = [found.state[name] for name in ("p", "q", "r", "phi", "theta", "psi")]
+    x[9] = found.state["altitude"]
+    engines = 0.5 * found.thrust * np.array([1.0 + unequal, 1.0 - unequal])
+    return PLANE.rates(x, np.array([*(found.controls[n] for n in ("elevator", "aileron", "rudder")), *engines]))
+
+
+@pytest.mark.parametrize("condition", [
+    {}, {"climb": 0.06}, {"sideslip": 0.1}, {"unequal": 1.0}, {"sideslip": None, "bank": 0.08, "unequal": 1.0},
+    {"bank": 0.7, "turn_rate": None}, {"bank": None, "turn_rate": -0.04, "climb": -0.05},
+])  # fmt: skip
+def test_nothing_changes_in_steady_flight(condition):
+    found = trimmed_six(**condition)
+    slope = rates(found, condition.get("unequal", 0.0))
+    np.testing.assert_allclose(slope[:6], 0.0, atol=1e-6)
+    np.testing.assert_allclose(slope[6:8], 0.0, atol=1e-9)
+    assert slope[9] == pytest.approx(SPEED * np.sin(condition.get("climb", 0.0)), abs=1e-6)
+    turn = condition.get("turn_rate", 0.0)
+    assert slope[8] == pytest.approx(slope[8] if turn is None else turn, abs=1e-9)
+    if condition.get("bank") == 0.7:
+        assert slope[8] > 0.05
+    for name, state in (("sideslip", "beta"), ("bank", "phi")):
+        if condition.get(name) is not None:
+            assert found.state[state] == condition[name]
+
+
+def test_level_flight_is_found_and_what_cannot_be_held_is_refused():
+    x, controls = stranger_six.level(PLANE, SPEED, HEIGHT)
+    found = trimmed_six()
+    assert found.state["alpha"] == pytest.approx(np.arctan2(x[2], x[0]), rel=1e-6)
+    assert found.controls["elevator"] == pytest.approx(controls[0], rel=1e-5)
+    assert found.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
+    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n not in ("rudder_yaw", "rudder_roll")]
+    assert abs(trimmed_six(effects).state["phi"]) < 1e-9
+    with pytest.raises(InputError, match="no steady flight at 120 m/s and 4000 m that elevator, aileron can hold"):
+        trimmed_six(effects, unequal=1.0)
+    with pytest.raises(InputError, match="no steady flight at 30 m/s"):
+        trimmed_six(airspeed=30.0)
+    with pytest.raises(InputError, match="two of sideslip, bank and turn rate"):
+        Condition(SPEED, HEIGHT, bank=0.1)

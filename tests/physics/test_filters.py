@@ -1,14 +1,19 @@
-"""Smoothing and differentiation against what the filters are known to pass exactly."""
+"""Filters against what they are known to pass exactly, and alpha-dot from vane, gyro and lift."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_aero.flight.card.card import read_card
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Forming, observe
 from bayes_aero.physics import filters
 from bayes_aero.physics.separation import kirchhoff_factor, lagged, separation_point
+from bayes_aero.simulate.injection import hidden_flights
 
 
+# Smoothing and differentiation against what the filters are known to pass exactly
 @pytest.fixture
 def rng():
     return np.random.default_rng(int.from_bytes(b"filters", "big") % 2**32)
@@ -36,16 +41,13 @@ def test_ends_stay_and_next_samples_pass_straight_lines(rng):
     )
 
 
-def test_derivative_of_a_quartic_is_exact_away_from_the_outer_two(rng):
+def test_derivatives_of_quartics_are_exact_and_of_sines_of_high_order(rng):
     t, x, derivative = polynomial(rng, 4, 50)
     found = np.asarray(filters.differentiate(jnp.asarray(x), t[1] - t[0]))
     expected = np.polynomial.polynomial.polyval(t, derivative)
     np.testing.assert_allclose(found[2:-2], expected[2:-2], atol=1e-9)
     np.testing.assert_array_equal(found[:2], found[2])
     np.testing.assert_array_equal(found[-2:], found[-3])
-
-
-def test_derivative_of_a_sine_converges_at_least_with_eighth_order():
     errors = []
     for n in (60, 120):
         t = np.linspace(0.0, 2 * np.pi, n)
@@ -112,14 +114,11 @@ def test_advance_is_of_third_order_on_a_sine(share):
     assert error(0.04) / error(0.02) == pytest.approx(2.0**3, rel=0.1)
 
 
-def test_advance_moves_whole_samples_exactly_and_holds_the_ends():
+def test_advance_moves_whole_samples_and_its_slope_is_the_time_derivative():
     x, dt = sine(20, 0.25), jnp.full(20, 0.25)
     later, earlier = (filters.advance(x, jnp.asarray(s), dt, *inside(20)) for s in (0.75, -0.5))
     np.testing.assert_array_equal(later, np.concatenate([x[3:], np.repeat(x[-1], 3)]))
     np.testing.assert_array_equal(earlier, np.concatenate([np.repeat(x[0], 2), x[:-2]]))
-
-
-def test_slope_of_advance_in_the_delay_is_the_time_derivative():
     dt = 0.02
     n = 200
 
@@ -155,3 +154,35 @@ def test_rows_are_differentiated_as_each_alone(rng):
     last, dt = np.repeat([49, 79], [50, 30]), np.full(80, 0.02)
     alone = [filters.differentiate_joined(row, dt, first, last) for row in rows]
     np.testing.assert_array_equal(filters.differentiate_joined(rows, dt, first, last), alone)
+
+
+# Alpha-dot from vane, gyro and lift: near the truth, and without the noise of the lift that it may explain
+INNER = slice(60, -60)  # away from the ends, where the vane alone is taken
+
+
+@pytest.fixture(scope="module")
+def flight():
+    card = read_card("attas")
+    (flown,) = hidden_flights({}, seed=41, manoeuvres=1, noise="white", seconds=90.0)
+    return card, Model.from_card(card), flown
+
+
+def test_alpha_dot_is_nearer_the_truth_than_the_vane_and_holds_no_noise_of_lift(flight):
+    card, model, flown = flight
+    error = {}
+    for forming in Forming:
+        found = np.asarray(observe([flown.record], card, model, forming).signals["alpha_dot"])
+        error[forming] = np.sqrt(np.mean((found - flown.flown["alpha_dot"])[INNER] ** 2))
+    assert error[Forming.MATCHED] < 0.3 * error[Forming.PUBLISHED]
+    # Noise on az moves the measured CL; what it moves in alpha-dot must not follow it.
+    record = flown.record
+    noise = 0.5 * np.random.default_rng(1).standard_normal(record.n)
+    channels = dict(record.channels) | {"az": record["az"] + noise}
+    noisy = type(record).from_arrays(record.name, record.time, channels)
+    one, two = (observe([r], card, model) for r in (record, noisy))
+    lift = np.asarray(two.measured - one.measured)[INNER, 0]
+    rate = np.asarray(two.signals["alpha_dot"] - one.signals["alpha_dot"])[INNER]
+    # As measured, alpha-dot would move by noise/V; a tenth of its size is left at most, and next to none is lift's.
+    smoothed = np.std(lift) * np.std(noise) / np.std(lift) / float(jnp.mean(one.signals["airspeed"]))
+    assert np.std(rate) < 0.1 * smoothed
+    assert abs(np.polyfit(lift, rate, 1)[0]) * np.std(lift) < 0.02 * smoothed

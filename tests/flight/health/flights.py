@@ -1,7 +1,5 @@
 """A flight from rigid-body kinematics alone, so that every channel agrees with every other, and sensors with noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bayes_aero.flight.card.card import parse_card

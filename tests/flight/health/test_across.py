@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayes_aero.model.derived_channels import with_sums
+
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import card, changed, flight, smooth
 from stranger import fly as flown
@@ -65,15 +67,10 @@ def test_air_of_any_weather_is_silent(altitude, warm):
     assert across(changed(record, **air(record, warm=warm)), card(**UNITS)) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "unit"),
-    [
-        ("density", SLUG, "slug/ft^3"),
-        ("density", LB / FOOT**3, "lb/ft^3"),
-        ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"),
-        ("dynamic_pressure", 100.0, "hPa"),
-    ],
-)
+@pytest.mark.parametrize(("name", "size", "unit"), [
+    ("density", SLUG, "slug/ft^3"), ("density", LB / FOOT**3, "lb/ft^3"),
+    ("dynamic_pressure", LBF / FOOT**2, "lbf/ft^2"), ("dynamic_pressure", 100.0, "hPa"),
+])  # fmt: skip
 @pytest.mark.parametrize("with_altitude", [True, False])
 def test_a_unit_of_density_or_dynamic_pressure_is_told(sound, name, size, unit, with_altitude):
     record = changed(sound, without=() if with_altitude else ("altitude",), **{name: sound[name] / size})
@@ -83,37 +80,29 @@ def test_a_unit_of_density_or_dynamic_pressure_is_told(sound, name, size, unit, 
     assert told[0].grave == (name == "density")  # nothing rests on the dynamic pressure
 
 
-def test_a_density_in_slugs_shows_in_level_flight_alone(sound):
+def test_wrong_units_show_in_level_flight_and_in_the_density(sound):
     """CL = m g/(qbar S): 5700 x 9.80665/(0.5 x 0.0016 x 6400 x 28) is some 390."""
     record = changed(sound, without=("altitude", "dynamic_pressure", "mach"), density=sound["density"] / SLUG)
     (told,) = [f for f in findings(record) if f.fault == "load"]
     assert told.grave
     assert told.channel == "density"
     assert "density were in slug/ft^3 (the card says kg/m^3)" in told.sentence
-
-
-def test_a_wing_area_in_square_feet_shows_in_level_flight(sound):
     small = card(**UNITS)
     small = replace(small, aircraft=replace(small.aircraft, mass=1500.0, wing_area=28.0 / FOOT**2))
     told = [f for f in across(changed(sound, without=("altitude", "mach")), small) if f.fault == "load"]
     assert len(told) == 1
     assert "wing_area were in ft^2" in told[0].sentence
-
-
-def test_altitude_in_feet_shows_in_the_density(sound):
     told = [f for f in across(changed(sound, altitude=sound["altitude"] / FOOT), card(**UNITS)) if f.fault == "unit"]
     assert [f.channel for f in told][:1] == ["altitude"]
     assert 'set unit = "ft" for altitude' in told[0].sentence
 
 
-def test_a_constant_density_is_held_against_the_altitude(sound):
+def test_a_constant_or_derived_density_is_held_against_the_altitude(sound):
     record = changed(sound, without=("density", "dynamic_pressure", "mach"))
     assert across(record, card(constants={"density": "0.82 kg/m^3"})) == []
     (told,) = across(record, card(constants={"density": "1.225 kg/m^3"}))  # sea level's, at 4 km
     assert (told.fault, told.channel, told.grave) == ("density", "density", True)
 
-
-def test_density_from_dynamic_pressure_is_as_good_as_its_unit(sound):
     def derived(record):
         made = replace(card(**UNITS), derived={"density": "dynamic pressure"})
         return [(f.channel, f.fault, f.grave) for f in channel_health([record], made) if f.fault in ("unit", "load")]
@@ -124,20 +113,9 @@ def test_density_from_dynamic_pressure_is_as_good_as_its_unit(sound):
     assert derived(psf) == [("dynamic_pressure", "unit", True)]
 
 
-def test_calibrated_airspeed_shows_in_the_dynamic_pressure(sound):
+def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(sound):
     record = changed(sound, airspeed=sound["airspeed"] * np.sqrt(sound["density"] / 1.225))
     assert ("airspeed_kind", "airspeed") in [(f.fault, f.channel) for f in across(record, card(**UNITS))]
-
-
-@pytest.mark.parametrize(("off", "kind"), [(1.0, True), (0.96, True), (1.04, True), (1.0554, False), (0.94, False)])
-def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
-    """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is told."""
-    ratio = off * np.sqrt(sound["density"] / 1.225)
-    found = across(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**UNITS))
-    assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
-
-
-def test_impact_pressure_is_no_dynamic_pressure(sound):
     M = 0.85
     fast = changed(sound, airspeed=sound["airspeed"] * (M / sound["mach"]), mach=np.full(sound.n, M))
     q = 0.5 * fast["density"] * fast["airspeed"] ** 2
@@ -146,13 +124,18 @@ def test_impact_pressure_is_no_dynamic_pressure(sound):
     assert [(f.channel, f.grave) for f in told] == [("dynamic_pressure", False)]
     assert "impact pressure" in told[0].sentence
     assert across(changed(fast, dynamic_pressure=q), card(**UNITS)) == []
-
-
-def test_mach_number_against_airspeed_and_altitude(sound):
     (told,) = across(changed(sound, without=("density", "dynamic_pressure"), airspeed=sound["airspeed"] / KNOT),
                      card(**UNITS))  # fmt: skip
     assert (told.channel, told.fault, told.grave) == ("airspeed", "unit", True)
     assert 'unit = "kt"' in told.sentence
+
+
+@pytest.mark.parametrize(("off", "kind"), [(1.0, True), (0.96, True), (1.04, True), (1.0554, False), (0.94, False)])
+def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
+    """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is told."""
+    ratio = off * np.sqrt(sound["density"] / 1.225)
+    found = across(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**UNITS))
+    assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}
 
 
 @pytest.mark.parametrize("name", ["p", "q", "r"])
@@ -371,14 +354,11 @@ def test_pitching_by_the_inertia_of_roll_and_yaw_needs_no_input(seed):
 
 
 @needs_book
-@pytest.mark.parametrize(
-    ("model", "name", "pitches"),
-    [
-        ("full_six", "fAttasElv1.mat", True), ("full_six", "fAttasElv2.mat", True),
-        ("hfb320", "hfb320_1_10.asc", True), ("full_six", "fAttasAil1.mat", False),
-        ("full_six", "fAttasRud1.mat", False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("model", "name", "pitches"), [
+    ("full_six", "fAttasElv1.mat", True), ("full_six", "fAttasElv2.mat", True),
+    ("hfb320", "hfb320_1_10.asc", True), ("full_six", "fAttasAil1.mat", False),
+    ("full_six", "fAttasRud1.mat", False),
+])  # fmt: skip
 def test_records_of_the_book_without_their_elevator_are_told_where_it_was_flown(model, name, pitches):
     """cases.md: elevator 3-2-1-1 of ATTAS and HFB 320; aileron and rudder manoeuvres. As recorded all are sound."""
     card = read_card(model)
@@ -438,8 +418,6 @@ def test_pilots_of_the_book_are_no_feedback(model, name):
 @needs_book
 def test_the_dynamic_pressure_of_the_hfb_320_makes_its_density():
     """cases.md: 2 PDYN/V^2 is 0.7925 +- 0.0032 kg/m3."""
-    from bayes_aero.model.derived_channels import with_sums
-
     channels = (Channel("time", "s", None, 1), Channel("dynamic_pressure", "Pa", None, 3),
                 Channel("airspeed", "m/s", None, 5), Channel("q", "rad/s", None, 8),
                 Channel("q_dot", "rad/s^2", None, 9))  # fmt: skip

@@ -78,37 +78,72 @@ def test_a_sign_is_told_at_any_bank_angle(name, seed):
     assert name in findings[0].sentence
 
 
-@pytest.mark.parametrize(
-    ("name", "factor", "unit"),
-    [
-        ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / FOOT, "ft/s"),
-        ("altitude", 1.0 / FOOT, "ft"), ("q", np.pi / 180.0, "rad/s"), ("theta", np.pi / 180.0, "rad"),
-        ("phi", np.pi / 180.0, "rad"), ("alpha", np.pi / 180.0, "rad"), ("az", 1.0 / G, "g"),
-    ],
-)  # fmt: skip
-def test_a_unit_is_told_with_the_one_that_it_is_in(name, factor, unit):
-    record = flight(2)
-    (finding,) = [f for f in channel_health([changed(record, **{name: record[name] * factor})], card()) if f.grave]
-    assert (finding.fault, finding.channel) == ("unit", name)
-    assert f'unit = "{unit}"' in finding.sentence
+def held(x, period):
+    return x[(np.arange(len(x)) // period) * period]
+
+
+def interpolated(record, name, rate):
+    """Between samples at `rate`, Hz."""
+    own = np.arange(0.0, record.time[-1] + 1e-9, 1.0 / rate)
+    return np.round(np.interp(record.time, own, np.interp(own, record.time, record[name])), 7)
+
+
+def dropped(x, value):
+    return put(x, np.random.default_rng(1).choice(len(x), 20, replace=False), value)
+
+
+def calibrated(record):
+    """From the true airspeed, with the density of the standard atmosphere over that at sea level."""
+    return record["airspeed"] * np.sqrt((1.0 - 2.25577e-5 * record["altitude"]) ** 4.25588)
+
+
+RAD = np.pi / 180.0
+UNLIKE = [
+    ("airspeed", 1.0 / KNOT, "kt"), ("airspeed", 3.6, "km/h"), ("airspeed", 1.0 / FOOT, "ft/s"),
+    ("altitude", 1.0 / FOOT, "ft"), ("q", RAD, "rad/s"), ("theta", RAD, "rad"), ("phi", RAD, "rad"),
+    ("alpha", RAD, "rad"), ("az", 1.0 / G, "g"),
+]  # fmt: skip
+DROPS = {"alpha": 0.0, "q": 0.0, "az": 0.0, "theta": 0.0, "altitude": 30479.695, "airspeed": 0.01, "p": 3.0}
+HELD = [(name, period) for name in ("alpha", "elevator", "q") for period in (3, 5, 8)]
+FAULTS = {  # of a flight with these arguments: its fault, its channel, what stands there, words of the sentence
+    **{f"{n} in {u}": ({"seed": 2}, "unit", n, lambda r, n=n, x=x: x * r[n], f'unit = "{u}"') for n, x, u in UNLIKE},
+    **{f"{n} drops out": ({"seed": 5, "bank": 0.1}, "dropout", n, lambda r, n=n, x=x: dropped(r[n], x), "20 of 1501")
+       for n, x in DROPS.items()},
+    "a second drops out": ({"seed": 5}, "dropout", "alpha", lambda r: put(r["alpha"], slice(500, 525), -0.5), ""),
+    **{f"{n} held for {k} samples": ({"seed": 7, "dt": 0.02}, "held", n, lambda r, n=n, k=k: held(r[n], k),
+                                     f"true rate is {50.0 / k:.3g} Hz") for n, k in HELD},
+    "held at a rate that is no divisor": ({"seed": 9, "dt": 0.02}, "held", "q", lambda r: r["q"][
+        (np.floor(r.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)], ""),
+    **{f"every {x} Hz": ({"seed": 8, "dt": 0.02}, "held", "alpha", lambda r, x=x: interpolated(r, "alpha", x),
+                                     "interpolated") for x in (12.5, 10.0, 8.0)},  # the last ratio is no integer
+    **{f"calibrated airspeed at {h:.0f} m": ({"seed": 4, "altitude": h}, "airspeed_kind", "airspeed", calibrated, "")
+       for h in (6000.0, 9000.0)},
+    "elevator trailing edge up": ({"seed": 12}, "sign", "elevator", lambda r: -r["elevator"], "sign = -1 at elevator"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_a_fault_of_one_channel_is_told_and_no_other(case):
+    made, fault, name, recorded, words = FAULTS[case]
+    record = flight(**made)
+    (finding,) = [f for f in channel_health([changed(record, **{name: recorded(record)})], card()) if f.grave]
+    assert (finding.fault, finding.channel) == (fault, name)
+    assert words in finding.sentence
 
 
 FORWARD_LEFT_UP = ("ay", "az", "q", "r", "theta", "psi")
 
 
-@pytest.mark.parametrize(
-    ("turned", "exchanged", "named"),
-    [
-        (FORWARD_LEFT_UP, (), "the axes of the sensors are x forward, y left, z up"),
-        (("ay", "az", "q", "r"), (), "the axes of the sensors are x forward, y left, z up"),  # angles as we have them
-        (("q", "r", "theta", "psi"), (), "the axes of the rates are x forward, y left, z up"),
-        (("ax", "az", "p", "r"), (), "the axes of the sensors are x aft, y right, z up"),
-        (("az", "r"), (("ax", "ay"), ("p", "q")), "the axes of the sensors are x right, y forward, z up"),
-        (("ay", "az"), (), ""),  # two wrong signs are as likely
-        (("p", "r"), (), ""),
-        (("ax", "ay", "az"), (), ""),  # of the other hand
-    ],
-)
+@pytest.mark.parametrize(("turned", "exchanged", "named"), [
+    (FORWARD_LEFT_UP, (), "the axes of the sensors are x forward, y left, z up"),
+    (("ay", "az", "q", "r"), (), "the axes of the sensors are x forward, y left, z up"),  # angles as we have them
+    (("q", "r", "theta", "psi"), (), "the axes of the rates are x forward, y left, z up"),
+    (("ax", "az", "p", "r"), (), "the axes of the sensors are x aft, y right, z up"),
+    (("az", "r"), (("ax", "ay"), ("p", "q")), "the axes of the sensors are x right, y forward, z up"),
+    (("ay", "az"), (), ""),  # two wrong signs are as likely
+    (("p", "r"), (), ""),
+    (("ax", "ay", "az"), (), ""),  # of the other hand
+])  # fmt: skip
 def test_axes_are_named_and_the_advice_followed_gives_a_sound_record(turned, exchanged, named):
     """The frame is that of the file; each channel that changes is in the advice, and no other."""
     true = flight(0)
@@ -186,18 +221,15 @@ def test_the_axes_of_a_simulated_stall_are_named_and_its_elevator_is_not_blamed(
 LATERAL = ("phi", "psi", "beta", "p", "r", "ay")
 
 
-@pytest.mark.parametrize(
-    ("turned", "fault", "named"),
-    [
-        (("q", "az", "theta"), "axes", "the axes of the sensors are x forward, y left, z up"),
-        (("q", "az", "theta", "alpha"), "axes", "the axes of the sensors are x forward, y left, z up"),
-        (("q", "az"), "sign", "as where the axes of the sensors are x forward, y left, z up"),  # or two wrong signs
-        (("ax", "az"), "sign", "as where the axes of the sensors are x aft, y right, z up"),
-        (("ax", "az", "q"), "sign", ""),  # of the other hand
-        (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
-        *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")),
-    ],
-)
+@pytest.mark.parametrize(("turned", "fault", "named"), [
+    (("q", "az", "theta"), "axes", "the axes of the sensors are x forward, y left, z up"),
+    (("q", "az", "theta", "alpha"), "axes", "the axes of the sensors are x forward, y left, z up"),
+    (("q", "az"), "sign", "as where the axes of the sensors are x forward, y left, z up"),  # or two wrong signs
+    (("ax", "az"), "sign", "as where the axes of the sensors are x aft, y right, z up"),
+    (("ax", "az", "q"), "sign", ""),  # of the other hand
+    (("q", "ax"), "sign", "as where the axes of the sensors are x aft, y left, z down"),  # turned about z
+    *(((name,), "sign", "") for name in ("ax", "az", "q", "theta", "alpha")),
+])  # fmt: skip
 @pytest.mark.parametrize("without", [(), ("altitude",)])
 def test_axes_of_a_longitudinal_record_are_named_and_all_signs_are_advised_at_once(turned, fault, named, without):
     missing = (*LATERAL, *without)
@@ -212,14 +244,11 @@ def test_axes_of_a_longitudinal_record_are_named_and_all_signs_are_advised_at_on
     assert sorted(name for names in advised for name in names) == sorted(turned)
 
 
-@pytest.mark.parametrize(
-    ("names", "unit", "size"),
-    [
-        (("airspeed",), "kt", KNOT), (("airspeed",), "km/h", 1.0 / 3.6), (("airspeed",), "mph", 0.44704),
-        (("airspeed",), "ft/s", FOOT), (("altitude",), "ft", FOOT), (("ax", "ay", "az"), "g", G),
-        (("ax", "ay", "az"), "ft/s^2", FOOT),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("names", "unit", "size"), [
+    (("airspeed",), "kt", KNOT), (("airspeed",), "km/h", 1.0 / 3.6), (("airspeed",), "mph", 0.44704),
+    (("airspeed",), "ft/s", FOOT), (("altitude",), "ft", FOOT), (("ax", "ay", "az"), "g", G),
+    (("ax", "ay", "az"), "ft/s^2", FOOT),
+])  # fmt: skip
 @pytest.mark.parametrize("seed", [0, 1])
 def test_units_are_named_alone(names, unit, size, seed):
     """km/h and ft/s are ten per cent apart, knots and mph fifteen."""
@@ -230,12 +259,17 @@ def test_units_are_named_alone(names, unit, size, seed):
     assert re.findall(r'unit = "([^"]+)"', finding.sentence) == [unit]
 
 
-def test_a_factor_between_two_units_is_neither():
+def test_units_that_are_not_advised():
     """An airspeed in ft/s that is 4.75 % too large is as near to km/h: 3.44 times as large as in m/s."""
     record = flight(0, seconds=30.0)
     (finding,) = refuted(changed(record, airspeed=1.0475 * record["airspeed"] / FOOT), card())[0]
     assert finding.fault == "factor"
     assert "airspeed is 3.4" in finding.sentence
+    record = flight(2)
+    wrong = changed(record, airspeed=record["airspeed"] * KNOT)  # the file is in m/s, the card says kt
+    (finding,) = [f for f in channel_health([wrong], card(airspeed={"unit": "kt"})) if f.grave]
+    assert 'unit = "m/s"' in finding.sentence
+    assert 'unit = "kt"' not in finding.sentence
 
 
 def gusty(record, size=1.5):
@@ -308,14 +342,6 @@ def test_a_mean_lateral_acceleration_is_a_bias_with_its_size(size, without):
     assert channel_health([record], replace(card(), effects=("attached_lift", "accel_y_bias"))) == ()
 
 
-def test_a_unit_that_the_card_has_already_is_not_advised():
-    record = flight(2)
-    wrong = changed(record, airspeed=record["airspeed"] * KNOT)  # the file is in m/s, the card says kt
-    (finding,) = [f for f in channel_health([wrong], card(airspeed={"unit": "kt"})) if f.grave]
-    assert 'unit = "m/s"' in finding.sentence
-    assert 'unit = "kt"' not in finding.sentence
-
-
 def test_specific_force_without_gravity():
     record = flight(3)
     sin, cos = np.sin(record["theta"]), np.cos(record["theta"])
@@ -325,32 +351,6 @@ def test_specific_force_without_gravity():
     assert [f for f, _ in told(changed(record, ax=ax, ay=ay, az=az))] == ["gravity"]
     less = changed(record, ax=record["ax"] / G, ay=record["ay"] / G, az=-(record["az"] / G + 1.0))
     assert told(less) == [("gravity", "az")]
-
-
-@pytest.mark.parametrize("altitude", [6000.0, 9000.0])
-def test_calibrated_airspeed_in_place_of_true(altitude):
-    record = flight(4, altitude=altitude)
-    density = (1.0 - 2.25577e-5 * record["altitude"]) ** 4.25588  # over that at sea level, standard atmosphere
-    assert told(changed(record, airspeed=record["airspeed"] * np.sqrt(density))) == [("airspeed_kind", "airspeed")]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("alpha", 0.0), ("q", 0.0), ("az", 0.0), ("theta", 0.0), ("altitude", 30479.695), ("airspeed", 0.01), ("p", 3.0)],
-)
-def test_scattered_dropouts_to_a_constant(name, value):
-    record = flight(5, bank=0.1)
-    spots = np.random.default_rng(1).choice(record.n, 20, replace=False)
-    (finding,) = [
-        f for f in channel_health([changed(record, **{name: put(record[name], spots, value)})], card()) if f.grave
-    ]
-    assert (finding.fault, finding.channel) == ("dropout", name)
-    assert f"{len(spots)} of {record.n}" in finding.sentence
-
-
-def test_a_dropout_of_a_second():
-    record = flight(5)
-    assert told(changed(record, alpha=put(record["alpha"], slice(500, 525), -0.5))) == [("dropout", "alpha")]
 
 
 @pytest.mark.parametrize("name", ["alpha", "theta", "q", "airspeed", "az", "beta", "elevator"])
@@ -366,34 +366,13 @@ def test_a_frozen_channel(name, digits):
     assert finding.end == pytest.approx(30.0, abs=0.1)
 
 
-@pytest.mark.parametrize("period", [3, 5, 8])
-@pytest.mark.parametrize("name", ["alpha", "elevator", "q"])
-def test_a_held_channel_has_its_true_rate_said(period, name):
-    record = flight(7, 0.02)
-    x = record[name][(np.arange(record.n) // period) * period]
-    (finding,) = [f for f in channel_health([changed(record, **{name: x})], card()) if f.grave]
-    assert (finding.fault, finding.channel) == ("held", name)
-    assert f"true rate is {50.0 / period:.3g} Hz" in finding.sentence
-
-
-@pytest.mark.parametrize("rate", [12.5, 10.0, 8.0])  # the last ratio is no integer
-def test_an_interpolated_channel_has_its_true_rate_said(rate):
-    record = flight(8, 0.02)
-    own = np.arange(0.0, record.time[-1] + 1e-9, 1.0 / rate)
-    x = np.interp(record.time, own, np.interp(own, record.time, record["alpha"]))
-    (finding,) = [f for f in channel_health([changed(record, alpha=np.round(x, 7))], card()) if f.grave]
-    assert (finding.fault, finding.channel) == ("held", "alpha")
-    assert "interpolated" in finding.sentence
-
-
 @pytest.mark.parametrize("dt", [0.01, 0.02, 0.04])
 @pytest.mark.parametrize("rate", [1.0, 2.0])
 @pytest.mark.parametrize("seconds", [15.0, 60.0])
 def test_a_channel_between_samples_of_one_hertz_has_its_true_rate_said(dt, rate, seconds):
     record = flight(8, dt, seconds)
-    own = np.arange(0.0, seconds + 1e-9, 1.0 / rate)
-    alpha = np.interp(record.time, own, np.interp(own, record.time, record["alpha"]))
-    (finding,) = [f for f in channel_health([changed(record, alpha=np.round(alpha, 7))], card()) if f.fault == "held"]
+    recorded = changed(record, alpha=interpolated(record, "alpha", rate))
+    (finding,) = [f for f in channel_health([recorded], card()) if f.fault == "held"]
     assert (finding.channel, finding.grave) == ("alpha", True)
     assert (
         f"linearly interpolated over {1.0 / rate / dt:.3g} samples: the true rate is {rate:.3g} Hz" in finding.sentence
@@ -526,7 +505,7 @@ def test_peaks_of_a_rounded_attitude_are_not_saturated(step, dt):
         assert saturated(changed(record, **rounded), card()) == []
 
 
-def test_a_dead_heading_is_told_and_left_out_of_the_flight_path():
+def test_headings_that_are_dead_or_wrap():
     record = flight(14)
     (finding,) = channel_health([changed(record, psi=np.full(record.n, 0.3))], card())
     assert (finding.fault, finding.channel, finding.grave) == ("frozen", "psi", False)
@@ -535,12 +514,10 @@ def test_a_dead_heading_is_told_and_left_out_of_the_flight_path():
         ours = replace(card(), constants={"density": 0.8})
         states[name] = path_states(despiked(join([changed(record, psi=psi)], ours, PATH_CORE))[0])
     assert states["alive"] == (*states["dead"], "psi")
-
-
-def test_a_channel_held_at_a_rate_that_is_no_divisor():
-    record = flight(9, 0.02)
-    x = record["q"][(np.floor(record.time * 15.0 + 1e-9) / 15.0 / 0.02).round().astype(int)]
-    assert told(changed(record, q=x)) == [("held", "q")]
+    psi = 3.0 + record["psi"]
+    (finding,) = channel_health([changed(record, psi=(psi + np.pi) % (2 * np.pi) - np.pi)], card())
+    assert (finding.fault, finding.channel, finding.grave) == ("wrapped", "psi", False)
+    assert "360 deg" in finding.sentence
 
 
 @pytest.mark.parametrize("digits", [None, {"q": np.deg2rad(0.1)}])
@@ -558,14 +535,7 @@ def test_a_coarse_channel(name, step):
     assert ("quantised", name) in told(changed(record, **{name: np.round(record[name] / step) * step}))
 
 
-def test_an_elevator_that_is_positive_trailing_edge_up():
-    record = flight(12)
-    (finding,) = [f for f in channel_health([changed(record, elevator=-record["elevator"])], card()) if f.grave]
-    assert (finding.fault, finding.channel) == ("sign", "elevator")
-    assert "sign = -1 at elevator" in finding.sentence
-
-
-def test_air_data_in_other_units():
+def test_air_data_and_time_in_other_units():
     record = flight(13)
     temperature = 288.15 - 0.0065 * record["altitude"]
     pressure = 101325.0 * (temperature / 288.15) ** 5.25588
@@ -580,17 +550,16 @@ def test_air_data_in_other_units():
     (finding,) = channel_health([changed(record, **air, calibrated_airspeed=ias / KNOT)], card(**units, **speed))
     assert 'unit = "kt" for calibrated_airspeed' in finding.sentence
     assert not finding.grave  # nothing is computed from it
+    record = flight(22, 0.2)
+    (finding,) = [
+        f
+        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
+        if f.fault == "unit"
+    ]
+    assert 'unit = "s" for it on the card' in finding.sentence
 
 
-def test_a_heading_that_wraps():
-    record = flight(14)
-    psi = 3.0 + record["psi"]
-    (finding,) = channel_health([changed(record, psi=(psi + np.pi) % (2 * np.pi) - np.pi)], card())
-    assert (finding.fault, finding.channel, finding.grave) == ("wrapped", "psi", False)
-    assert "360 deg" in finding.sentence
-
-
-def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
+def test_time_on_the_ground_and_idle_flight():
     record, rng = flight(15), np.random.default_rng(0)
     on = {k: np.full(500, x[0]) + 1e-3 * rng.standard_normal(500) for k, x in record.channels.items()}
     on["airspeed"], on["az"] = 4.0 + 0.3 * rng.standard_normal(500), -G + 0.02 * rng.standard_normal(500)
@@ -600,9 +569,6 @@ def test_time_on_the_ground_is_said_in_seconds_and_nothing_else():
     assert (finding.fault, finding.begin) == ("ground", 0.0)
     assert finding.end == pytest.approx(499 * 0.04, abs=0.5)
     assert "cut" in finding.sentence
-
-
-def test_idle_flight_is_a_note():
     record, rng = flight(16), np.random.default_rng(0)
     calm = {
         k: x[-1] + 1e-4 * rng.standard_normal(1500)
@@ -616,7 +582,7 @@ def test_idle_flight_is_a_note():
     assert finding.begin == pytest.approx(60.0, abs=6.0)
 
 
-def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
+def test_records_given_twice_and_records_of_two_rates():
     one, other = flight(17), flight(18)
     assert told(one, changed(other, "other")) == []
     assert told(one, changed(one, "again")) == [("same_record", "record")]
@@ -628,6 +594,10 @@ def test_one_flight_given_twice_whole_cut_renamed_and_rescaled():
     tail = FlightRecord.from_arrays("tail", np.arange(1000) * 0.04, {
         k: np.concatenate([one[k][-400:], other[k][:600]]) for k in one.channels})  # fmt: skip
     assert ("same_record", "record") in told(one, tail)
+    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
+    assert finding.fault == "rates"
+    assert "25 Hz" in finding.sentence
+    assert "100 Hz" in finding.sentence
 
 
 @pytest.mark.parametrize(("every", "step"), [(1, 2e-3), (1, 2e-2), (2, 0.0), (5, 1e-3)])
@@ -645,13 +615,6 @@ def test_a_copy_with_fewer_digits_or_at_a_part_of_the_rate_is_no_new_flight(ever
     assert not [f for f in channel_health([one, copied(other)], card()) if f.fault == "same_record"]
 
 
-def test_two_rates_are_said_in_hertz():
-    (finding,) = [f for f in channel_health([flight(19), changed(flight(20, 0.01), "fast")], card()) if f.grave]
-    assert finding.fault == "rates"
-    assert "25 Hz" in finding.sentence
-    assert "100 Hz" in finding.sentence
-
-
 @pytest.mark.parametrize(("seconds", "short"), [(2.4, True), (4.0, True), (8.0, False)])
 def test_a_record_must_cover_what_the_aircraft_does(seconds, short):
     assert (("short", "record") in told(flight(21, seconds=seconds))) == short
@@ -665,13 +628,3 @@ def test_what_is_needed_is_never_what_there_is(seconds):
     assert float(has) < float(needed)
     asked = [float(x) for x in re.findall(r"([\d.]+) s", too_short(2.0 * DEFAULT.shortest_part * DEFAULT.gap - 0.01))]
     assert asked[0] < asked[1]
-
-
-def test_time_in_seconds_that_the_card_takes_for_milliseconds():
-    record = flight(22, 0.2)
-    (finding,) = [
-        f
-        for f in channel_health([changed(record, time=record.time * 1e-3)], card(time={"unit": "ms"}))
-        if f.fault == "unit"
-    ]
-    assert 'unit = "s" for it on the card' in finding.sentence

@@ -33,7 +33,7 @@ def at_map():
     return fit_gp(*make(0), input_names=("alpha", "V"), starts=4, sample=False)
 
 
-def test_predictions_cover_what_they_say(sampled):
+def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters(sampled):
     X, y = make(1, n=1500)
     y = y - 6 * X[:, 0]
     p = sampled.predict(X[:, 1:])
@@ -41,6 +41,13 @@ def test_predictions_cover_what_they_say(sampled):
         assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
     assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
     assert np.all(p.sd > p.latent_sd)
+    new = np.linspace(60.0, 110.0, 50)[:, None]
+    p = sampled.predict(new)
+    assert p.component_mean.shape == (24, 50)
+    np.testing.assert_allclose(p.mean, p.component_mean.mean(axis=0))
+    within = np.mean(p.component_sd**2, axis=0)
+    np.testing.assert_allclose(p.sd**2, within + p.component_mean.var(axis=0))
+    assert np.all(p.component_mean.std(axis=0) > 0)
 
 
 def test_map_prediction_is_the_textbook_conditional(at_map):
@@ -63,16 +70,6 @@ def test_map_prediction_is_the_textbook_conditional(at_map):
     np.testing.assert_allclose(p.sd**2, variance + hyper["noise"] ** 2, rtol=1e-8)
     np.testing.assert_allclose(p.high[2] - p.low[2], 2 * 1.959964 * p.sd, rtol=1e-6)
     assert sd.shape == (2,)
-
-
-def test_hyperparameter_uncertainty_is_in_the_predictions(sampled):
-    new = np.linspace(60.0, 110.0, 50)[:, None]
-    p = sampled.predict(new)
-    assert p.component_mean.shape == (24, 50)
-    np.testing.assert_allclose(p.mean, p.component_mean.mean(axis=0))
-    within = np.mean(p.component_sd**2, axis=0)
-    np.testing.assert_allclose(p.sd**2, within + p.component_mean.var(axis=0))
-    assert np.all(p.component_mean.std(axis=0) > 0)
 
 
 def test_mixture_quantiles_are_those_of_its_draws():
@@ -115,16 +112,15 @@ def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
     back.close()
 
 
-def test_map_only_says_that_it_was_not_sampled(at_map):
+def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
     assert at_map.status is SampleStatus.not_sampled
     assert at_map.posterior is None
     assert np.isnan(at_map.k_hat)
-
-
-def test_jax_arrays_are_welcome(at_map):
     X, y = make(0)
     fit = fit_gp(jnp.asarray(X), jnp.asarray(y), starts=4, sample=False)
     assert fit.optima[0].value == at_map.optima[0].value
+    with pytest.raises(InputError, match="alpha, V"):
+        at_map.predict(np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(
@@ -143,14 +139,13 @@ def test_what_cannot_be_fitted_is_refused_in_words(change, says):
         fit_gp(*change(*make(0)), sample=False)
 
 
-def test_flat_priors_are_not_sampled():
+def test_priors_and_records_that_cannot_be_sampled_are_refused(monkeypatch):
     with pytest.raises(InputError, match="improper"):
         fit_gp(*make(0), priors=Priors.flat())
-
-
-def test_wrong_inputs_to_predict_at_are_refused(at_map):
-    with pytest.raises(InputError, match="alpha, V"):
-        at_map.predict(np.zeros((3, 3)))
+    X, y = make(0)
+    monkeypatch.setattr(fitting, "MAX_SAMPLES", 80)
+    with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
+        fit_gp(X, y, sample=False)
 
 
 @pytest.mark.parametrize("dependent", ["input twice", "sum of inputs", "linear output"])
@@ -163,10 +158,3 @@ def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
     assert fit.status is SampleStatus.dependent
     assert fit.posterior is None
     assert np.isfinite(fit.predict(X).mean).all()
-
-
-def test_too_many_samples_are_refused(monkeypatch):
-    X, y = make(0)
-    monkeypatch.setattr(fitting, "MAX_SAMPLES", 80)
-    with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
-        fit_gp(X, y, sample=False)

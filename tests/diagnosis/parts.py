@@ -1,0 +1,63 @@
+"""Parts of a diagnosis that are made up, for tests of what is judged and not of what is fitted."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.result import Cause, Gain
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.trajectories.holdout_fits import Noise
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.injection import hidden_records
+
+
+def part(kind, **given):
+    """An instance of a dataclass with these fields alone: what is judged here needs no aircraft."""
+    made = object.__new__(kind)
+    for name, value in given.items():
+        assert name in {f.name for f in fields(kind)}
+        object.__setattr__(made, name, value)
+    return made
+
+
+def cause(name="thrust_scale", mean=-0.08, sd=0.01, **given) -> Cause:
+    parameters = {p.name: Size(mean, sd, p.unit) for p in CATALOGUE[name].parameters}
+    gain = Gain(1.0, 1.0, "manoeuvre", {}, {})
+    rest = {"probability": 0.9, "p_value": 0.01, "ambiguous_with": ()} | given
+    return Cause(name, "propulsion", CATALOGUE[name].claim, "coefficients", parameters=parameters, gain=gain, **rest)
+
+
+def with_candidates(card, model, names, seeds=(0,)) -> SelectionState:
+    """The card's model with these candidates, at the truth of simulated stalls without them."""
+    base = tuple(e for e in model.effects if e.name != "separation_lag")  # fixed at neutral by the card
+    everything = (*base, *(CATALOGUE[name] for name in names))
+    changed = {p.name: p for p in model.parameters}
+    parameters = tuple(changed.get(p.name, p) for e in everything for p in e.parameters)
+    whole = replace(model, effects=everything, parameters=parameters, fixed=())
+    full = CandidateModel(whole, tuple(e.name for e in base), everything[len(base) :], {})
+    theta = np.array([TRUTH.get(p.name, p.neutral) for p in parameters])
+    records = [simulate_stall(seed, card=card) for seed in seeds]
+    return linearised(full, EquationError.of(join(records, card), whole), NAMES, theta)
+
+
+def fitted_to_stalls(card, model, hidden, seed):
+    """A trajectory fit to two stalls of 90 s that hide something: the flights, the fit, its noise."""
+    flights = despiked(join(hidden_records(hidden, seed=seed, seconds=90.0), card, FLIGHT))[0]
+    whole = segments(
+        flights, aircraft_dynamics(model, flights), outputs=("airspeed", "alpha", "theta", "q", "ax", "az")
+    )
+    start = np.array([TRUTH.get(p.name, p.neutral) for p in model.free])
+    first = fit_output_error(whole, start=start, prior_weight=30.0)  # near enough to need no shorter windows
+    noise = Noise.of(first)
+    again = {"start": first.estimate, "departure": first.departure, "prior_weight": noise.variance_inflation}
+    return flights, fit_output_error(noise.on(whole), **again), noise
