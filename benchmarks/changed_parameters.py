@@ -7,12 +7,12 @@ python benchmarks/changed_parameters.py silence 20 --single        # on single m
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from studies import parser_of, seeds_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from changing_parameters import AT, changed
@@ -40,15 +40,12 @@ def flown(seed: int, change: bool, single: bool) -> tuple[list[FlightRecord], st
 
 def main() -> None:
     """Fly, diagnose, print a line each and the counts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("silence", "change"))
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
+    parser = parser_of(__doc__, kinds=("silence", "change"))
     parser.add_argument("--single", action="store_true")
     asked = parser.parse_args()
     card, rows = read_card("attas"), []
-    for seed in range(asked.first, asked.first + asked.count):
-        records, name, size = flown(seed, asked.kind == "change", asked.single)
+    for seed in seeds_of(asked):
+        records, name, size = flown(seed, asked.what == "change", asked.single)
         began = time.perf_counter()
         found = diagnose(records, card, seed=seed, gains_wanted=False)
         seconds = time.perf_counter() - began
@@ -64,9 +61,7 @@ def main() -> None:
         inside = sum(first.interval[0] <= AT <= first.interval[1] for first, _ in right)
         z = np.array([(first.size[0] - size) / first.size[1] for first, size in right])
         print(f"the parameter that changed is first or a rival of the first in {sum(r[2] for r in rows)}; first in")
-        print(
-            f"  {len(right)}: time inside its interval {inside}, size within 1.96 standard errors {sum(abs(z) < 1.96)}"
-        )
+        print(f"  {len(right)}: time inside {inside}, size within 1.96 standard errors {sum(abs(z) < 1.96)}")
 
 
 if __name__ == "__main__":

@@ -11,17 +11,15 @@ threshold or number of terms by the mean square error of the folds. One line of 
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from resumed import resumed
-from unlisted_terms import UNLISTED, draw
+from studies import parser_of, resumed, seeds_of
+from unlisted_terms import in_stalls
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
@@ -30,7 +28,6 @@ from bayes_aero.diagnosis.structure.components import with_components
 from bayes_aero.diagnosis.structure.unexplained import taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.simulate.injection import Beyond, hidden_records
 
 Folds = Sequence[tuple[np.ndarray, np.ndarray]]
 Peer = Callable[[Float[np.ndarray, "m j"], Float[np.ndarray, " m"], Folds], list[int]]
@@ -112,14 +109,7 @@ def problem(state: SelectionState, columns: Sequence[Column]) -> tuple[np.ndarra
 
 def case(seed: int, silent: bool) -> dict:
     """Fly, diagnose, and let every program choose."""
-    rng = np.random.default_rng([seed, 31])
-    noise = str(rng.choice(["white", "ar1", "buffet"]))
-    while True:
-        coefficient, name, values = draw(rng)
-        if "unlisted_product" in values:
-            break
-    hidden = {} if silent else values
-    records = hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=Beyond((UNLISTED,), lambda _: hidden))
+    (coefficient, name, _), noise, records = in_stalls(seed, silent, products=True)
     found = diagnose(records, read_card("attas"), seed=seed, gains_wanted=False)
     own = [t for t in found.terms if silent or t.coefficient == coefficient]
     told = [[t.term.name, *(o.name for o, _ in t.others)] for t in own]
@@ -153,11 +143,6 @@ def report(rows: list[dict]) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=300)
-    parser.add_argument("--out", type=Path, default=Path("race"))
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    cases = {(seed, silent): partial(case, seed, silent) for seed in seeds for silent in (False, True)}
+    given = parser_of(__doc__, "race", first=300).parse_args()
+    cases = {(seed, silent): partial(case, seed, silent) for seed in seeds_of(given) for silent in (False, True)}
     report(resumed(given.out / "race.jsonl", cases, lambda row: (row["seed"], row["hidden"] is None)))

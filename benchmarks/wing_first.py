@@ -14,23 +14,21 @@ stopped.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from resumed import resumed
+from studies import parser_of, run_seeds, told
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from six_axes import LATERAL, LONGITUDINAL, STALL, card_text, recorded
 from stranger_six import Plane, Strips, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.steps.post_diagnosis import proposed_points
@@ -76,11 +74,11 @@ def flown(seed: int, halves: bool = False) -> tuple[Plane, list[FlightRecord], f
     return plane, records, -plane.Clda * size if name == "aileron_offset" else size
 
 
-def card_of(plane: Plane) -> Card:
-    """The model without what is hidden; no constants of the aircraft but mass and geometry."""
+def card_of(plane: Plane, effects: Sequence[str] = EFFECTS) -> Card:
+    """A model of these effects; no constants of the aircraft but mass and geometry."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "another.toml"
-        path.write_text(card_text(plane, EFFECTS), encoding="utf-8")
+        path.write_text(card_text(plane, effects), encoding="utf-8")
         return read_card(str(path))
 
 
@@ -90,24 +88,8 @@ def case(seed: int, halves: bool = False, only: tuple[str, ...] = tuple(FLOWN)) 
     records = [record for record in records if record.name in only]
     began = time.perf_counter()
     found = diagnose(records, card_of(plane), seed=seed, gains_wanted=False, process_noise=False)
-    return {
-        "seed": seed,
-        "hidden": hidden(seed),
-        "size": size,
-        **told(found),
-        "seconds": time.perf_counter() - began,
-    }
-
-
-def told(found: Diagnosis) -> dict:
-    """What a diagnosis says."""
-    return {
-        "verdict": found.verdict.value,
-        "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
-        "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
-        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
-        "manoeuvres": [p["manoeuvre"] for p in proposed_points(found).get("points", ())],
-    }
+    points = [p["manoeuvre"] for p in proposed_points(found).get("points", ())]
+    return {"seed": seed, "hidden": hidden(seed), "size": size, **told(found, began), "manoeuvres": points}
 
 
 def report(rows: list[dict]) -> None:
@@ -137,13 +119,8 @@ def report(rows: list[dict]) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("wing_first"))
+    parser = parser_of(__doc__, "wing_first")
     parser.add_argument("--halves", action="store_true")
     parser.add_argument("--only", nargs="+", choices=tuple(FLOWN), default=tuple(FLOWN))
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    cases = {seed: partial(case, seed, given.halves, tuple(given.only)) for seed in seeds}
-    report(resumed(given.out / "wing_first.jsonl", cases))
+    report(run_seeds(given, "wing_first.jsonl", case, halves=given.halves, only=tuple(given.only)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from injection import injected
+from injected_effects import injected
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.errors import InputError

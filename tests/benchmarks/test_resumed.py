@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
-from resumed import resumed
+from studies import resumed
 
 from bayes_aero.errors import InputError
 

@@ -6,8 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import verify
-from claims import ROUND
-from verify import begin, count, enter, flights, fly, line_of, mark
+from verify import ROUND, begin, count, enter, flights, fly, line_of, mark
 
 
 def silent(kind, seed, posterior):

@@ -18,7 +18,7 @@ def test_a_wing_that_stalls_first_is_found_alone_and_sized():
     plane, records, size = wing_first.flown(0)
     chosen = [record for record in records if record.name in RECORDS]
     found = diagnose(chosen, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
-    said = wing_first.told(found)
+    said = wing_first.told(found, 0.0)
     assert list(said["causes"]) == ["wing_asymmetry"]
     assert said["ambiguous"] == {"wing_asymmetry": []}
     assert said["unexplained"] == []
@@ -48,7 +48,7 @@ def test_uneven_engines_are_told_from_their_rivals_by_the_manoeuvres_that_are_pr
     found = diagnose(then, wing_first.card_of(plane), gains_wanted=False, process_noise=False)
     assert found.verdict is Verdict.EXPLAINED
     assert found.absorbed == ()
-    said = wing_first.told(found)
+    said = wing_first.told(found, 0.0)
     assert list(said["causes"]) == ["thrust_asymmetry"]
     assert said["ambiguous"] == {"thrust_asymmetry": []}
     ((mean, sd),) = said["causes"]["thrust_asymmetry"].values()
