@@ -74,21 +74,18 @@ BLOCKS = {
     ),
     "jet": Block(
         "Output error of a small jet, 600 samples, 11 parameters",
-        ("bayes_aero", "aeroid, its differences", "aeroid, JAX gradient", "the same, kept compiled by us"),
+        (
+            "bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm", "aeroid, its differences",
+            "aeroid, JAX gradient", "the same, kept compiled by us",
+        ),
         (FIRST, WARM, COST, MEMORY),
-    ),
-    "jet_samplers": Block(
-        "Posterior of the small jet", ("bayes_aero, emcee", "bayes_aero, NUTS", "aeroid, MCMC"), DRAWS
     ),
 }  # fmt: skip
 
 WHY = {  # of one contender, before what is said of its metric
     ("tinygp", "warm"): "with few samples the calls cost more than the matrices, and ours are two searches in Python, "
     "one inside the other",
-    (
-        "the same, kept compiled by us",
-        "warm",
-    ): "it has 11 unknowns and known weights, ours 15 and finds the weights",
+    ("the same, kept compiled by us", "warm"): "it has 11 unknowns and known weights, ours 15 and finds the weights",
 }
 
 SAYS = {
@@ -99,10 +96,8 @@ a fixed number of steps. In `burn-in free` the peers' burn-in of five autocorrel
 Ours runs its ensembles and chains on all cores, a peer on one: `--cores 1` compares them on one.""",
     "processes": """Same kernel, start, data and stop of L-BFGS-B; maximum marginal likelihood without priors, evaluated
 for all by one textbook formula.""",
-    "jet": """aeroid is given the initial state and the weights of the optimum, which ours has to find; with JAX it
-compiles in every call, as a user of `identify` has it; in the last row it keeps that, changed from outside.""",
-    "jet_samplers": """Ours samples the four initial states, too; aeroid is given them. Burn-in and steps as for the
-stall; aeroid's density is JAX's (`backend="jax"`), one walker at a time.""",
+    "jet": """SciPy is given the weights of the optimum, aeroid the initial state, too; ours has to find both. With JAX
+aeroid compiles in every call, as a user of `identify` has it; in the last row it keeps that, changed from outside.""",
 }
 NOT_RUN = """GPflow is not raced: it needs TensorFlow. GPJax is not either: its exact GP is the same JAX program as
 tinygp's. aeroid has no algebraic model of coefficients, so it
