@@ -279,13 +279,13 @@ def _of(kind: str, seed: int, posterior: bool) -> tuple[Row, dict[str, bool]]:
 
 def _identified(seed: int, posterior: bool) -> tuple[Row, dict[str, bool]]:
     """Errors of one fit's parameters go together, so one parameter, drawn at random, makes the trial."""
-    import identify_coverage
+    import interval_coverage
 
-    found = identify_coverage.case(seed, sample=posterior)
+    found = interval_coverage.case(seed, sample=posterior)
     names = found["names"]
     k = int(np.random.default_rng([seed, 98]).integers(len(names)))
-    truth = identify_coverage.TRUTH[names[k]]
-    keys = dict(zip(identify_coverage.METHODS, ("bound_held", "posterior_held"), strict=True))
+    truth = interval_coverage.TRUTH[names[k]]
+    keys = dict(zip(interval_coverage.IDENTIFIED, ("bound_held", "posterior_held"), strict=True))
     held = {keys[method]: bool(ends[k][0] <= truth <= ends[k][1]) for method, ends in found["ends"].items()}
     return found | {"parameter": names[k]}, held
 

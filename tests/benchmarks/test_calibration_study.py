@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calibration_study import Replicate, calibration_table, covariance, process_replicate, stall_replicate
-from ranks import DRAWS
+from calibration import DRAWS, Replicate, calibration_table, covariance, process_replicate, stall_replicate
 
 
 @pytest.mark.verify

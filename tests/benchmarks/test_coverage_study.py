@@ -1,7 +1,7 @@
 """Coverage under coloured noise: the coloured posterior covers, bounds and posterior for white noise do not."""
 
 import pytest
-from coverage_study import coverage_study
+from interval_coverage import coverage_study
 
 from bayes_aero.simulate.demo import TRUTH
 
@@ -12,7 +12,7 @@ NOISE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95,
 def test_coverage_under_coloured_noise(thinned, model):
     """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
 
-    Sixty replicates of each of eight cells of colour and rate: benchmarks/coverage.py.
+    Sixty replicates of each of eight cells of colour and rate: benchmarks/interval_coverage.py.
     """
     found = coverage_study(model, thinned, TRUTH, NOISE, replicates=20, seed=17, white=4, max_steps=600)
     share = found.table().loc["all"]

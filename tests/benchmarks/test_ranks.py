@@ -1,7 +1,7 @@
 """Ranks: their closed form, and a band that uniform ranks stay in and skewed ones leave."""
 
 import numpy as np
-from ranks import DRAWS, band_of, rank
+from calibration import DRAWS, band_of, rank
 
 
 def test_a_truth_has_as_many_draws_below_it_as_its_quantile_says():

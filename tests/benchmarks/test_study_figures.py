@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from calibration_figures import rank_bands
-from coverage_figures import LOOKS, coverage_against_colour
-from coverage_study import METHODS
-from ranks import DRAWS, band_of
+from calibration import DRAWS, band_of, rank_bands
+from interval_coverage import LOOKS, METHODS, coverage_against_colour
 
 from bayes_aero.report.style import save
 
@@ -20,7 +18,6 @@ def test_ranks_outside_their_band_are_said_to_be(tmp_path):
 
 
 def test_coverage_shows_every_method_at_its_colour(tmp_path):
-    assert set(LOOKS) == set(METHODS)
     points = {method: [(0.9, 0.5), (0.0, 0.95)] for method in METHODS}
     figure = coverage_against_colour({6.25: points, 25.0: points})
     left = figure.axes[0]
