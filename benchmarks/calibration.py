@@ -221,4 +221,4 @@ if __name__ == "__main__":
     if given.what == "report":
         report(given.out)
     else:
-        run_seeds(given, f"{given.what}.jsonl", study(given.what))
+        run_seeds(given, f"{given.what}.jsonl", study(given.what), one_length=True)

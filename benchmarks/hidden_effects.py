@@ -269,7 +269,7 @@ def main() -> None:
     else:
         length = SINGLE if given.single else PAIR
         one = partial(case_or_refusal, given.what, length=length, trajectories=given.trajectories)
-        run_seeds(given, f"{given.what}.jsonl", one)
+        run_seeds(given, f"{given.what}.jsonl", one, one_length=True)
 
 
 if __name__ == "__main__":

@@ -314,7 +314,7 @@ def main() -> None:
         colour(given.count, given.out)
     elif given.what == "identify":
         cases = {k: partial(case, k, given.noise, given.sample) for k in range(given.count)}
-        report_identified(resumed(pairs, cases))
+        report_identified(resumed(pairs, cases, one_length=True))
     elif given.what == "flown":
         flown(seeds_of(given))
     elif given.what == "band":

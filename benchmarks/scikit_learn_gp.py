@@ -1,12 +1,4 @@
-"""The paper's kernel in scikit-learn; run as a script, both programs' objective with gradient and MAP in one run.
-
-    python benchmarks/scikit_learn_gp.py [--n 3536]
-
-A simulated stall-like record. The prior is flat on both sides and the output scaled alike, so that values must agree
-to 1e-8. scikit-learn comes with the `bench` extra.
-"""
-
-import argparse
+"""The paper's kernel in scikit-learn, for the benchmarks that race against it."""
 
 import numpy as np
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -69,50 +61,3 @@ def scikit_learn_model(x, y, theta, optimizer=None, limits=(1e-5, 1e5), lengths=
         + WhiteKernel(e[-1] ** 2, limits)
     )
     return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=optimizer).fit(x, y)
-
-
-START = np.log([1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 0.1])
-
-
-def simulated(n, seed=0):
-    """Inputs that wander smoothly, a non-linear output and correlated noise, as a record at 25 Hz has them."""
-    rng = np.random.default_rng(seed)
-    steps = rng.normal(size=(n + 500, 5))
-    smooth = np.stack([np.convolve(s, np.hanning(75) / 6.0, mode="same") for s in steps.T])[:, 250 : 250 + n]
-    x = smooth[:4].T
-    attached = 1.0 + 0.4 * x[:, 0] - 0.3 / (1.0 + np.exp(-6.0 * (x[:, 0] - 0.5)))
-    return x, attached + 0.1 * x[:, 1] * x[:, 2] + 0.02 * smooth[4] + 0.02 * rng.normal(size=n)
-
-
-def main():
-    """Print both comparisons."""
-    from timing import compare
-
-    from bayes_aero.inference.gp.kernel import Scaling, noise_to_signal
-    from bayes_aero.inference.gp.optimum import maximise
-    from bayes_aero.inference.gp.priors import Priors
-    from bayes_aero.inference.gp.reduced import ReducedData
-    from bayes_aero.inference.gp.sampling.density import log_density
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--n", type=int, default=3536)
-    X, y = simulated(parser.parse_args().n)
-    scaling, flat = Scaling.of(X, y, tuple("abcd")), Priors.flat()
-    x, y = scaling.inputs(X), y / scaling.rms
-    data, model = ReducedData.of(x, y), scikit_learn_model(x, y, START)
-    theirs = model.log_marginal_likelihood(to_scikit_learn(START))
-    print(f"n = {data.n}, values {abs(log_density(START, data, flat).value / theirs - 1):.1e} apart")
-    gradient = {
-        "bayes_aero, objective and gradient": lambda: log_density(START, data, flat),
-        "scikit-learn": lambda: model.log_marginal_likelihood(to_scikit_learn(START), eval_gradient=True),
-    }
-    climb = {
-        "bayes_aero, maximum from one start": lambda: maximise(noise_to_signal(START), data, flat, w=START[:6].copy()),
-        "scikit-learn": lambda: scikit_learn_model(x, y, START, optimizer="fmin_l_bfgs_b"),
-    }
-    compare(gradient, 3)
-    compare(climb, 1)
-
-
-if __name__ == "__main__":
-    main()

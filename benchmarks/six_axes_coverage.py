@@ -140,7 +140,8 @@ def run(kind: str, count: int, out: Path, first: int, *, flights: bool) -> None:
     """Until there are `count` of this kind, from the seed `first`, a line each in OUT/KIND.jsonl."""
     path = out / f"{kind}.jsonl"
     done = len(rows_of(path))
-    resumed(path, {seed: partial(case, kind, seed, flights=flights) for seed in range(first + done, first + count)})
+    cases = {seed: partial(case, kind, seed, flights=flights) for seed in range(first + done, first + count)}
+    resumed(path, cases, one_length=True)
 
 
 def report(out: Path) -> None:

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import give_back_memory
+from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
 
 Row = dict[str, Any]
 Z95 = 1.959963984540054
@@ -29,7 +29,11 @@ def rows_of(path: Path) -> list[Row]:
 
 
 def resumed(
-    path: Path, cases: Mapping[Hashable, Callable[[], Row]], key: Callable[[Row], Hashable] = lambda row: row["seed"]
+    path: Path,
+    cases: Mapping[Hashable, Callable[[], Row]],
+    key: Callable[[Row], Hashable] = lambda row: row["seed"],
+    *,
+    one_length: bool = False,
 ) -> list[Row]:
     """Rows of the file, and of the cases that it lacks, written one by one.
 
@@ -37,6 +41,7 @@ def resumed(
         path: the file; its folder is made.
         cases: what gives the row of each key. A case that cannot be flown is named and left out.
         key: of a row.
+        one_length: of all records, which one compilation serves.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = rows_of(path)
@@ -49,7 +54,8 @@ def resumed(
         except InputError as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue
-        give_back_memory()  # every length of records has compiled programs of its own
+        if not one_length or full_of_programs():
+            give_back_memory()  # every length of records has compiled programs of its own
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(rows[-1]) + "\n")
     return rows
@@ -74,9 +80,12 @@ def seeds_of(given: argparse.Namespace) -> range:
     return range(given.first, given.first + given.count)
 
 
-def run_seeds(given: argparse.Namespace, name: str, case: Callable[..., Row], **settings: Any) -> list[Row]:
+def run_seeds(
+    given: argparse.Namespace, name: str, case: Callable[..., Row], *, one_length: bool = False, **settings: Any
+) -> list[Row]:
     """Rows of all seeds asked for, and of those that OUT/`name` has already."""
-    return resumed(given.out / name, {seed: partial(case, seed, **settings) for seed in seeds_of(given)})
+    cases = {seed: partial(case, seed, **settings) for seed in seeds_of(given)}
+    return resumed(given.out / name, cases, one_length=one_length)
 
 
 def told(found: Diagnosis, began: float) -> Row:

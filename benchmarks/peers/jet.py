@@ -248,11 +248,8 @@ def scipy_with(method: str) -> Callable[[Problem, int, argparse.Namespace], Call
     return prepared
 
 
-def jet_model(xp, aircraft, gravity, parameters, rates=()):
-    """aeroid's model; `xp` is NumPy for its differences, jax.numpy for its exact gradient. SI.
-
-    `rates`, () or ("q_dot",), are measured after the states.
-    """
+def jet_model(xp, aircraft, gravity, parameters):
+    """aeroid's model; `xp` is NumPy for its differences, jax.numpy for its exact gradient. SI."""
     import aeroid
 
     a, half = aircraft, 0.5 * 0.792 * aircraft.wing_area
@@ -278,11 +275,11 @@ def jet_model(xp, aircraft, gravity, parameters, rates=()):
         return xp.array([V_dot, alpha_dot, q, q_dot])
 
     def measured(t, x, u, v):  # noqa: ARG001
-        ax, az, q_dot = forces(x, u, v)
-        return xp.array([x[0], x[1], x[2], x[3], *[q_dot for _ in rates], ax, az])
+        ax, az, _ = forces(x, u, v)
+        return xp.array([x[0], x[1], x[2], x[3], ax, az])
 
     names = [f"x_{name}" for name in STATES]
-    return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, (*STATES, *rates, "ax", "az"), measured)
+    return aeroid.Model(names, ["elevator", "thrust"], parameters, dynamics, OUTPUTS, measured)
 
 
 class KeptRollout:

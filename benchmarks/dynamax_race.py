@@ -1,11 +1,10 @@
-"""HFB-320 with process noise: this package's filter against dynamax's, and against aeroid's.
+"""The posterior of HFB-320 with process noise: this package's filter against dynamax's, by one sampler.
 
-    python benchmarks/filter_race.py dynamax /path/to/hfb320_1_10.asc [--warmup 100] [--blocks 1] [--chains 1]
-    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/filter_race.py aeroid /path/to/hfb320_1_10.asc
+    python benchmarks/dynamax_race.py /path/to/hfb320_1_10.asc [--warmup 100] [--blocks 1] [--chains 1]
 
-dynamax (`pip install dynamax "fastprogress<1.1" tfp-nightly`, which no extra installs): both sides have the states
-airspeed, alpha, theta and q, seven outputs, the measured initial state with its deviation, 11 parameters, process noise
-of four states and seven measurement noises, all free, with the same priors. Motion and outputs are the package's
+needs dynamax (`pip install dynamax "fastprogress<1.1" tfp-nightly`, which no extra installs). Both sides have the
+states airspeed, alpha, theta and q, seven outputs, the measured initial state with its deviation, 11 parameters, process
+noise of four states and seven measurement noises, all free, with the same priors. Motion and outputs are the package's
 functions on both sides, so what is compared is `innovations_density` and `extended_kalman_filter`, each with its
 gradient. NUTS is NumPyro's on coordinates whitened at the same mode, with the settings of `fly --posterior`.
 dynamax has no process noise that depends on the state: the share of the noise that the transition gathers within a
@@ -13,11 +12,7 @@ sample is computed along the path of the fit there, so values are the same at th
 move of that path changes in this share. Its outputs are scaled to unit noise: it adds 1e-9 to the diagonal of their
 covariance when it solves for the gain.
 
-aeroid 0.5 (extra `bench`) estimates no noise: it is given ours, with the measured initial state and its deviations.
-Its `filter_error` minimises the squares of the whitened innovations, without the determinant of their covariance, and
-its process noise of a sample is Q dt, ours is what the transition gathers.
-
-Times are processor time of this process; ours warm, after one fit that compiles.
+Times are processor time of this process.
 """
 
 from __future__ import annotations
@@ -25,9 +20,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -52,7 +45,6 @@ from bayes_aero.jobs.options import FlyOptions
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.log_density import LogDensity
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY
 
 CALLS = 10  # of which the median is timed
 
@@ -143,8 +135,19 @@ def timed(density: LogDensity, u: np.ndarray) -> tuple[dict[str, float], np.ndar
     return told, np.asarray(found[1])
 
 
-def dynamax_race(race: Race, asked: argparse.Namespace) -> None:
+def main() -> None:
     """Agreement, time of a call, optimum, and effective samples a second."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("record")
+    parser.add_argument("--chains", type=int, default=1)
+    parser.add_argument("--warmup", type=int, default=100)
+    parser.add_argument("--blocks", type=int, default=1, help="of 300 draws a chain, at most; 0: no sampling")
+    asked = parser.parse_args()
+    try:
+        import dynamax  # noqa: F401
+    except ModuleNotFoundError as missing:
+        sys.exit(f"{missing.name} is not installed; this comparison needs it: see the first lines of this file")
+    race = race_of(asked.record)
     print(f"fit by Fisher scoring: {race.fit.status.value}, {race.fit.log_likelihood:.6f}, {race.seconds:.1f} s")
     ours = race.densities["bayes_aero"]
     u = np.asarray(ours.unconstrain(jnp.asarray(ours.start(race.fit))))
@@ -182,97 +185,6 @@ def dynamax_race(race: Race, asked: argparse.Namespace) -> None:
         steps = found.tree["sample_stats"].dataset
         mean = {key: float(steps[key].mean()) for key in ("n_steps", "acceptance_rate", "diverging")}
         print("   ", ", ".join(f"{key} {value:.3g}" for key, value in mean.items()), "a draw", flush=True)
-
-
-def spent(call: Callable[[], Any]) -> tuple[float, Any]:
-    """Processor seconds and result."""
-    began = time.process_time()
-    result = call()
-    return time.process_time() - began, result
-
-
-def theirs(race: Race) -> tuple[Any, Any, dict]:
-    """aeroid's model at our estimate, its data, and what its filter is told."""
-    import aeroid
-
-    sys.path.insert(0, str(Path(__file__).parent / "peers"))
-    from jet import jet_model
-
-    fit, density = race.fit, race.densities["bayes_aero"]
-    flown = density.flown
-    states, outputs = flown.dynamics.states, flown.outputs
-    values = dict(zip(fit.names, map(float, fit.estimate), strict=True))
-    model = jet_model(np, flown.flights.aircraft, GRAVITY, values, ("q_dot",))
-    channels = {name: np.asarray(x) for name, x in flown.flights.channels.items()}
-    kept = {name: channels[name] for name in ("elevator", "thrust", *outputs)}
-    begin = {f"x_{name}": float(channels[name][0]) for name in states}
-    told = {
-        "process_noise": {f"x_{name}": F**2 for name, F in zip(states, map(float, fit.F), strict=True)},
-        "measurement_noise": dict(zip(outputs, map(float, fit.R), strict=True)),
-        "outputs": outputs,
-        "x0": begin,
-    }
-    deviation = {f"x_{name}": sd**2 for name, sd in zip(states, density.deviation, strict=True)}
-    data = aeroid.FlightData(np.asarray(flown.flights.time), kept)
-    return model, data, told | {"P0": deviation}
-
-
-def aeroid_race(race: Race, _: argparse.Namespace) -> None:
-    """Log likelihood, time of a call, time of a fit, and how far the estimates are apart."""
-    import aeroid
-
-    fit, density = race.fit, race.densities["bayes_aero"]
-    x = jnp.asarray(density.start(fit))
-    likelihood = eqx.filter_jit(lambda density, x: density.log_likelihood(x))
-    likelihood(density, x).block_until_ready()
-    model, data, told = theirs(race)
-    calls = {
-        "bayes_aero": lambda: float(likelihood(density, x)),
-        "aeroid": lambda: aeroid.filter_states(model, data, smooth=False, **told).log_likelihood,
-    }
-    still = told | {"process_noise": dict.fromkeys(told["process_noise"], 1e-24)}
-    nearly = aeroid.filter_states(model, data, smooth=False, **still).log_likelihood
-    noiseless = x.at[len(fit.names) : len(fit.names) + len(fit.F)].set(1e-12)
-    print(f"without process noise: {float(likelihood(density, noiseless)):.6f}, aeroid {nearly:.6f}", flush=True)
-    for name, call in calls.items():
-        seconds, values = spent(lambda call=call: [call() for _ in range(CALLS)])
-        print(f"{name}: log likelihood {values[0]:.6f}, {1e3 * seconds / CALLS:.3g} ms a call", flush=True)
-    theta, *noises = race.start
-    seconds, again = spent(lambda: fit_prediction_error(density.flown, *noises, start=theta))
-    print(f"bayes_aero: fit with all noises free, warm, {seconds:.3g} s; {again.status.value}", flush=True)
-    start = dict(zip(fit.names, map(float, theta), strict=True))
-    P0 = told.pop("P0")
-    seconds, found = spent(
-        lambda: aeroid.identify(
-            model, data, fit.names, method="filter_error", initial_guess=start, filter_options={"P0": P0}, **told
-        )
-    )
-    apart = [(found.parameters[n] - x) / sd for n, x, sd in zip(fit.names, fit.estimate, fit.sd, strict=True)]
-    ratio = [found.stderr[n] / sd for n, sd in zip(fit.names, fit.sd, strict=True)]
-    print(f"aeroid: fit with noises given, {seconds:.3g} s, {found.n_evaluations} runs of its filter")
-    there = aeroid.filter_states(model, data, found, smooth=False, P0=P0, **told).log_likelihood
-    moved = x.at[: len(fit.names)].set(jnp.asarray([found.parameters[name] for name in fit.names]))
-    print(f"    log likelihood of its estimate: {there:.2f} by aeroid, {float(likelihood(density, moved)):.2f} by ours")
-    for name, a, r in zip(fit.names, apart, ratio, strict=True):
-        print(
-            f"    {name}: {found.parameters[name]:.5g}, {a:+.2f} of our standard errors apart, its own {r:.2f} of ours"
-        )
-
-
-def main() -> None:
-    """Race one of them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("peer", choices=("dynamax", "aeroid"))
-    parser.add_argument("record")
-    parser.add_argument("--chains", type=int, default=1)
-    parser.add_argument("--warmup", type=int, default=100)
-    parser.add_argument("--blocks", type=int, default=1, help="of 300 draws a chain, at most; 0: no sampling")
-    asked = parser.parse_args()
-    try:
-        __import__(asked.peer)
-    except ModuleNotFoundError as missing:
-        sys.exit(f"{missing.name} is not installed; this comparison needs it: see the first lines of this file")
-    {"dynamax": dynamax_race, "aeroid": aeroid_race}[asked.peer](race_of(asked.record), asked)
 
 
 if __name__ == "__main__":
