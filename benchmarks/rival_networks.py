@@ -1,4 +1,4 @@
-"""The networks that `seed_rivals.py` compares: perceptron, radial basis functions, recurrent and one-step network.
+"""The networks that `seed_rivals.py` compares: perceptron, radial basis functions and one-step network.
 
 Their size is chosen by an inner hold-out inside the training part, and so is their noise: none of them has a predictive
 distribution, so each gets a normal one with the mean square error of that inner hold-out. The final network is then
@@ -13,8 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import least_squares
@@ -121,83 +119,6 @@ def perceptron(problem: Problem, seed: int) -> Guess:
 def radial_basis(problem: Problem, seed: int) -> Guess:
     grid = [(k, w, r) for k in (5, 20, 80) for w in (1.0, 2.0, 4.0, 8.0) for r in (1e-3, 1e-1)]
     return static(basis, grid, problem, seed)
-
-
-def _cell(x, u, params):
-    """Next state: one hidden layer, so that it stays bounded in a manoeuvre that did not train."""
-    W, b, V = params[:3]
-    return V @ jnp.tanh(W @ jnp.concatenate([x, u]) + b)
-
-
-def _readout(x, u, params):
-    """Outputs: a linear part and one hidden layer of state and input."""
-    C, D, W, b, V, e = params[3:]
-    return C @ x + D @ u + V @ jnp.tanh(W @ jnp.concatenate([x, u]) + b) + e
-
-
-def _missing_left_out(predicted, measured):
-    """Mean square error of the samples that train; the others are NaN."""
-    known = jnp.isfinite(measured)
-    error = jnp.where(known, predicted - jnp.where(known, measured, 0.0), 0.0)
-    return jnp.sum(error**2) / jnp.sum(known)
-
-
-def trained_recurrent(problem: Problem, rows: Bool[np.ndarray, " m"], nx: int, units: int, seed: int) -> np.ndarray:
-    """All coefficients at every block from one network that `rows` train; each manoeuvre begins with state 0."""
-    from jax_sysid.models import Model
-
-    inputs, outputs = Scale.of(problem.inputs[rows]), Scale.of(problem.measured[rows])
-    u, y = inputs.down(problem.inputs), outputs.down(problem.measured)
-    y[~rows] = np.nan
-    d, c = u.shape[1], y.shape[1]
-    rng = np.random.default_rng(seed)
-    shapes = [(units, nx + d), (units,), (nx, units), (c, nx), (c, d), (units, nx + d), (units,), (c, units), (c,)]
-    params = [rng.standard_normal(shape) / np.sqrt(shape[-1]) for shape in shapes]
-    model = Model(nx, c, d, state_fcn=_cell, output_fcn=_readout)
-    model.init(params)
-    model.loss(output_loss=_missing_left_out, rho_th=1e-4, train_x0=False)
-    model.optimization(adam_epochs=300, lbfgs_epochs=300, iprint=-1)
-    flown = [np.flatnonzero(problem.manoeuvre == k) for k in np.unique(problem.manoeuvre)]
-    training = [k for k in flown if rows[k].any()]
-    model.x0 = [jnp.zeros(nx) for _ in training]
-    model.fit([y[k] for k in training], [u[k] for k in training])
-    parts = [
-        jax.lax.scan(lambda x, v: (_cell(x, v, model.params), _readout(x, v, model.params)), jnp.zeros(nx), u[k])[1]
-        for k in flown
-    ]
-    return outputs.up(np.concatenate(parts))
-
-
-class Order(NamedTuple):
-    """States and hidden units of a recurrent network, its errors in the inner hold-out, and the seconds of choosing."""
-
-    nx: int
-    units: int
-    error: np.ndarray
-    seconds: float
-
-
-def order_of(problem: Problem) -> Order:
-    """By the inner hold-out, all coefficients together, from one initialisation."""
-    began = time.process_time()
-    z, inner, sd = problem.measured, problem.inner, problem.measured[problem.train].std(axis=0)
-    tried: list[tuple[float, np.ndarray, tuple[int, int]]] = []
-    for nx, units in ((2, 4), (4, 8)):
-        mean = trained_recurrent(problem, problem.train & ~inner, nx, units, 0)
-        error = np.sqrt(np.mean((z - mean)[inner] ** 2, axis=0))
-        tried.append((float(np.sum((error / sd) ** 2)), error, (nx, units)))
-    _, error, (nx, units) = min(tried, key=lambda one: one[0])
-    return Order(nx, units, error, time.process_time() - began)
-
-
-def recurrent(problem: Problem, seed: int, known: dict[bytes, Order]) -> Guess:
-    """Order and hidden units are chosen once for a training part, and `known` for every later initialisation."""
-    key = problem.train.tobytes()
-    if key not in known:
-        known[key] = order_of(problem)
-    order = known[key]
-    mean = trained_recurrent(problem, problem.train, order.nx, order.units, seed)
-    return Guess(mean, np.tile(order.error, (len(mean), 1)), f"{order.nx} states, {order.units}", order.seconds)
 
 
 def one_step(problem: Problem, seed: int, modelled: Callable[[np.ndarray], np.ndarray], start: np.ndarray, bounds: Any):

@@ -1,6 +1,6 @@
 """How time and memory grow with the length of a record and with the number of manoeuvres.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | page ...]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples] [manoeuvres]
     OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
@@ -110,18 +110,6 @@ def manoeuvres(count: int) -> dict[str, float]:
     return times
 
 
-def page(n: int) -> dict[str, float]:
-    """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.jobs.identify import identify
-    from bayes_aero.jobs.options import IdentifyOptions
-
-    with tempfile.TemporaryDirectory() as folder:
-        found = identify([long_record(n)], read_card("attas"), IdentifyOptions(gp=False), out=Path(folder))
-        sizes = {f"{p.name} MB": p.stat().st_size / 1e6 for p in Path(folder).iterdir() if p.is_file()}
-    return dict(found.seconds) | sizes
-
-
 class Clock:
     """Seconds of processor time between calls, of all threads: other work on the machine counts little."""
 
@@ -136,7 +124,6 @@ class Clock:
 KINDS = {
     "samples": (samples, SAMPLES),
     "manoeuvres": (manoeuvres, MANOEUVRES),
-    "page": (page, SAMPLES),
 }
 
 

@@ -1,7 +1,6 @@
 """Networks, Gaussian processes and equations on honest splits: r, RMSE, log score, coverage, time and spread.
 
     pip install -e '.[peers]'
-    pip install --no-deps jax-sysid                       # it pins an older JAX and SciPy
     python benchmarks/seed_rivals.py RECORD RECORD [--out rivals]
 
 Two manoeuvres of the `attas` card, their coefficients as means of 0.2 s (1010 blocks), the inputs those of [gp]. One
@@ -12,18 +11,20 @@ line of OUT/rivals.jsonl each; a run that was interrupted goes on.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
-from rival_networks import Guess, Order, Problem, one_step, perceptron, radial_basis, recurrent
-from seed_rivals_table import spread, table
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+from rival_networks import Guess, Problem, one_step, perceptron, radial_basis
+from studies import resumed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.screening.parameter_fit import optimum
@@ -38,10 +39,12 @@ from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.splits import SplitKind, make_splits
+from bayes_aero.inference.validation import KINDS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.style import save
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import housed, panels, save
 
 STATES = ("alpha", "q", "airspeed", "theta")
 INNER: dict[SplitKind, SplitKind] = {
@@ -79,7 +82,6 @@ class Flights:
         self.inputs = np.stack([self.blocks(signals[n]) for n in self.card.gp_inputs], axis=1)
         self.states = np.stack([self.blocks(signals[n]) for n in STATES], axis=1)
         self.measured = measured_blocks(self.state)
-        self.orders: dict[bytes, Order] = {}  # of recurrent networks
         self._predicted = jax.jit(lambda theta: self.model.predicted(theta, signals, self.seen.aircraft))
 
     def blocks(self, x) -> np.ndarray:
@@ -88,11 +90,6 @@ class Flights:
     def modelled(self, theta: np.ndarray) -> Float[np.ndarray, "m c"]:
         """The card's model at the blocks."""
         return self.blocks(self._predicted(theta))
-
-    @cached_property
-    def kept_alone(self) -> list[tuple[str, ...]]:
-        """Causes confirmed by each manoeuvre alone."""
-        return [tuple(diagnose([one], self.card).kept) for one in self.records]
 
     def start(self, seed: int) -> np.ndarray:
         """The card's start for seed 0, else a draw from the priors."""
@@ -160,19 +157,16 @@ def neural_gauss_newton(flights: Flights, problem: Problem, seed: int) -> Guess:
     return one_step(problem, seed, flights.modelled, start, bounds.T)
 
 
-def methods(flights: Flights, fold: int) -> Mapping[str, Callable[[Problem, int], Guess]]:
+def methods(flights: Flights) -> Mapping[str, Callable[[Problem, int], Guess]]:
     """In the order of the table."""
     return {
         "perceptron": perceptron,
         "radial basis": radial_basis,
-        "recurrent": partial(recurrent, known=flights.orders),
         "one-step (NGN)": partial(neural_gauss_newton, flights),
         "GPR, MAP": lambda p, s: process(flights, p, s, False),
         "GPR, sampled": lambda p, s: process(flights, p, s, True),
-        "maximum likelihood, one start": lambda p, s: likelihood(flights, p, s, 0)[0],
         "maximum likelihood": lambda p, s: likelihood(flights, p, s)[0],
         "extended": lambda p, s: extended(flights, p, s, flights.kept),
-        "extended, causes of one": lambda p, s: extended(flights, p, s, flights.kept_alone[1 - fold]),
     }
 
 
@@ -192,15 +186,11 @@ def case(flights: Flights, kind: SplitKind, name: str, seed: int) -> dict:
     """Every fold of one split by one method and initialisation: scores over all that was held out."""
     mean, sd = np.full((2, *flights.measured.shape), np.nan)
     seconds, choosing, chosen = [], [], []
-    for number, problem in enumerate(problems(flights, kind)):
-        method = methods(flights, number)[name]
-        if name.endswith("one"):
-            _ = flights.kept_alone  # not timed
+    for problem in problems(flights, kind):
+        method = methods(flights)[name]
         began = time.process_time()
-        known = len(flights.orders)
         guess = method(problem, seed)
-        repeated = name == "recurrent" and len(flights.orders) == known
-        seconds.append(time.process_time() - began + (guess.choosing if repeated else 0.0))
+        seconds.append(time.process_time() - began)
         choosing.append(guess.choosing)
         chosen.append(guess.chosen)
         mean[~problem.train], sd[~problem.train] = guess.mean[~problem.train], guess.sd[~problem.train]
@@ -231,6 +221,62 @@ def single_starts(flights: Flights, count: int = 10) -> None:
                 print(f"{kind}, {name}: {np.sum(found > found.max() - 0.1)} of {count} starts reach the best optimum")
 
 
+def table(rows: Sequence[dict]) -> None:
+    """A line for each split and method: medians over initialisations, and the worst over the best of them."""
+    print("CL / CD / Cm of all that was held out; seconds of the processor for one training")
+    print(
+        "| split | method | r | RMSE, 1e-3 | worst over best RMSE | log score | in 95 % | s | choosing | of GPR, MAP |"
+    )
+    print("|" + "---|" * 10)
+    for kind in KINDS:
+        of = {name: [r for r in rows if (r["split"], r["method"]) == (kind, name)] for name in methods_named(rows)}
+        base = np.median([r["seconds"] for r in of["GPR, MAP"]])
+        for name, own in of.items():
+            if not own:
+                continue
+            each = {k: np.array([[r[c][k] for c in NAMES] for r in own]) for k in ("r", "rmse", "log", "coverage")}
+            middle = {k: np.median(x, axis=0) for k, x in each.items()}
+            worst = each["rmse"].max(axis=0) / each["rmse"].min(axis=0)
+            seconds, choosing = (np.median([r[k] for r in own]) for k in ("seconds", "choosing"))
+            cells = [kind, name, _three(middle["r"], ".3f"), _three(1e3 * middle["rmse"], ".1f")]
+            cells += [_three(worst, ".2f") if len(own) > 1 else "-", f"{middle['log'].sum():.2f}"]
+            cells += [_three(100.0 * middle["coverage"], ".0f"), f"{seconds:.2g}"]
+            cells += [f"{choosing / seconds:.0%}", f"{seconds / base:.2g} x"]
+            print("| " + " | ".join(cells) + " |")
+
+
+def _three(values: Float[np.ndarray, " c"], digits: str) -> str:
+    return " / ".join(format(x, digits) for x in values)
+
+
+def methods_named(rows: Sequence[dict]) -> list[str]:
+    return list(dict.fromkeys(r["method"] for r in rows))
+
+
+@housed
+def spread(rows: Sequence[dict]) -> Figure:
+    """Hold-out error of every initialisation over that of maximum likelihood on the same split."""
+    figure, axes = panels(1, len(NAMES), (11.0, 4.6), sharey=True)
+    names = methods_named(rows)
+    looks = dict(zip(KINDS, ((COLOURS["gpr"], "o"), (COLOURS["emcee"], "s"), (COLOURS["mle"], "D")), strict=True))
+    for ax, coefficient in zip(axes[0], NAMES, strict=True):
+        for offset, (kind, (colour, marker)) in zip((-0.22, 0.0, 0.22), looks.items(), strict=True):
+            own = [r for r in rows if r["split"] == kind]
+            base = np.median([r[coefficient]["rmse"] for r in own if r["method"] == "maximum likelihood"])
+            x = [r[coefficient]["rmse"] / base for r in own]
+            y = [names.index(r["method"]) + offset for r in own]
+            ax.plot(x, y, marker, ms=4.0, mfc="none", color=colour, label=f"{kind} split")
+        ax.axvline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
+        ax.set(xscale="log", title=coefficient, xlabel="RMSE over that of maximum likelihood [-]")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter(NullFormatter())
+    axes[0, 0].set_yticks(range(len(names)), names)
+    axes[0, 0].invert_yaxis()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs=2, type=Path)
@@ -239,23 +285,14 @@ def main() -> None:
     parser.add_argument("--initialisations", type=int, default=10)
     parser.add_argument("--methods", nargs="+")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "rivals.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(r["split"], r["method"], r["seed"]) for r in rows}
     flights = Flights(given.records, given.model)
     print(f"diagnosis {flights.diagnosing:.0f} s: {', '.join(flights.kept)}", flush=True)
-    with path.open("a") as file:
-        for seed in range(given.initialisations):
-            for name in given.methods or methods(flights, 0):
-                for kind in INNER:
-                    alone = name.endswith("one") and kind != "manoeuvre"
-                    if (kind, name, seed) in done or seed >= FEWER.get(name, 1 + seed) or alone:
-                        continue
-                    rows.append(case(flights, kind, name, seed))
-                    file.write(json.dumps(rows[-1]) + "\n")
-                    file.flush()
-    order = list(methods(flights, 0))
+    asked = product(range(given.initialisations), given.methods or methods(flights), INNER)
+    asked = [(kind, name, seed) for seed, name, kind in asked if seed < FEWER.get(name, 1 + seed)]
+    cases = {one: partial(case, flights, *one) for one in asked}
+    key = lambda row: (row["split"], row["method"], row["seed"])  # noqa: E731
+    rows = resumed(given.out / "rivals.jsonl", cases, key, one_length=True)
+    order = list(methods(flights))
     rows.sort(key=lambda r: order.index(r["method"]))
     table(rows)
     save(spread(rows), given.out / "seed_rivals.png")

@@ -131,12 +131,10 @@ def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[Drawn, list[FlightR
     return (coefficient, name, values), [replace(flight, name=f"run{k}") for k, flight in enumerate(flights, 1)]
 
 
-def in_stalls(seed: int, silent: bool, products: bool = False) -> tuple[Drawn, str, list[FlightRecord]]:
-    """A term as of `draw` (`products` alone), the noise, and two stalls with it or (`silent`) without."""
+def in_stalls(seed: int, silent: bool) -> tuple[Drawn, str, list[FlightRecord]]:
+    """A term as of `draw`, the noise, and two stalls with it or (`silent`) without."""
     rng = np.random.default_rng([seed, 31])
     noise, drawn = str(rng.choice(["white", "ar1", "buffet"])), draw(rng)
-    while products and "unlisted_product" not in drawn[2]:
-        drawn = draw(rng)
     beyond = Beyond((UNLISTED,), lambda _: {} if silent else drawn[2])
     return drawn, noise, hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=beyond)
 

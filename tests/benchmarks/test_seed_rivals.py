@@ -2,11 +2,9 @@
 
 from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from rival_networks import Problem, _missing_left_out, one_step
+from rival_networks import Problem, one_step
 from seed_rivals import INNER, _runs, problems
 
 SEED = 11
@@ -32,14 +30,6 @@ def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
 def test_stretches_are_the_marked_blocks():
     rows = np.array([1, 1, 0, 1, 0, 0, 1], bool)
     assert _runs(rows) == (slice(0, 2), slice(3, 4), slice(6, 7))
-
-
-def test_samples_that_do_not_train_have_no_part_in_the_loss():
-    measured = jnp.array([[1.0, 2.0], [jnp.nan, jnp.nan], [3.0, 1.0]])
-    predicted = jnp.array([[2.0, 2.0], [9.0, 9.0], [3.0, 3.0]])
-    assert float(_missing_left_out(predicted, measured)) == pytest.approx((1.0 + 4.0) / 4.0)
-    slope = jax.grad(lambda y: _missing_left_out(y, measured))(predicted)
-    np.testing.assert_allclose(slope, [[0.5, 0.0], [0.0, 0.0], [0.0, 1.0]])
 
 
 def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
