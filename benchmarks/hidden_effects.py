@@ -203,9 +203,9 @@ def power(rows: Sequence[Row]) -> dict[str, list[tuple[int, int]]]:
     return table
 
 
-def confusion(rows: Sequence[Row], clear: float) -> tuple[list[str], list[str], np.ndarray]:
-    """True effects, named ones, and counts: what is named first in each record of at least `clear` standard errors."""
-    pairs = Counter((hidden(r), r["causes"][0]["name"] if r["causes"] else NOTHING) for r in rows if size(r) >= clear)
+def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], np.ndarray]:
+    """True effects, named ones, and counts: what is named first in each record of at least `CLEAR` standard errors."""
+    pairs = Counter((hidden(r), r["causes"][0]["name"] if r["causes"] else NOTHING) for r in rows if size(r) >= CLEAR)
     true = sorted({pair[0] for pair in pairs})
     others = sorted({pair[1] for pair in pairs} - set(true) - {NOTHING})
     first = [*true, *others, NOTHING]
@@ -226,11 +226,11 @@ def print_power(rows: Sequence[Row]) -> None:
         print(f"| `{name}` | " + " | ".join(f"{hits}/{of}" if of else "" for hits, of in classes) + " |")
 
 
-def draw(rows: Sequence[Row], clear: float, path: Path) -> None:
+def draw(rows: Sequence[Row], path: Path) -> None:
     """Both as one picture: a square for every class of size and effect, and who is named first."""
     table = power(rows)
     share = np.array([[hits / of if of else np.nan for hits, of in classes] for classes in table.values()])
-    true, first, counts = confusion(rows, clear)
+    true, first, counts = confusion(rows)
     figure = Figure(figsize=(15.0, 0.22 * len(table) + 3.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 2.4])
     left.imshow(share, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
@@ -249,7 +249,7 @@ def draw(rows: Sequence[Row], clear: float, path: Path) -> None:
     right.set_yticks(range(len(true)), true)
     right.set_xlabel("named first")
     right.set_ylabel("hidden")
-    right.set_title(f"Records of at least {clear:g} standard errors")
+    right.set_title(f"Records of at least {CLEAR:g} standard errors")
     figure.savefig(path, dpi=110)
 
 
@@ -265,7 +265,7 @@ def main() -> None:
     elif given.what == "effects":
         rows = [r for r in rows_of(given.out / "one.jsonl") if "refused" not in r]
         print_power(rows)
-        draw(rows, CLEAR, given.out / "detection.png")
+        draw(rows, given.out / "detection.png")
     else:
         length = SINGLE if given.single else PAIR
         one = partial(case_or_refusal, given.what, length=length, trajectories=given.trajectories)

@@ -52,18 +52,17 @@ BLOCKS = {
         "Maximum likelihood of the stall model",
         (
             "bayes_aero", "bayes_aero, with both bounds", "scipy least_squares, trf", "scipy least_squares, lm",
-            "lmfit leastsq, with covariance",
         ),
         (FIRST, WARM, COST, MEMORY),
     ),
     "samplers": Block(
         "Posterior of the stall model, white noise",
-        ("bayes_aero, emcee", "bayes_aero, NUTS", "emcee", "lmfit emcee"),
+        ("bayes_aero, emcee", "bayes_aero, NUTS", "emcee"),
         DRAWS,
     ),
     "processes": Block(
         "Exact GP of CL over alpha, elevator, q and V",
-        ("bayes_aero", "scikit-learn", "tinygp", "GPyTorch"),
+        ("bayes_aero", "scikit-learn", "tinygp"),
         (
             FIRST, WARM,
             Metric("value", "log marginal likelihood", ".3f", more=True),

@@ -44,13 +44,6 @@ def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(quick)
     for name in ("bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm"):
         assert float(rows[name][2]) < 1e-2, (name, rows[name])  # nats above the best
     assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it does without JAX
-    row = rows["lmfit leastsq, with covariance"]
-    try:
-        import lmfit  # noqa: F401
-    except ModuleNotFoundError:
-        assert row[-1] == "lmfit is not installed"
-    else:
-        assert float(row[2]) < 1e-2
 
 
 def test_a_record_that_is_not_there_is_one_sentence():

@@ -4,8 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rival_networks import Problem, one_step
-from seed_rivals import INNER, _runs, problems
+from seed_rivals import INNER, Problem, _runs, one_step, problems
 
 SEED = 11
 
