@@ -2,7 +2,6 @@
 
 python benchmarks/changed_parameters.py silence 60 --first 100     # nothing changes, 90 s pairs
 python benchmarks/changed_parameters.py change 20 --first 500      # Cm0 or CLaM changes in the second manoeuvre
-python benchmarks/changed_parameters.py silence 20 --single        # on single manoeuvres of 100 s
 """
 
 from __future__ import annotations
@@ -26,13 +25,12 @@ NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 SIZES = {"Cm0": (0.003, 0.012), "CLaM": (0.6, 2.0)}  # of a change, uniform in its logarithm, of either sign
 
 
-def flown(seed: int, change: bool, single: bool) -> tuple[list[FlightRecord], str, float]:
+def flown(seed: int, change: bool) -> tuple[list[FlightRecord], str, float]:
     """Records, the parameter that changes, and by how much."""
     rng = np.random.default_rng([seed, 99])
     noise = str(rng.choice(NOISES))
     if not change:
-        length = {"seconds": 100.0, "manoeuvres": 1} if single else {"seconds": 90.0}
-        return hidden_records({}, seed=seed, noise=noise, **length), "", 0.0
+        return hidden_records({}, seed=seed, noise=noise, seconds=90.0), "", 0.0
     name = str(rng.choice(sorted(SIZES)))
     size = float(np.exp(rng.uniform(*np.log(SIZES[name]))) * rng.choice([-1.0, 1.0]))
     return changed(name, size, seed=seed, noise=noise, seconds=90.0), name, size
@@ -41,11 +39,10 @@ def flown(seed: int, change: bool, single: bool) -> tuple[list[FlightRecord], st
 def main() -> None:
     """Fly, diagnose, print a line each and the counts."""
     parser = parser_of(__doc__, kinds=("silence", "change"))
-    parser.add_argument("--single", action="store_true")
     asked = parser.parse_args()
     card, rows = read_card("attas"), []
     for seed in seeds_of(asked):
-        records, name, size = flown(seed, asked.what == "change", asked.single)
+        records, name, size = flown(seed, asked.what == "change")
         began = time.perf_counter()
         found = diagnose(records, card, seed=seed, gains_wanted=False)
         seconds = time.perf_counter() - began

@@ -65,12 +65,12 @@ def main() -> None:
     card = read_card("attas")
     records = [read_record(path, card.channels) for path in given.records]
     plain = diagnose(records, card, seed=given.seed, gains_wanted=False)
-    before, known = sizes_of(plain), {c.name for c in plain.causes}
+    before = sizes_of(plain)
     Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
     print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
     rng = np.random.default_rng(given.seed)
     named = near = total = clear = clearly = 0
-    print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'before':>16s} {'after':>16s} {'moved':>9s}  named")
+    print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'moved':>9s}  named")
     for _ in range(given.draws):
         for name in given.only:
             parameter, least, most = INJECTED[name]
@@ -90,13 +90,7 @@ def main() -> None:
             clear, clearly = clear + (errors >= CLEAR), clearly + (errors >= CLEAR and by != "no")
             allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
             near += bool(abs(moved - wanted) < allowed)
-            was = f"{old[0]:8.4g}+-{old[1]:.2g}"
-            now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
-            print(
-                f"{name:17s} {size:9.4g} {errors:6.1f} {was:>16s} {now:>16s} {moved:9.4g}  {by}; new beside it: "
-                f"{', '.join(c.name for c in found.causes if c.name not in known | {name}) or 'none'}",
-                flush=True,
-            )
+            print(f"{name:17s} {size:9.4g} {errors:6.1f} {moved:9.4g}  {by}", flush=True)
     print(f"of at least {CLEAR:g} standard errors: named, in an ambiguity set, or cancelled {clearly} of {clear}")
     print(f"all: named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
           f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip

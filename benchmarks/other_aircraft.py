@@ -66,7 +66,7 @@ def sized(row: dict) -> tuple[float, float, float] | None:
 
 
 def report(rows: list[dict]) -> None:
-    """Counts, those of a size that is clear, and a line for each record that is not named alone."""
+    """Counts, and those of a size that is clear."""
     print_silent([r for r in rows if r["hidden"] is None])
     some = [r for r in rows if r["hidden"]]
     print(f"one effect: named first {sum(map(named_first, some))} of {len(some)}, "
@@ -74,10 +74,6 @@ def report(rows: list[dict]) -> None:
     clear = [r for r in some if r.get("score", 0.0) >= CLEAR]
     print(f"of at least {CLEAR:g} standard errors: named first {sum(map(named_first, clear))} of {len(clear)}")
     print_sizes([x for x in map(sized, some) if x is not None])
-    for r in some:
-        if not alone(r):
-            size = f"{r['size']:.3g} ({r.get('score', 0.0):.1f})"
-            print(f"  seed {r['seed']}: {r['hidden']} {size}: {r['causes']}, unexplained {r['unexplained']}")
 
 
 def main() -> None:

@@ -194,11 +194,7 @@ def one_step(problem: Problem, seed: int, modelled: Callable[[np.ndarray], np.nd
 
 
 STATES = ("alpha", "q", "airspeed", "theta")
-INNER: dict[SplitKind, SplitKind] = {
-    "random": "random",
-    "block": "block",
-    "manoeuvre": "block",
-}  # the kind of the inner hold-out
+INNER: dict[SplitKind, SplitKind] = {"random": "random", "block": "block", "manoeuvre": "block"}  # its inner hold-out
 STEPS = 40  # Gauss-Newton steps of the extended model
 FEWER = {"GPR, sampled": 3}  # initialisations where ten take too long
 

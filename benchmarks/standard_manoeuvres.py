@@ -97,15 +97,6 @@ def report(rows: list[dict]) -> None:
         own = [r for r in flown_again if _expected(r) == decided]
         counts = {what: sum(outcome(r) == what for r in own) for what in ("decided", "open", "wrong", "gone")}
         print("expected to be decided:" if decided else "expected to stay open:", len(own), counts)
-    for r in asked:
-        q = [
-            f"{' or '.join(q['effects'])} {q['present']:.1f}"
-            + "".join(f" > {p['standard_errors'][k]:.1f}" for p in r["points"]["points"])
-            for k, q in enumerate(r["points"]["questions"])
-        ]
-        points = [f"{p['manoeuvre']} x{p['amplitude']}" for p in r["points"]["points"]]
-        end = outcome(r) + f" {list(r['after']['causes'])}" if "after" in r else "not flown"
-        print(f"  {r['seed']} {r['hidden']} {r['first']}: {'; '.join(q)} | {', '.join(points)} | {end}")
 
 
 def _expected(row: dict) -> bool:
@@ -131,7 +122,7 @@ def unlike(seed: int, silent: bool) -> dict:
 
 
 def report_unlike(rows: list[dict], silent: bool) -> None:
-    """Counts, then what each flight said."""
+    """Counts."""
     tried = [r for r in rows if "refused" not in r]
     if silent:
         quiet = sum(not r["causes"] and not r["unexplained"] for r in tried)
@@ -143,8 +134,6 @@ def report_unlike(rows: list[dict], silent: bool) -> None:
         false = [r for r in tried if r["causes"] and r not in named and r not in sets]
         print(f"{len(tried)} flights: named {len(named)}, first {len(first)}, among the rivals of a cause {len(sets)}")
         print(f"only another cause {len(false)}; unexplained {sum(bool(r['unexplained']) for r in tried)}")
-    for r in tried:
-        print(f"  {r['seed']} {r['hidden']} {r['kinds']}: {r['verdict']} {list(r['causes'])} {r['unexplained']}")
 
 
 if __name__ == "__main__":

@@ -191,7 +191,7 @@ def is_found(row: dict[str, Any], *, exactly: bool) -> bool:
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Counts, and a line for each that was not found."""
+    """Counts."""
     silent = [r for r in rows if r["hidden"] is None]
     if silent:
         told, found = sum(bool(r["terms"]) for r in silent), sum(r["verdict"] != "no_effect" for r in silent)
@@ -209,10 +209,6 @@ def report(rows: list[dict[str, Any]]) -> None:
         print(f"{kind}: exact form {exact} of {len(own)}, in the set {among}")
     print("of an exact form: ", end="")
     print_sizes([(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]])
-    for r in some:
-        if not is_found(r, exactly=False):
-            told = "none" if r["score"] is None else f"{r['score']:.1f}"
-            print(f"  seed {r['seed']}: {' '.join(r['hidden'])} ({told}): {r['verdict']} {r['causes']} {r['terms']}")
     print("verdicts:", dict(Counter(r["verdict"] for r in some)))
 
 

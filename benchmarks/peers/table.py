@@ -92,7 +92,7 @@ SAYS = {
 ours has to find. Cost: (n/2) log det R above the best of the table.""",
     "samplers": """Same log-density and ball of starts; ours runs until its targets (ESS 400, R-hat 1.01) are met, peers
 a fixed number of steps. In `burn-in free` the peers' burn-in of five autocorrelation times costs no time; ours counts.
-Ours runs its ensembles and chains on all cores, a peer on one: `--cores 1` compares them on one.""",
+Ours runs its ensembles and chains on all cores, a peer on one.""",
     "processes": """Same kernel, start, data and stop of L-BFGS-B; maximum marginal likelihood without priors, evaluated
 for all by one textbook formula.""",
     "jet": """SciPy is given the weights of the optimum, aeroid the initial state, too; ours has to find both. With JAX
