@@ -6,61 +6,205 @@
     python benchmarks/calibration.py report --out calibration         # tables and figures of what is there
 
 Every replicate is one line of OUT/<what>.jsonl; a study that was interrupted goes on where it stopped.
+
+Source: Talts, Betancourt, Simpson, Vehtari and Gelman 2018, arXiv:1804.06788; the bands of the ranks' distribution
+function are simultaneous, after Sailynoja, Burkner and Vehtari 2022, Stat. Comput. 32, 32 (ArviZ).
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections import Counter
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from calibration_figures import rank_bands
-from calibration_study import Replicate, calibration_table, process_replicate, stall_replicate
-from ranks import band_of
+import pandas as pd
+from arviz_stats.ecdf_utils import ecdf_pit
+from jaxtyping import Float, Int
+from matplotlib.figure import Figure
+from studies import parser_of, rows_of, run_seeds
 
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.inference.gp.groups import systematic_resample
+from bayes_aero.inference.gp.kernel import hyper_names
+from bayes_aero.inference.gp.optimum import find_map
+from bayes_aero.inference.gp.posterior import Budget, sample_posterior
+from bayes_aero.inference.gp.priors import Priors
+from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.sampling.reweight import SampleStatus
+from bayes_aero.inference.gp.sampling.sample import Settings
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.posterior.ensemble import sample_ensemble
+from bayes_aero.inference.posterior.laplace import density_start, search_modes
+from bayes_aero.inference.posterior.nuts import sample_nuts
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
-from bayes_aero.report.style import save
+from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.observations import Observations, observe
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import grid_of, housed, save
 from bayes_aero.simulate.demo import simulate_stall
 
+DRAWS = 99  # posterior draws that a truth is ranked among: ranks 0 to 99
+BAND = 0.95  # simultaneous over the whole distribution function of one parameter
+BAND_DRAWS = 10_000  # simulated rank samples behind the band
 EVERY = 16  # samples of the demo's two manoeuvres: 282 at 1.6 Hz, so that the prior matters beside the data
 INPUTS, SAMPLES = ("alpha", "elevator"), 80  # of the Gaussian process
-STUDIES = ("emcee", "NUTS", "gp")
+ENGINES: dict[str, Callable[..., Posterior]] = {"emcee": sample_ensemble, "NUTS": sample_nuts}
+STUDIES = (*ENGINES, "gp")
 
 
-def study(what: str, count: int, out: Path, first: int) -> None:
-    """Replicates of the seeds that are not in the file yet."""
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{what}.jsonl"
-    done = {r.seed for r in read(path)}
+@dataclass(frozen=True)
+class Band:
+    """Difference between the ranks' distribution function and the uniform one, and its simultaneous band."""
+
+    at: Float[np.ndarray, " m"]
+    difference: Float[np.ndarray, " m"]
+    lower: Float[np.ndarray, " m"]
+    upper: Float[np.ndarray, " m"]
+
+    @property
+    def inside(self) -> bool:
+        """Whether the difference stays within the band everywhere."""
+        return bool(np.all((self.difference >= self.lower) & (self.difference <= self.upper)))
+
+
+def rank(truth: Float[np.ndarray, " k"], draws: Float[np.ndarray, "m k"]) -> Int[np.ndarray, " k"]:
+    """How many of `DRAWS` evenly thinned draws lie below the truth."""
+    kept = draws[np.linspace(0, len(draws) - 1, DRAWS).astype(int)]
+    return np.sum(kept < truth, axis=0)
+
+
+def band_of(ranks: Sequence[int]) -> Band:
+    """Difference for ranks 0 to `DRAWS`, and its band. Within its rank a truth is placed at random."""
+    n = len(ranks)
+    within = np.random.default_rng(0).uniform(size=n)
+    share = np.sort((np.asarray(ranks) + within) / (DRAWS + 1))
+    at, lower, upper = _limits(n)
+    return Band(at, np.searchsorted(share, at, side="right") / n - at, lower - at, upper - at)
+
+
+@cache
+def _limits(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the distribution function of n uniform values is looked at, and its band there."""
+    uniform = np.linspace(0.0, 1.0, n)
+    at, _, lower, upper = ecdf_pit(uniform, BAND, BAND_DRAWS, rng=np.random.default_rng(1))
+    return np.asarray(at), np.asarray(lower), np.asarray(upper)
+
+
+@dataclass(frozen=True)
+class Replicate:
+    """The truth's ranks among `DRAWS` draws, by parameter, and how the sampler says it ended."""
+
+    seed: int
+    ranks: Mapping[str, int]
+    status: str
+
+
+def stall_replicate(model: Model, observations: Observations, engine: str, seed: int) -> Replicate:
+    """Parameters and AR(1) noise drawn from their priors, coefficients simulated, inferred as a user would.
+
+    `observations` lend their signals only.
+    """
+    rng = np.random.default_rng([seed, 5])
+    maker = Density(observations, model, Noise(Colour.AR1))
+    x = maker.sample_prior(rng, 1)[0]
+    white = jnp.asarray(rng.standard_normal((observations.n, 3)))
+    data = observations.with_measured(maker.replicate(jnp.asarray(x), white))
+    density = Density(data, model, Noise(Colour.AR1))
+    mode = search_modes(density, density_start(density, fit_mle(model, data, seed=seed)), data.n, seed=seed)
+    posterior = ENGINES[engine](density, mode, seed=seed, predictive=False)
+    shuffled = rng.permutation(posterior.draws())
+    return Replicate(
+        seed, dict(zip(density.names, map(int, rank(x, shuffled)), strict=True)), posterior.status.name.lower()
+    )
+
+
+def process_replicate(inputs: Float[np.ndarray, "n d"], names: tuple[str, ...], seed: int) -> Replicate:
+    """Hyperparameters drawn from their priors, a sample function with noise, sampled through the stand-in.
+
+    `inputs` in deviations. Draws are those that exact weights resample; where they were refused, the stand-in's.
+    """
+    rng, priors = np.random.default_rng([seed, 6]), Priors()
+    d = inputs.shape[1]
+    theta = np.asarray(priors.sample(jax.random.PRNGKey(seed), d, 1))[0]
+    y = np.linalg.cholesky(covariance(theta, inputs)) @ rng.standard_normal(len(inputs))
+    data = ReducedData.of(inputs, y)
+    best = find_map(data, priors, starts=4, polish=1, seed=seed)[0]
+    found = sample_posterior(best, data, priors, budget=Budget(exact=400, nuts=Settings(300, 500, 4)), seed=seed)
+    flat = found.chains.theta.reshape(-1, theta.size)
+    if found.weighted is not None and found.status is SampleStatus.accepted:
+        drawn = found.weighted.theta.reshape(-1, theta.size)
+        flat = drawn[systematic_resample(found.weighted.log_weight, seed)]
+    own = rank(theta, rng.permutation(flat))
+    return Replicate(seed, dict(zip(hyper_names(names), map(int, own), strict=True)), found.status.name)
+
+
+def covariance(theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n n"]:
+    """Constant, linear, squared exponential and noise, written out: independent of the engine that it tests."""
+    d = x.shape[1]
+    constant, linear, signal = np.exp(theta[0]), np.exp(theta[1 : d + 1]), np.exp(theta[d + 1])
+    length, noise = np.exp(theta[d + 2 : 2 * d + 2]), np.exp(theta[-1])
+    scaled = x / length
+    squared = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
+    K = constant**2 + (x * linear) @ (x * linear).T + signal**2 * np.exp(-0.5 * squared)
+    return K + noise**2 * np.eye(len(x))
+
+
+def calibration_table(replicates: Sequence[Replicate]) -> pd.DataFrame:
+    """A row per parameter: mean rank (0.5 wanted), share that 50 and 90 % intervals cover, inside the band or not."""
+    rows = {}
+    for name in replicates[0].ranks:
+        ranks = np.array([r.ranks[name] for r in replicates])
+        place = (ranks + 0.5) / (DRAWS + 1)
+        rows[name] = {
+            "replicates": len(ranks),
+            "mean rank": place.mean(),
+            "in 50 %": np.mean(np.abs(place - 0.5) <= 0.25),
+            "in 90 %": np.mean(np.abs(place - 0.5) <= 0.45),
+            "inside band": band_of(list(map(int, ranks))).inside,
+        }
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+@housed
+def rank_bands(bands: Mapping[str, Band]) -> Figure:
+    """ECDF difference of each parameter's ranks with its simultaneous 95 % band; orange where it leaves the band."""
+    figure, axes = grid_of(len(bands), 5, (2.4, 1.7), sharex=True, sharey=True)
+    for ax, (name, band) in zip(axes, bands.items(), strict=True):
+        colour = COLOURS["mle"] if band.inside else COLOURS["gpr"]
+        ax.fill_between(band.at, band.lower, band.upper, color=COLOURS["prior"], alpha=0.5, linewidth=0)
+        ax.step(band.at, band.difference, where="post", color=colour)
+        ax.set_title(name if band.inside else f"{name}: outside")
+        ax.label_outer()
+    figure.supxlabel("rank of the truth among posterior draws, as a share [-]")
+    figure.supylabel("ECDF minus uniform [-]")
+    return figure
+
+
+def study(what: str) -> Callable[[int], dict]:
+    """One replicate as a row, by its seed."""
     card = read_card("attas")
     model = Model.from_card(card)
     observations = observe([simulate_stall(i, card=card) for i in range(2)], card, model)
-    thinned = observations.thinned(EVERY)
+    if what != "gp":
+        thinned = observations.thinned(EVERY)
+        return lambda seed: asdict(stall_replicate(model, thinned, what, seed))
     x = np.stack([np.asarray(observations.signals[name]) for name in INPUTS], axis=1)
     x = x[np.linspace(0, len(x) - 1, SAMPLES).astype(int)]
     x = (x - x.mean(axis=0)) / x.std(axis=0)
-    with path.open("a") as file:
-        for seed in range(first, first + count):
-            if seed in done:
-                continue
-            found = process_replicate(x, INPUTS, seed) if what == "gp" else stall_replicate(model, thinned, what, seed)
-            file.write(json.dumps(asdict(found)) + "\n")
-            file.flush()
-
-
-def read(path: Path) -> list[Replicate]:
-    return [Replicate(**json.loads(line)) for line in path.read_text().splitlines()] if path.exists() else []
+    return lambda seed: asdict(process_replicate(x, INPUTS, seed))
 
 
 def report(out: Path) -> None:
     """Tables, and a figure each, of the replicates so far."""
     for what in STUDIES:
-        found = read(out / f"{what}.jsonl")
+        found = [Replicate(**row) for row in rows_of(out / f"{what}.jsonl")]
         if not found:
             continue
         print(f"\n{what}: {len(found)} replicates; {dict(Counter(r.status for r in found))}")
@@ -73,13 +217,8 @@ def report(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=(*STUDIES, "report"))
-    parser.add_argument("count", type=int, nargs="?", default=300)
-    parser.add_argument("--out", type=Path, default=Path("calibration"))
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    given = parser.parse_args()
+    given = parser_of(__doc__, "calibration", (*STUDIES, "report"), count=300).parse_args()
     if given.what == "report":
         report(given.out)
     else:
-        study(given.what, given.count, given.out, given.first)
+        run_seeds(given, f"{given.what}.jsonl", study(given.what), one_length=True)

@@ -2,17 +2,16 @@
 
 python benchmarks/changed_parameters.py silence 60 --first 100     # nothing changes, 90 s pairs
 python benchmarks/changed_parameters.py change 20 --first 500      # Cm0 or CLaM changes in the second manoeuvre
-python benchmarks/changed_parameters.py silence 20 --single        # on single manoeuvres of 100 s
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from studies import parser_of, seeds_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from changing_parameters import AT, changed
@@ -26,13 +25,12 @@ NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 SIZES = {"Cm0": (0.003, 0.012), "CLaM": (0.6, 2.0)}  # of a change, uniform in its logarithm, of either sign
 
 
-def flown(seed: int, change: bool, single: bool) -> tuple[list[FlightRecord], str, float]:
+def flown(seed: int, change: bool) -> tuple[list[FlightRecord], str, float]:
     """Records, the parameter that changes, and by how much."""
     rng = np.random.default_rng([seed, 99])
     noise = str(rng.choice(NOISES))
     if not change:
-        length = {"seconds": 100.0, "manoeuvres": 1} if single else {"seconds": 90.0}
-        return hidden_records({}, seed=seed, noise=noise, **length), "", 0.0
+        return hidden_records({}, seed=seed, noise=noise, seconds=90.0), "", 0.0
     name = str(rng.choice(sorted(SIZES)))
     size = float(np.exp(rng.uniform(*np.log(SIZES[name]))) * rng.choice([-1.0, 1.0]))
     return changed(name, size, seed=seed, noise=noise, seconds=90.0), name, size
@@ -40,15 +38,11 @@ def flown(seed: int, change: bool, single: bool) -> tuple[list[FlightRecord], st
 
 def main() -> None:
     """Fly, diagnose, print a line each and the counts."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("silence", "change"))
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--single", action="store_true")
+    parser = parser_of(__doc__, kinds=("silence", "change"))
     asked = parser.parse_args()
     card, rows = read_card("attas"), []
-    for seed in range(asked.first, asked.first + asked.count):
-        records, name, size = flown(seed, asked.kind == "change", asked.single)
+    for seed in seeds_of(asked):
+        records, name, size = flown(seed, asked.what == "change")
         began = time.perf_counter()
         found = diagnose(records, card, seed=seed, gains_wanted=False)
         seconds = time.perf_counter() - began
@@ -64,9 +58,7 @@ def main() -> None:
         inside = sum(first.interval[0] <= AT <= first.interval[1] for first, _ in right)
         z = np.array([(first.size[0] - size) / first.size[1] for first, size in right])
         print(f"the parameter that changed is first or a rival of the first in {sum(r[2] for r in rows)}; first in")
-        print(
-            f"  {len(right)}: time inside its interval {inside}, size within 1.96 standard errors {sum(abs(z) < 1.96)}"
-        )
+        print(f"  {len(right)}: time inside {inside}, size within 1.96 standard errors {sum(abs(z) < 1.96)}")
 
 
 if __name__ == "__main__":

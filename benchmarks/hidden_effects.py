@@ -14,16 +14,17 @@ Every flight's finding is one line of OUT/<kind>.jsonl; a study that was interru
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from detectability import standard_scores
-from detection_tables import draw, heads, hidden, named, power, print_power, size
+from matplotlib.figure import Figure
+from studies import Row, parser_of, rows_of, run_seeds, standard_scores, without_accelerometers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from out_of_catalogue import UNKNOWN
@@ -33,13 +34,14 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.simulate.demo import TRUTH
 from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_records
 
 NOISES = ("white", "ar1", "ar1", "buffet", "outliers")
 PAIR, SINGLE = {"seconds": 90.0}, {"seconds": 100.0, "manoeuvres": 1}  # one length: one compilation serves all
 CLEAR = 6.0  # standard errors from which an effect must be named
+EDGES = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, np.inf)  # standard errors of the first screening
+NOTHING = "(nothing)"
 
 
 def candidates() -> list[str]:
@@ -49,24 +51,18 @@ def candidates() -> list[str]:
     return [e.name for e in known if not {p.name for p in e.parameters} & base]
 
 
-def without_accelerometers(record: FlightRecord) -> FlightRecord:
-    """The same flight as a recorder without accelerometers would have it."""
-    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "ay", "az")}
-    return FlightRecord.from_arrays(record.name, record.time, kept)
-
-
-def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
+def case(kind: str, seed: int, length: dict, trajectories: bool) -> dict:
     """Draw, fly and diagnose one case."""
     rng = np.random.default_rng([seed, 99])
     noise, unknown, effects = str(rng.choice(NOISES)), None, {}
     if kind == "silence":
-        records = hidden_records({}, seed=seed, noise=noise, **flown)
+        records = hidden_records({}, seed=seed, noise=noise, **length)
     elif kind == "unknown":
         unknown = str(rng.choice(sorted(e.name for e in UNKNOWN)))
-        records = hidden_records({}, seed=seed, noise=noise, beyond=of_no_catalogue(unknown), **flown)
+        records = hidden_records({}, seed=seed, noise=noise, beyond=of_no_catalogue(unknown), **length)
     else:
         names = [str(x) for x in rng.choice(candidates(), 1 if kind == "one" else 2, replace=False)]
-        effects, flights = flyable(names, seed=seed, noise=noise, **flown)
+        effects, flights = flyable(names, seed=seed, noise=noise, **length)
         records = [flight.record for flight in flights]
     began = time.perf_counter()
     if trajectories:
@@ -97,25 +93,12 @@ def case(kind: str, seed: int, flown: dict, trajectories: bool) -> dict:
     }
 
 
-def run(kind: str, count: int, out: Path, first: int, flown: dict, trajectories: bool) -> None:
-    """Go through the seeds that are not in the file yet."""
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{kind}.jsonl"
-    done = {row["seed"] for row in _read(path)}
-    with path.open("a") as file:
-        for seed in range(first, first + count):
-            if seed in done:
-                continue
-            try:
-                row = case(kind, seed, flown, trajectories)
-            except InputError as error:  # an aircraft that cannot be flown so; counted, not hidden
-                row = {"seed": seed, "refused": str(error)}
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-
-
-def _read(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+def case_or_refusal(kind: str, seed: int, length: dict, trajectories: bool) -> dict:
+    """An aircraft that cannot be flown so is counted, not hidden."""
+    try:
+        return case(kind, seed, length, trajectories)
+    except InputError as error:
+        return {"seed": seed, "refused": str(error)}
 
 
 def _share(hits: int, of: int) -> str:
@@ -129,7 +112,7 @@ def alarmed(row: dict) -> bool:
 
 def report(out: Path) -> None:
     """Print the tables."""
-    rows = {kind: _read(out / f"{kind}.jsonl") for kind in ("silence", "one", "two", "unknown")}
+    rows = {kind: rows_of(out / f"{kind}.jsonl") for kind in ("silence", "one", "two", "unknown")}
     refused = {kind: sum("refused" in r for r in rs) for kind, rs in rows.items()}
     rows = {kind: [r for r in rs if "refused" not in r] for kind, rs in rows.items()}
     print("refused as unflyable:", refused)
@@ -194,20 +177,100 @@ def _naming(rows: list[dict]) -> None:
         print(f"  power, {head} standard errors: named {_share(hits, of)}")
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("silence", "one", "two", "unknown", "report", "effects"))
-    parser.add_argument("count", type=int, nargs="?", default=200)
-    parser.add_argument("--out", type=Path, default=Path("study"))
-    parser.add_argument("--first", type=int, default=1000, help="first seed")
+def named(row: Row, name: str) -> bool:
+    """Whether an effect is a cause, or stands in one's ambiguity set."""
+    return any(c["name"] == name or name in c["ambiguous_with"] for c in row["causes"])
+
+
+def hidden(row: Row) -> str:
+    """The one effect that a record hides."""
+    (name,) = row["hidden"]
+    return name
+
+
+def size(row: Row) -> float:
+    """Its size in standard errors."""
+    return max(row["scores"].values(), default=0.0)
+
+
+def power(rows: Sequence[Row]) -> dict[str, list[tuple[int, int]]]:
+    """By effect: named and all in every class of size."""
+    table = {}
+    for name in sorted({hidden(r) for r in rows}):
+        own = [r for r in rows if hidden(r) == name]
+        classes = [[r for r in own if low <= size(r) < high] for low, high in pairwise(EDGES)]
+        table[name] = [(sum(named(r, name) for r in here), len(here)) for here in classes]
+    return table
+
+
+def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], np.ndarray]:
+    """True effects, named ones, and counts: what is named first in each record of at least `CLEAR` standard errors."""
+    pairs = Counter((hidden(r), r["causes"][0]["name"] if r["causes"] else NOTHING) for r in rows if size(r) >= CLEAR)
+    true = sorted({pair[0] for pair in pairs})
+    others = sorted({pair[1] for pair in pairs} - set(true) - {NOTHING})
+    first = [*true, *others, NOTHING]
+    return true, first, np.array([[pairs[t, f] for f in first] for t in true], int).reshape(len(true), len(first))
+
+
+def heads() -> list[str]:
+    """The classes of size in words."""
+    last = len(EDGES) - 2
+    return [f"{a:g} to {b:g}" if k < last else f"from {a:g}" for k, (a, b) in enumerate(pairwise(EDGES))]
+
+
+def print_power(rows: Sequence[Row]) -> None:
+    """As a table for benchmarks/README.md."""
+    print("| effect | " + " | ".join(heads()) + " |")
+    print("|---|" + "---|" * len(heads()))
+    for name, classes in power(rows).items():
+        print(f"| `{name}` | " + " | ".join(f"{hits}/{of}" if of else "" for hits, of in classes) + " |")
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Both as one picture: a square for every class of size and effect, and who is named first."""
+    table = power(rows)
+    share = np.array([[hits / of if of else np.nan for hits, of in classes] for classes in table.values()])
+    true, first, counts = confusion(rows)
+    figure = Figure(figsize=(15.0, 0.22 * len(table) + 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 2.4])
+    left.imshow(share, cmap="viridis", vmin=0.0, vmax=1.0, aspect="auto")
+    left.set_xticks(range(len(heads())), heads(), rotation=40, ha="right")
+    left.set_yticks(range(len(table)), list(table))
+    left.set_xlabel("size of the hidden effect [standard errors]")
+    for i, classes in enumerate(table.values()):
+        for j, (hits, of) in enumerate(classes):
+            if of:
+                left.text(j, i, f"{hits}/{of}", ha="center", va="center", fontsize=7, color="w" if hits < of else "k")
+    left.set_title("Named of those flown (blank: none of that size)")
+    right.imshow(np.where(counts > 0, 1.0, np.nan), cmap="Blues", vmin=0.0, vmax=2.5, aspect="auto")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        right.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=7)
+    right.set_xticks(range(len(first)), first, rotation=90)
+    right.set_yticks(range(len(true)), true)
+    right.set_xlabel("named first")
+    right.set_ylabel("hidden")
+    right.set_title(f"Records of at least {CLEAR:g} standard errors")
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Run a study, or report on what is there."""
+    kinds = ("silence", "one", "two", "unknown", "report", "effects")
+    parser = parser_of(__doc__, "study", kinds, first=1000, count=200)
     parser.add_argument("--single", action="store_true", help="one manoeuvre of 100 s instead of two of 90 s")
     parser.add_argument("--trajectories", action="store_true", help="without accelerometers, by simulated trajectories")
     given = parser.parse_args()
-    if given.kind == "report":
+    if given.what == "report":
         report(given.out)
-    elif given.kind == "effects":
-        rows = [r for r in _read(given.out / "one.jsonl") if "refused" not in r]
+    elif given.what == "effects":
+        rows = [r for r in rows_of(given.out / "one.jsonl") if "refused" not in r]
         print_power(rows)
-        draw(rows, CLEAR, given.out / "detection.png")
+        draw(rows, given.out / "detection.png")
     else:
-        run(given.kind, given.count, given.out, given.first, SINGLE if given.single else PAIR, given.trajectories)
+        length = SINGLE if given.single else PAIR
+        one = partial(case_or_refusal, given.what, length=length, trajectories=given.trajectories)
+        run_seeds(given, f"{given.what}.jsonl", one, one_length=True)
+
+
+if __name__ == "__main__":
+    main()

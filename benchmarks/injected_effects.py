@@ -11,16 +11,27 @@ named, where the injected one cancels it.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from detectability import standard_scores
-from injection import injected
+from studies import standard_scores
 
+from bayes_aero.diagnosis.candidate_set import DERIVED
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import marks
+from bayes_aero.physics.coefficients import condition_joined
+from bayes_aero.simulate.sensor_faults import misrecorded
 
 INJECTED = {  # parameter and range of the size's absolute value, SI
     "alpha_bias": ("alpha_bias", 0.01, 0.04),
@@ -54,12 +65,12 @@ def main() -> None:
     card = read_card("attas")
     records = [read_record(path, card.channels) for path in given.records]
     plain = diagnose(records, card, seed=given.seed, gains_wanted=False)
-    before, known = sizes_of(plain), {c.name for c in plain.causes}
+    before = sizes_of(plain)
     Cmde = plain.base_moves["Cmde"][1]  # of the extended model, in which a moment has to be held
     print(f"elevator effectiveness of the extended model {Cmde:.3f} 1/rad")
     rng = np.random.default_rng(given.seed)
     named = near = total = clear = clearly = 0
-    print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'before':>16s} {'after':>16s} {'moved':>9s}  named")
+    print(f"{'effect':17s} {'injected':>9s} {'errors':>6s} {'moved':>9s}  named")
     for _ in range(given.draws):
         for name in given.only:
             parameter, least, most = INJECTED[name]
@@ -79,16 +90,92 @@ def main() -> None:
             clear, clearly = clear + (errors >= CLEAR), clearly + (errors >= CLEAR and by != "no")
             allowed = least if cancels else 1.96 * np.hypot(old[1], new[1] if new else 0.0) + 0.1 * abs(size)
             near += bool(abs(moved - wanted) < allowed)
-            was = f"{old[0]:8.4g}+-{old[1]:.2g}"
-            now = f"{new[0]:8.4g}+-{new[1]:.2g}" if new else "-"
-            print(
-                f"{name:17s} {size:9.4g} {errors:6.1f} {was:>16s} {now:>16s} {moved:9.4g}  {by}; new beside it: "
-                f"{', '.join(c.name for c in found.causes if c.name not in known | {name}) or 'none'}",
-                flush=True,
-            )
+            print(f"{name:17s} {size:9.4g} {errors:6.1f} {moved:9.4g}  {by}", flush=True)
     print(f"of at least {CLEAR:g} standard errors: named, in an ambiguity set, or cancelled {clearly} of {clear}")
     print(f"all: named, in an ambiguity set, or cancelled {named} of {total}; moved by the injected size "
           f"(within the intervals and a tenth) {near} of {total}")  # fmt: skip
+
+
+POSSIBLE = "only sensors, thrust and moments can be injected into a record"
+
+
+def injected(
+    records: Sequence[FlightRecord], effects: Mapping[str, Mapping[str, float]], card: Card, *, Cmde: float
+) -> list[FlightRecord]:
+    """The records as they would be if the aircraft had flown the same motion with `effects` (by name, values) in it.
+
+    Sensor errors and thrust: what the faulty installation would have recorded of this flight. Effects on the pitching
+    moment alone: the motion stays as it was if the pilot holds against them, so the elevator takes -dCm/Cmde, `Cmde`
+    being its effectiveness, 1/rad; the lift of a force at the tail goes with it. Effects on lift or drag cannot be
+    had without other motion, and are refused.
+    """
+    for name in effects:
+        if name not in CATALOGUE:
+            raise InputError(f"there is no effect {name!r} to inject; the catalogue has {', '.join(CATALOGUE)}")
+    return [_one(record, effects, card, Cmde) for record in records]
+
+
+def _one(record: FlightRecord, effects: Mapping[str, Mapping[str, float]], card: Card, Cmde: float) -> FlightRecord:
+    given = {name: np.asarray(x) for name, x in with_sums(record, card).items()}
+    channels = dict(given)
+    dt = record.dt
+    for name, values in effects.items():
+        effect = CATALOGUE[name]
+        missing = [c for c in effect.channels if c not in channels and c not in DERIVED]
+        if missing:
+            raise InputError(f"effect {name} needs channel {', '.join(missing)}, which {record.name} does not have")
+        if effect.stage is Stage.CHANNEL:
+            channels |= misrecorded(Model.of([effect]), values, channels, marks(record.n, dt), card.aircraft)
+        else:
+            moment = _moment(effect, values, channels, dt, card)
+            channels["elevator"] = channels["elevator"] - moment / Cmde
+    for name, parts in card.sums.items():
+        channels |= _shared(parts, channels[name], {part: given[part] for part in parts})
+    changed = {name for name in given if name not in card.sums and not np.array_equal(given[name], channels[name])}
+    kept = {name: x for name, x in channels.items() if record.has(name) or name in changed}
+    return FlightRecord.from_arrays(record.name, np.asarray(record.time), kept, f"{record.source}, effects injected")
+
+
+def _shared(parts: Mapping[str, float], total: np.ndarray, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A sum that was changed, shared among its parts: plain sums as it was shared, others by the parts' factors."""
+    before = sum(factor * given[part] for part, factor in parts.items())
+    if all(factor == 1.0 for factor in parts.values()):
+        ratio = total / np.where(before == 0.0, 1.0, before)
+        return {part: x * ratio for part, x in given.items()}
+    square = sum(factor**2 for factor in parts.values())
+    return {part: x + (total - before) * parts[part] / square for part, x in given.items()}
+
+
+def _moment(
+    effect: Effect, values: Mapping[str, float], channels: Mapping[str, np.ndarray], dt: float, card: Card
+) -> np.ndarray:
+    n = len(channels["alpha"])
+    ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
+    signals = condition_joined({name: jnp.asarray(x) for name, x in channels.items()}, *ends)
+    ones = jnp.ones(n)
+
+    def increments(X: float) -> dict[str, Any]:
+        known = {name: value * ones for name, value in NEUTRAL_FLOW.items()} | {"incidence": signals["alpha"]}
+        found = effect.increments(values, signals, card.aircraft, known | {"X": X * ones})
+        return {name: np.asarray(x) * np.ones(len(ones)) for name, x in found.items()}
+
+    if effect.uses:
+        raise InputError(
+            f"effect {effect.name} rests on parameters of other effects ({', '.join(effect.uses)}); {POSSIBLE}"
+        )
+    if effect.stage < Stage.ATTACHED:
+        raise InputError(f"effect {effect.name} changes the flow or the aircraft; {POSSIBLE}")
+    found, apart = increments(1.0), increments(0.5)
+    if any(not np.allclose(found[name], apart[name]) for name in found):
+        raise InputError(f"effect {effect.name} depends on separation, which no record knows; {POSSIBLE}")
+    moment = found.get("Cm", np.zeros(len(ones)))
+    # A force at the tail is held by the elevator's, which acts there too: lift and moment vanish together.
+    lift_of_tail = -moment * card.aircraft.chord / card.aircraft.tail_arm
+    if not (set(found) <= {"Cm", "CL_attached"} and np.allclose(found.get("CL_attached", lift_of_tail), lift_of_tail)):
+        raise InputError(f"effect {effect.name} changes more than the pitching moment; {POSSIBLE}")
+    if not np.any(moment):
+        raise InputError(f"effect {effect.name} makes no moment in this record; what it acts through does not move")
+    return moment
 
 
 if __name__ == "__main__":

@@ -12,9 +12,7 @@ One line of OUT/lateral.jsonl each; goes on where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -23,14 +21,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from resumed import resumed
+from studies import alone, parser_of, print_silent, print_sizes, resumed, seeds_of, told
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from six_axes import ATTACHED, LATERAL, LONGITUDINAL, card_text, record
+from six_axes import ATTACHED, LATERAL, LONGITUDINAL, record
 from stranger_six import Plane, drawn, fly
+from wing_first import card_of
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.flight.card.card import read_card
 
 FLOWN = ("elevator", "aileron", "rudder") * 2
 AERODYNAMIC = {
@@ -110,49 +108,29 @@ def case(seed: int) -> dict:
         size = usual * rng.uniform(0.8, 1.2)
         flights = [{**flight, channel: _wrong(flight[channel], kind, size, 0.04)} for flight in flights]
     records = [record(f"{FLOWN[i]}_{i}", flight, rng) for i, flight in enumerate(flights)]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "another.toml"
-        path.write_text(card_text(replace(plane), effects), encoding="utf-8")
-        card = read_card(str(path))
+    card = card_of(plane, effects)
     began = time.perf_counter()
     found = diagnose(records, card, seed=seed, gains_wanted=False, process_noise=False)
-    causes = {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes}
-    return {
-        "seed": seed,
-        "hidden": name,
-        "size": size,
-        "verdict": found.verdict.value,
-        "causes": causes,
-        "ambiguous": {c.name: c.ambiguous_with for c in found.causes},
-        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
-        "seconds": time.perf_counter() - began,
-    }
+    return {"seed": seed, "hidden": name, "size": size, **told(found, began)}
 
 
 def report(rows: list[dict]) -> None:
     """Counts, what was taken for what, and a line for each that was not named alone."""
-    silent = [r for r in rows if r["hidden"] is None]
-    print(f"nothing hidden: silent {sum(r['verdict'] == 'no_effect' for r in silent)} of {len(silent)}")
+    print_silent([r for r in rows if r["hidden"] is None])
     unknown = [r for r in rows if r["hidden"] in UNKNOWN]
-    told = sum(bool(r["unexplained"]) for r in unknown)
-    named = sum(bool(r["causes"]) for r in unknown)
-    print(f"in no catalogue: unexplained {told} of {len(unknown)}, a cause named {named}")
+    unexplained, named = (sum(bool(r[what]) for r in unknown) for what in ("unexplained", "causes"))
+    print(f"in no catalogue: unexplained {unexplained} of {len(unknown)}, a cause named {named}")
     some = [r for r in rows if r["hidden"] in HIDDEN]
-    alone = [r for r in some if list(r["causes"]) == [r["hidden"]] and r["verdict"] == "explained"]
-    print(f"one effect: named {sum(r['hidden'] in r['causes'] for r in some)} of {len(some)}, alone {len(alone)}")
-    inside = [abs(m - r["size"]) < 1.96 * s for r in alone for m, s in list(r["causes"][r["hidden"]].values())[:1]]
-    print(f"its 95 % interval holds the size {sum(inside)} of {len(inside)}")
+    clear = list(filter(alone, some))
+    print(f"one effect: named {sum(r['hidden'] in r['causes'] for r in some)} of {len(some)}, alone {len(clear)}")
+    print_sizes([(*next(iter(r["causes"][r["hidden"]].values())), r["size"]) for r in clear])
     for (hidden, taken), count in sorted(Counter((r["hidden"], tuple(r["causes"])) for r in (*some, *unknown)).items()):
         print(f"  {hidden}: {', '.join(taken) or 'nothing'} ({count})")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
+    parser = parser_of(__doc__, "lateral")
     parser.add_argument("--silent", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("lateral"))
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    chosen = [seed for seed in seeds if not (given.silent and hidden(seed))]
+    chosen = [seed for seed in seeds_of(given) if not (given.silent and hidden(seed))]
     report(resumed(given.out / "lateral.jsonl", {seed: partial(case, seed) for seed in chosen}))

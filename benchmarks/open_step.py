@@ -14,7 +14,9 @@ import asyncio
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from queue import Queue
+from typing import Any
 
 import numpy as np
 from bokeh.document import Document
@@ -30,24 +32,28 @@ SIZE = {"width": 1920, "height": 1080}
 READY = "Number(document.documentElement.dataset.answered) === explore.state.id"
 
 
-def flights(simulator: Simulator, manoeuvre: int, name: str, steps: int) -> list[float]:
-    """Seconds of each compiled flight."""
-    value, found = simulator.opened.identified.values[name], []
+def seconds_of(call: Callable[[int], Any], steps: int) -> list[float]:
+    """Of each call but the first."""
+    found = []
     for k in range(steps + 1):
         begin = time.perf_counter()
-        simulator.fly(manoeuvre, Choice({name: value * (1.0 + 1e-4 * k)}))
+        call(k)
         found.append(time.perf_counter() - begin)
     return found[1:]
 
 
-def answers(simulator: Simulator, manoeuvre: int, name: str, steps: int) -> list[float]:
-    """Seconds of each answer of the server, without a browser."""
-    page, value, found = Page(simulator, Document()), simulator.opened.identified.values[name], []
-    for k in range(steps + 1):
-        begin = time.perf_counter()
-        page.answer(Asked(k, manoeuvre, values={name: value * (1.0 + 1e-4 * k)}))
-        found.append(time.perf_counter() - begin)
-    return found[1:]
+def flights(simulator: Simulator, manoeuvre: int, name: str, steps: int) -> list[list[float]]:
+    """Seconds of each compiled flight, and of each answer of the server, without a browser."""
+    page, value = Page(simulator, Document()), simulator.opened.identified.values[name]
+
+    def moved(k: int) -> dict[str, float]:
+        return {name: value * (1.0 + 1e-4 * k)}
+
+    calls = (
+        lambda k: simulator.fly(manoeuvre, Choice(moved(k))),
+        lambda k: page.answer(Asked(k, manoeuvre, values=moved(k))),
+    )
+    return [seconds_of(call, steps) for call in calls]
 
 
 def drawn(simulator: Simulator, name: str, steps: int) -> list[list[float]]:
@@ -106,7 +112,7 @@ def main() -> None:
     print(f"{simulator.opened.title}, {name} moved, ms: best/median/95th percentile")
     print(f"{'manoeuvre':20} {'samples':>7} {'flight':>13} {'answer':>13} {'drawn':>13}")
     for k, manoeuvre in enumerate(simulator.manoeuvres):
-        columns = [words(f(simulator, k, name, given.steps)) for f in (flights, answers)]
+        columns = list(map(words, flights(simulator, k, name, given.steps)))
         columns.append(words(seen[k]) if seen else "-")
         print(f"{manoeuvre:20} {len(simulator.time(k)):7d} {' '.join(columns)}")
 

@@ -1,7 +1,6 @@
 """How time and memory grow with the length of a record and with the number of manoeuvres.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples | manoeuvres | page ...]
-    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py samples manoeuvres --picture FILE
+    OPENBLAS_NUM_THREADS=1 python benchmarks/scaling.py [samples] [manoeuvres]
 
 Every row is a process of its own, so that its peak memory is its own. Compilation is counted apart: what a second fit
 of the same shape takes is `again`. Exponents are of a power law between neighbouring rows: 1 is linear.
@@ -17,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -110,18 +108,6 @@ def manoeuvres(count: int) -> dict[str, float]:
     return times
 
 
-def page(n: int) -> dict[str, float]:
-    """`identify` without Gaussian processes, of one record: seconds of every stage, and the size of what it writes."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.jobs.identify import identify
-    from bayes_aero.jobs.options import IdentifyOptions
-
-    with tempfile.TemporaryDirectory() as folder:
-        found = identify([long_record(n)], read_card("attas"), IdentifyOptions(gp=False), out=Path(folder))
-        sizes = {f"{p.name} MB": p.stat().st_size / 1e6 for p in Path(folder).iterdir() if p.is_file()}
-    return dict(found.seconds) | sizes
-
-
 class Clock:
     """Seconds of processor time between calls, of all threads: other work on the machine counts little."""
 
@@ -133,39 +119,7 @@ class Clock:
         self.into[name], self.last = now - self.last, now
 
 
-KINDS = {
-    "samples": (samples, SAMPLES),
-    "manoeuvres": (manoeuvres, MANOEUVRES),
-    "page": (page, SAMPLES),
-}
-
-
-DRAWN = {"read": "reading the file", "again": "maximum-likelihood fit", "emcee": f"{STEPS} steps of emcee"}
-OVER = {"samples": "samples of one record [-]", "manoeuvres": "manoeuvres in one joint fit [-]"}
-
-
-def draw(rows: Mapping[str, Mapping[int, Mapping[str, float]]], path: Path) -> None:
-    """Processor time and peak memory over size, beside lines that grow linearly."""
-    from matplotlib.figure import Figure
-
-    kinds = [kind for kind in OVER if kind in rows]
-    figure = Figure(figsize=(5.5 * len(kinds), 4.5), layout="constrained")
-    for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
-        sizes = np.array(sorted(rows[kind]), float)
-        for key, label in DRAWN.items():
-            told = np.array([rows[kind][int(n)].get(key, np.nan) for n in sizes])
-            if np.isfinite(told).all():
-                (line,) = axes.loglog(sizes, told, "o-", label=label)
-                axes.loglog(sizes, told[0] * sizes / sizes[0], ":", color=line.get_color())
-        memory = axes.twinx()
-        memory.plot(sizes, [rows[kind][int(n)]["GiB"] for n in sizes], "s--", color="0.5", label="peak memory")
-        memory.set_ylim(bottom=0.0)
-        memory.set_ylabel("peak memory, dashed [GiB]")
-        axes.set_xlabel(OVER[kind])
-        axes.set_ylabel("processor time [s]")
-        axes.grid(alpha=0.3)
-        axes.legend(loc="upper left", title="dotted: linear")
-    figure.savefig(path, dpi=110)
+KINDS = {"samples": (samples, SAMPLES), "manoeuvres": (manoeuvres, MANOEUVRES)}
 
 
 def main() -> None:
@@ -174,7 +128,6 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=["samples", "manoeuvres"])
     parser.add_argument("--one", nargs=2)
     parser.add_argument("--sizes", type=int, nargs="*")
-    parser.add_argument("--picture", type=Path, help="draw samples and manoeuvres there")
     options = parser.parse_args()
     if options.one:
         kind, size = options.one
@@ -182,24 +135,16 @@ def main() -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(json.dumps(found | {"GiB": peak}))
         return
-    rows: dict[str, dict[int, dict[str, float]]] = {}
     for kind in options.kinds:
         before: dict[str, float] = {}
         for size in options.sizes or KINDS[kind][1]:
             command = [sys.executable, __file__, "--one", kind, str(size)]
             done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
-            row = json.loads(done.stdout.splitlines()[-1])
-            rows.setdefault(kind, {})[size] = row
-            cells = []
-            for key, value in row.items():
-                grown = ""
-                if before.get("_size") and before.get(key, 0.0) > 0.0 and value > 0.0:
-                    grown = f" ({math.log(value / before[key]) / math.log(size / before['_size']):.2f})"
-                cells.append(f"{key} {value:.3g}{grown}")
-            print(f"{kind} {size}: {', '.join(cells)}", flush=True)
-            before = row | {"_size": float(size)}
-    if options.picture and any(kind in OVER for kind in rows):
-        draw(rows, options.picture)
+            row = json.loads(done.stdout.splitlines()[-1]) | {"size": size}
+            grown = size / before.get("size", size)
+            power = {k: math.log(x / before[k]) / math.log(grown) if grown > 1.0 else 0.0 for k, x in row.items()}
+            print(f"{kind}:", ", ".join(f"{k} {x:.3g} ({power[k]:.2f})" for k, x in row.items()), flush=True)
+            before = row
 
 
 if __name__ == "__main__":

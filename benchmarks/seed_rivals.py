@@ -1,29 +1,36 @@
 """Networks, Gaussian processes and equations on honest splits: r, RMSE, log score, coverage, time and spread.
 
     pip install -e '.[peers]'
-    pip install --no-deps jax-sysid                       # it pins an older JAX and SciPy
     python benchmarks/seed_rivals.py RECORD RECORD [--out rivals]
 
 Two manoeuvres of the `attas` card, their coefficients as means of 0.2 s (1010 blocks), the inputs those of [gp]. One
 random, one block split, and each manoeuvre from the other; ten initialisations of every method on the same splits. One
 line of OUT/rivals.jsonl each; a run that was interrupted goes on.
+
+The size of a network is chosen by an inner hold-out inside the training part, and so is its noise: none of them has a
+predictive distribution, so each gets a normal one with the mean square error of that inner hold-out. The final network
+is then trained on the whole training part.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
-from rival_networks import Guess, Order, Problem, one_step, perceptron, radial_basis, recurrent
-from seed_rivals_table import spread, table
+from jaxtyping import Bool, Float, Int
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+from scipy.optimize import least_squares
+from studies import resumed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.screening.parameter_fit import optimum
@@ -38,17 +45,156 @@ from bayes_aero.inference.gp.reduced import ReducedData
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.splits import SplitKind, make_splits
+from bayes_aero.inference.validation import KINDS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficients import NAMES
-from bayes_aero.report.style import save
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.style import housed, panels, save
+
+Predict = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Blocks of about 0.2 s of all manoeuvres: `inputs` (m, d) of the regression, coefficients `measured` (m, c).
+
+    `states` (m, s) are those that the one-step network propagates. `train` and, inside it, `inner` mark blocks.
+    """
+
+    inputs: Float[np.ndarray, "m d"]
+    measured: Float[np.ndarray, "m c"]
+    states: Float[np.ndarray, "m s"]
+    manoeuvre: Int[np.ndarray, " m"]
+    train: Bool[np.ndarray, " m"]
+    inner: Bool[np.ndarray, " m"]
+
+
+class Guess(NamedTuple):
+    """Mean and deviation at every block; what was chosen, and the processor seconds that choosing took."""
+
+    mean: Float[np.ndarray, "m c"]
+    sd: Float[np.ndarray, "m c"]
+    chosen: str = ""
+    choosing: float = 0.0
+
+
+class Scale(NamedTuple):
+    """Columns with the training part's mean 0 and deviation 1."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray) -> Scale:
+        return cls(x.mean(axis=0), x.std(axis=0))
+
+    def down(self, x: np.ndarray) -> np.ndarray:
+        return (x - self.mean) / self.sd
+
+    def up(self, x: np.ndarray) -> np.ndarray:
+        return self.mean + self.sd * x
+
+
+def network(X: np.ndarray, y: np.ndarray, units: int, decay: float, seed: int) -> Predict:
+    """One hidden layer of tanh, weight decay, L-BFGS to its end; inputs and outputs scaled."""
+    from sklearn.neural_network import MLPRegressor
+
+    inputs, outputs = Scale.of(X), Scale.of(y)
+    net = MLPRegressor(
+        hidden_layer_sizes=(units,), activation="tanh", solver="lbfgs", alpha=decay, max_iter=2000, random_state=seed
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of fits that end at the largest number of iterations
+        net.fit(inputs.down(X), outputs.down(y))
+    return lambda new: outputs.up(np.reshape(net.predict(inputs.down(new)), (len(new), *y.shape[1:])))
+
+
+def basis(X: np.ndarray, y: np.ndarray, centres: int, width: float, ridge: float, seed: int) -> Predict:
+    """Gaussian basis functions about the centres of k-means, weights by ridge regression."""
+    from sklearn.cluster import KMeans
+    from sklearn.linear_model import Ridge
+    from sklearn.metrics.pairwise import rbf_kernel
+
+    scale = Scale.of(X)
+    places = KMeans(centres, n_init=1, random_state=seed).fit(scale.down(X)).cluster_centers_
+    gamma = 0.5 / width**2
+    fit = Ridge(ridge).fit(rbf_kernel(scale.down(X), places, gamma), y)
+    return lambda new: fit.predict(rbf_kernel(scale.down(new), places, gamma))
+
+
+def by_inner_holdout(
+    fitted: Callable[..., Predict], settings: list[tuple], problem: Problem, seed: int
+) -> tuple[list[tuple], Float[np.ndarray, " c"], float]:
+    """The best of the settings for each coefficient, its root mean square error, and the seconds it took."""
+    began = time.process_time()
+    X, z, p = problem.inputs, problem.measured, problem
+    fit = p.train & ~p.inner
+    errors = np.array([
+        [np.mean((z[p.inner, c] - fitted(X[fit], z[fit, c], *one, seed)(X[p.inner])) ** 2) for c in range(z.shape[1])]
+        for one in settings
+    ])  # fmt: skip
+    best = np.argmin(errors, axis=0)
+    return [settings[i] for i in best], np.sqrt(errors.min(axis=0)), time.process_time() - began
+
+
+def static(fitted: Callable[..., Predict], settings: list[tuple], problem: Problem, seed: int) -> Guess:
+    """One network for each coefficient, as there is one Gaussian process for each."""
+    chosen, error, seconds = by_inner_holdout(fitted, settings, problem, seed)
+    X, z, train = problem.inputs, problem.measured, problem.train
+    means = [fitted(X[train], z[train, c], *one, seed)(X) for c, one in enumerate(chosen)]
+    sizes = "/".join(str(one[0]) for one in chosen)
+    return Guess(np.stack(means, axis=1), np.tile(error, (len(X), 1)), sizes, seconds)
+
+
+def perceptron(problem: Problem, seed: int) -> Guess:
+    return static(network, [(u, d) for u in (2, 4, 8, 16) for d in (0.01, 1.0)], problem, seed)
+
+
+def radial_basis(problem: Problem, seed: int) -> Guess:
+    grid = [(k, w, r) for k in (5, 20, 80) for w in (1.0, 2.0, 4.0, 8.0) for r in (1e-3, 1e-1)]
+    return static(basis, grid, problem, seed)
+
+
+def one_step(problem: Problem, seed: int, modelled: Callable[[np.ndarray], np.ndarray], start: np.ndarray, bounds: Any):
+    """Neural Gauss-Newton: a network in place of the equations of motion, under the coefficients of a model.
+
+    The network learns the next states from the present states and measured coefficients. Then Gauss-Newton finds the
+    parameters whose coefficients, put into it, predict the next states best; the network is differenced.
+
+    Source: N. K. Peyada and A. K. Ghosh, Aeronautical Journal 113 (1142), 2009: the scheme; one step at a time here.
+    """
+    began = time.process_time()
+    p, x, z = problem, problem.states, problem.measured
+    follows = np.append((p.manoeuvre[1:] == p.manoeuvre[:-1]), False)
+    change = np.vstack([np.diff(x, axis=0), np.zeros((1, x.shape[1]))])
+
+    def pairs(rows: np.ndarray) -> np.ndarray:
+        return np.flatnonzero(rows & np.append(rows[1:], False) & follows)
+
+    both = np.hstack([x, z])
+    fit, held, train = pairs(p.train & ~p.inner), pairs(p.inner), pairs(p.train)
+    errors = {
+        units: np.sum(np.mean((change[held] - network(both[fit], change[fit], units, 1e-2, seed)(both[held])) ** 2, 0)
+                      / change[fit].var(axis=0)) for units in (2, 4, 8, 16)
+    }  # fmt: skip
+    units = min(errors, key=lambda k: errors[k])
+    seconds = time.process_time() - began
+    net = network(both[train], change[train], units, 1e-2, seed)
+    noise = (change[train] - net(both[train])).std(axis=0)
+
+    def residual(theta: np.ndarray) -> np.ndarray:
+        predicted = net(np.hstack([x, modelled(theta)])[train])
+        return ((change[train] - predicted) / noise).ravel()
+
+    found = least_squares(residual, start, bounds=bounds, x_scale=np.maximum(np.abs(start), 1e-2), max_nfev=60)
+    mean = modelled(found.x)
+    sd = np.sqrt(np.mean((z - mean)[p.train] ** 2, axis=0))
+    return Guess(mean, np.tile(sd, (len(z), 1)), str(units), seconds)
+
 
 STATES = ("alpha", "q", "airspeed", "theta")
-INNER: dict[SplitKind, SplitKind] = {
-    "random": "random",
-    "block": "block",
-    "manoeuvre": "block",
-}  # the kind of the inner hold-out
+INNER: dict[SplitKind, SplitKind] = {"random": "random", "block": "block", "manoeuvre": "block"}  # its inner hold-out
 STEPS = 40  # Gauss-Newton steps of the extended model
 FEWER = {"GPR, sampled": 3}  # initialisations where ten take too long
 
@@ -79,7 +225,6 @@ class Flights:
         self.inputs = np.stack([self.blocks(signals[n]) for n in self.card.gp_inputs], axis=1)
         self.states = np.stack([self.blocks(signals[n]) for n in STATES], axis=1)
         self.measured = measured_blocks(self.state)
-        self.orders: dict[bytes, Order] = {}  # of recurrent networks
         self._predicted = jax.jit(lambda theta: self.model.predicted(theta, signals, self.seen.aircraft))
 
     def blocks(self, x) -> np.ndarray:
@@ -88,11 +233,6 @@ class Flights:
     def modelled(self, theta: np.ndarray) -> Float[np.ndarray, "m c"]:
         """The card's model at the blocks."""
         return self.blocks(self._predicted(theta))
-
-    @cached_property
-    def kept_alone(self) -> list[tuple[str, ...]]:
-        """Causes confirmed by each manoeuvre alone."""
-        return [tuple(diagnose([one], self.card).kept) for one in self.records]
 
     def start(self, seed: int) -> np.ndarray:
         """The card's start for seed 0, else a draw from the priors."""
@@ -160,19 +300,16 @@ def neural_gauss_newton(flights: Flights, problem: Problem, seed: int) -> Guess:
     return one_step(problem, seed, flights.modelled, start, bounds.T)
 
 
-def methods(flights: Flights, fold: int) -> Mapping[str, Callable[[Problem, int], Guess]]:
+def methods(flights: Flights) -> Mapping[str, Callable[[Problem, int], Guess]]:
     """In the order of the table."""
     return {
         "perceptron": perceptron,
         "radial basis": radial_basis,
-        "recurrent": partial(recurrent, known=flights.orders),
         "one-step (NGN)": partial(neural_gauss_newton, flights),
         "GPR, MAP": lambda p, s: process(flights, p, s, False),
         "GPR, sampled": lambda p, s: process(flights, p, s, True),
-        "maximum likelihood, one start": lambda p, s: likelihood(flights, p, s, 0)[0],
         "maximum likelihood": lambda p, s: likelihood(flights, p, s)[0],
         "extended": lambda p, s: extended(flights, p, s, flights.kept),
-        "extended, causes of one": lambda p, s: extended(flights, p, s, flights.kept_alone[1 - fold]),
     }
 
 
@@ -192,15 +329,11 @@ def case(flights: Flights, kind: SplitKind, name: str, seed: int) -> dict:
     """Every fold of one split by one method and initialisation: scores over all that was held out."""
     mean, sd = np.full((2, *flights.measured.shape), np.nan)
     seconds, choosing, chosen = [], [], []
-    for number, problem in enumerate(problems(flights, kind)):
-        method = methods(flights, number)[name]
-        if name.endswith("one"):
-            _ = flights.kept_alone  # not timed
+    for problem in problems(flights, kind):
+        method = methods(flights)[name]
         began = time.process_time()
-        known = len(flights.orders)
         guess = method(problem, seed)
-        repeated = name == "recurrent" and len(flights.orders) == known
-        seconds.append(time.process_time() - began + (guess.choosing if repeated else 0.0))
+        seconds.append(time.process_time() - began)
         choosing.append(guess.choosing)
         chosen.append(guess.chosen)
         mean[~problem.train], sd[~problem.train] = guess.mean[~problem.train], guess.sd[~problem.train]
@@ -231,6 +364,62 @@ def single_starts(flights: Flights, count: int = 10) -> None:
                 print(f"{kind}, {name}: {np.sum(found > found.max() - 0.1)} of {count} starts reach the best optimum")
 
 
+def table(rows: Sequence[dict]) -> None:
+    """A line for each split and method: medians over initialisations, and the worst over the best of them."""
+    print("CL / CD / Cm of all that was held out; seconds of the processor for one training")
+    print(
+        "| split | method | r | RMSE, 1e-3 | worst over best RMSE | log score | in 95 % | s | choosing | of GPR, MAP |"
+    )
+    print("|" + "---|" * 10)
+    for kind in KINDS:
+        of = {name: [r for r in rows if (r["split"], r["method"]) == (kind, name)] for name in methods_named(rows)}
+        base = np.median([r["seconds"] for r in of["GPR, MAP"]])
+        for name, own in of.items():
+            if not own:
+                continue
+            each = {k: np.array([[r[c][k] for c in NAMES] for r in own]) for k in ("r", "rmse", "log", "coverage")}
+            middle = {k: np.median(x, axis=0) for k, x in each.items()}
+            worst = each["rmse"].max(axis=0) / each["rmse"].min(axis=0)
+            seconds, choosing = (np.median([r[k] for r in own]) for k in ("seconds", "choosing"))
+            cells = [kind, name, _three(middle["r"], ".3f"), _three(1e3 * middle["rmse"], ".1f")]
+            cells += [_three(worst, ".2f") if len(own) > 1 else "-", f"{middle['log'].sum():.2f}"]
+            cells += [_three(100.0 * middle["coverage"], ".0f"), f"{seconds:.2g}"]
+            cells += [f"{choosing / seconds:.0%}", f"{seconds / base:.2g} x"]
+            print("| " + " | ".join(cells) + " |")
+
+
+def _three(values: Float[np.ndarray, " c"], digits: str) -> str:
+    return " / ".join(format(x, digits) for x in values)
+
+
+def methods_named(rows: Sequence[dict]) -> list[str]:
+    return list(dict.fromkeys(r["method"] for r in rows))
+
+
+@housed
+def spread(rows: Sequence[dict]) -> Figure:
+    """Hold-out error of every initialisation over that of maximum likelihood on the same split."""
+    figure, axes = panels(1, len(NAMES), (11.0, 4.6), sharey=True)
+    names = methods_named(rows)
+    looks = dict(zip(KINDS, ((COLOURS["gpr"], "o"), (COLOURS["emcee"], "s"), (COLOURS["mle"], "D")), strict=True))
+    for ax, coefficient in zip(axes[0], NAMES, strict=True):
+        for offset, (kind, (colour, marker)) in zip((-0.22, 0.0, 0.22), looks.items(), strict=True):
+            own = [r for r in rows if r["split"] == kind]
+            base = np.median([r[coefficient]["rmse"] for r in own if r["method"] == "maximum likelihood"])
+            x = [r[coefficient]["rmse"] / base for r in own]
+            y = [names.index(r["method"]) + offset for r in own]
+            ax.plot(x, y, marker, ms=4.0, mfc="none", color=colour, label=f"{kind} split")
+        ax.axvline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
+        ax.set(xscale="log", title=coefficient, xlabel="RMSE over that of maximum likelihood [-]")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter(NullFormatter())
+    axes[0, 0].set_yticks(range(len(names)), names)
+    axes[0, 0].invert_yaxis()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("records", nargs=2, type=Path)
@@ -239,23 +428,14 @@ def main() -> None:
     parser.add_argument("--initialisations", type=int, default=10)
     parser.add_argument("--methods", nargs="+")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "rivals.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(r["split"], r["method"], r["seed"]) for r in rows}
     flights = Flights(given.records, given.model)
     print(f"diagnosis {flights.diagnosing:.0f} s: {', '.join(flights.kept)}", flush=True)
-    with path.open("a") as file:
-        for seed in range(given.initialisations):
-            for name in given.methods or methods(flights, 0):
-                for kind in INNER:
-                    alone = name.endswith("one") and kind != "manoeuvre"
-                    if (kind, name, seed) in done or seed >= FEWER.get(name, 1 + seed) or alone:
-                        continue
-                    rows.append(case(flights, kind, name, seed))
-                    file.write(json.dumps(rows[-1]) + "\n")
-                    file.flush()
-    order = list(methods(flights, 0))
+    asked = product(range(given.initialisations), given.methods or methods(flights), INNER)
+    asked = [(kind, name, seed) for seed, name, kind in asked if seed < FEWER.get(name, 1 + seed)]
+    cases = {one: partial(case, flights, *one) for one in asked}
+    key = lambda row: (row["split"], row["method"], row["seed"])  # noqa: E731
+    rows = resumed(given.out / "rivals.jsonl", cases, key, one_length=True)
+    order = list(methods(flights))
     rows.sort(key=lambda r: order.index(r["method"]))
     table(rows)
     save(spread(rows), given.out / "seed_rivals.png")

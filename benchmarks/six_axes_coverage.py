@@ -18,24 +18,23 @@ error as `fly` does it, with corrected bounds; `process noise` is its extended K
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
+from studies import Z95, mean_and_error, parser_of, resumed, rows_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import six_axes
 from stranger_six import Plane, Strips, drawn, fly
-from wing_first import EFFECTS
+from wing_first import EFFECTS, card_of
 from wing_first import FLOWN as STALLS
 
-from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
@@ -47,7 +46,6 @@ KINDS = ("calm", "gusts", "stall", "coloured")
 FIRST = {"calm": 31_000, "gusts": 32_000, "stall": 33_000, "coloured": 34_000}
 SURFACES, SLOW = 1e-3, 0.15  # rad, s: noise of the recorded surfaces of `coloured`, and its time constant
 GUST = 1.0  # m/s
-Z95 = 1.959963984540054
 WING_FIRST = (*EFFECTS, "wing_asymmetry")
 
 
@@ -102,10 +100,7 @@ def case(kind: str, seed: int, *, flights: bool = True) -> dict[str, Any]:
     began, rng = time.perf_counter(), np.random.default_rng(seed)
     plane = aircraft(kind, rng)
     effects = WING_FIRST if kind == "stall" else (*six_axes.LONGITUDINAL, *six_axes.LATERAL)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "another.toml"
-        path.write_text(six_axes.card_text(plane, effects), encoding="utf-8")
-        card = read_card(str(path))
+    card = card_of(plane, effects)
     flown, model = records(kind, plane, rng), Model.from_card(card)
     methods = {"coefficients": _coefficients(flown, card, model)}
     if flights and kind != "stall":
@@ -143,19 +138,16 @@ def _pairs(names: Any, estimate: Any, sd: Any) -> dict[str, dict[str, float]]:
 
 def run(kind: str, count: int, out: Path, first: int, *, flights: bool) -> None:
     """Until there are `count` of this kind, from the seed `first`, a line each in OUT/KIND.jsonl."""
-    out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.jsonl"
-    done = len(path.read_text().splitlines()) if path.exists() else 0
-    for seed in range(first + done, first + count):
-        row = case(kind, seed, flights=flights)
-        with path.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+    done = len(rows_of(path))
+    cases = {seed: partial(case, kind, seed, flights=flights) for seed in range(first + done, first + count)}
+    resumed(path, cases, one_length=True)
 
 
 def report(out: Path) -> None:
     """Shares of the truths inside 95 % intervals, with standard errors over aircraft."""
     for path in sorted(out.glob("*.jsonl")):
-        rows = [json.loads(line) for line in path.read_text().splitlines()]
+        rows = rows_of(path)
         for method in dict.fromkeys(m for row in rows for m in row["methods"]):
             _table(path.stem, method, [row for row in rows if method in row["methods"]])
 
@@ -169,20 +161,15 @@ def _table(kind: str, method: str, rows: list[dict[str, Any]]) -> None:
     found = {k: np.array([[row["methods"][method][k][n] for n in names] for row in good]) for k in ("estimate", "sd")}
     off = (found["estimate"] - np.array([[row["truth"][n] for n in names] for row in good])) / found["sd"]
     inside = np.abs(off) < Z95
-    each = inside.mean(axis=1)
-    print(f"  inside 95 %: {inside.mean():.3f} +- {each.std(ddof=1) / np.sqrt(len(each)):.3f}")
+    print("  inside 95 %: {:.3f} +- {:.3f}".format(*mean_and_error(inside.mean(axis=1))))
     print("  " + ", ".join(f"{n} {x:.2f}" for n, x in zip(names, inside.mean(axis=0), strict=True)))
     print("  mean deviation: " + ", ".join(f"{n} {x:+.2f}" for n, x in zip(names, off.mean(axis=0), strict=True)))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "report"))
-    parser.add_argument("count", type=int, nargs="?", default=100)
+    parser = parser_of(__doc__, "six_coverage", ("run", "report"), first=None, count=100)
     parser.add_argument("--kind", choices=KINDS, default="calm")
-    parser.add_argument("--first", type=int, help="first seed; default: that of the kind")
     parser.add_argument("--no-flights", action="store_true", help="coefficients alone")
-    parser.add_argument("--out", type=Path, default=Path("six_coverage"))
     given = parser.parse_args()
     if given.what == "run":
         first = FIRST[given.kind] if given.first is None else given.first

@@ -8,24 +8,22 @@ With `--silent` nothing is hidden. With `--without-accelerometers` the records h
 trajectories; in the set are then also terms of other coefficients that fly as well. With `--gusts` (their deviation,
 m/s) the flights are two minutes of an HFB 320 by a simulator that shares no code (`tests/gusty_flight.py`), the flow
 attached, thrust constant, derivatives drawn within 10 %; the term is a product with q c/V or elevator in it; the
-diagnosis is by innovations, without hold-out gains. The sampled sets of terms are counted beside the forward selection.
+diagnosis is by innovations, without hold-out gains.
 One line of OUT/terms.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from resumed import resumed
+from studies import parser_of, print_sizes, run_seeds, without_accelerometers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from gusty_flight import CHORD, TRUTH, V0, gusty_flight
@@ -74,8 +72,12 @@ UNLISTED = Effect(
 )  # fmt: skip
 
 
-def draw(rng: np.random.Generator) -> tuple[str, str, dict[str, float]]:
-    """A coefficient, the name of a term, and the values of `UNLISTED`."""
+Drawn = tuple[str, str, dict[str, float]]
+"""A coefficient, the name of a term, and the values of `UNLISTED`."""
+
+
+def draw(rng: np.random.Generator) -> Drawn:
+    """One at random."""
     coefficient = str(rng.choice(list(COEFFICIENTS)))
     values = {f"unlisted_{coefficient}": 1.0}
     size = float(rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 5.0)) * COEFFICIENTS[coefficient]
@@ -97,12 +99,6 @@ def draw(rng: np.random.Generator) -> tuple[str, str, dict[str, float]]:
     return coefficient, " ".join(parts), values
 
 
-def without_accelerometers(record: FlightRecord) -> FlightRecord:
-    """The record without specific forces."""
-    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "ay", "az")}
-    return FlightRecord.from_arrays(record.name, record.time, kept)
-
-
 def added(values: dict[str, float]) -> Added:
     """What a term of `UNLISTED` without separation or thrust adds to CL, CD and Cm, by plain arithmetic; the rate is
     q c/(2 V0), as on the card of the HFB 320."""
@@ -120,15 +116,7 @@ def added(values: dict[str, float]) -> Added:
     return beyond
 
 
-def gusty_case(seed: int, silent: bool, gusts: float) -> dict[str, Any]:
-    """Draw, fly in gusts and diagnose by innovations."""
-    hidden, records = in_gusts(seed, silent, gusts)
-    began = time.perf_counter()
-    found = diagnose(records, read_card("hfb320"), seed=seed, process_noise=True, gains_wanted=False)
-    return row(found, seed, "gusts", None if silent else hidden, began)
-
-
-def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[tuple[str, str, dict[str, float]], list[FlightRecord]]:
+def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[Drawn, list[FlightRecord]]:
     """A term as of `draw`, and two flights in gusts with it or (`silent`) without."""
     rng = np.random.default_rng([seed, 37])
     truth = {name: x * (1.0 + rng.uniform(-0.1, 0.1)) for name, x in TRUTH.items()}
@@ -143,23 +131,27 @@ def in_gusts(seed: int, silent: bool, gusts: float) -> tuple[tuple[str, str, dic
     return (coefficient, name, values), [replace(flight, name=f"run{k}") for k, flight in enumerate(flights, 1)]
 
 
-def case(seed: int, silent: bool, bare: bool) -> dict[str, Any]:
-    """Draw, fly and diagnose; `bare`: without accelerometers."""
+def in_stalls(seed: int, silent: bool) -> tuple[Drawn, str, list[FlightRecord]]:
+    """A term as of `draw`, the noise, and two stalls with it or (`silent`) without."""
     rng = np.random.default_rng([seed, 31])
-    noise = str(rng.choice(["white", "ar1", "buffet"]))
-    coefficient, name, values = draw(rng)
-    hidden = {} if silent else values
-    records = hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=Beyond((UNLISTED,), lambda _: hidden))
-    records = [without_accelerometers(r) for r in records] if bare else records
+    noise, drawn = str(rng.choice(["white", "ar1", "buffet"])), draw(rng)
+    beyond = Beyond((UNLISTED,), lambda _: {} if silent else drawn[2])
+    return drawn, noise, hidden_records({}, seed=seed, noise=noise, seconds=90.0, beyond=beyond)
+
+
+def case(seed: int, silent: bool, without: bool, gusts: float) -> dict[str, Any]:
+    """Draw, fly and diagnose; `without` accelerometers, or in `gusts`."""
+    if gusts > 0.0:
+        noise, (hidden, records) = "gusts", in_gusts(seed, silent, gusts)
+    else:
+        hidden, noise, records = in_stalls(seed, silent)
+    records = [without_accelerometers(r) for r in records] if without else records
     began = time.perf_counter()
-    found = diagnose(records, read_card("attas"), seed=seed)
-    return row(found, seed, noise, None if silent else (coefficient, name, values), began)
-
-
-def row(
-    found: Diagnosis, seed: int, noise: str, hidden: tuple[str, str, dict[str, float]] | None, began: float
-) -> dict[str, Any]:
-    """What is kept of a diagnosis."""
+    if gusts > 0.0:
+        found = diagnose(records, read_card("hfb320"), seed=seed, process_noise=True, gains_wanted=False)
+    else:
+        found = diagnose(records, read_card("attas"), seed=seed)
+    hidden = None if silent else hidden
     return {
         "seed": seed,
         "noise": noise,
@@ -193,16 +185,13 @@ def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float
 def is_found(row: dict[str, Any], *, exactly: bool) -> bool:
     """Whether the hidden form is a term that was found, or (unless `exactly`) one that is as good."""
     coefficient, name = row["hidden"]
-    for c, first, _, _, others in row["terms"]:
-        names = [first] if exactly else [first, *others]
-        if c == coefficient and any(n.startswith(name) if name in ("max", "exp") else n == name for n in names):
-            return True
-    elsewhere = [] if exactly else [rival.split(" over ") for u in row["unexplained"] for rival in u[4]]
-    return any(c == coefficient and (n.startswith(name) if name in ("max", "exp") else n == name) for c, n in elsewhere)
+    known = [(c, n) for c, first, _, _, others in row["terms"] for n in ([first] if exactly else [first, *others])]
+    known += [] if exactly else [rival.split(" over ") for u in row["unexplained"] for rival in u[4]]
+    return any(c == coefficient and (n.startswith(name) if name in ("max", "exp") else n == name) for c, n in known)
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Counts, and a line for each that was not found."""
+    """Counts."""
     silent = [r for r in rows if r["hidden"] is None]
     if silent:
         told, found = sum(bool(r["terms"]) for r in silent), sum(r["verdict"] != "no_effect" for r in silent)
@@ -218,26 +207,16 @@ def report(rows: list[dict[str, Any]]) -> None:
     for kind, own in kinds.items():
         exact, among = (sum(is_found(r, exactly=e) for r in own) for e in (True, False))
         print(f"{kind}: exact form {exact} of {len(own)}, in the set {among}")
-    sized = [(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]]
-    inside = sum(abs(mean - true) < 1.96 * sd for mean, sd, true in sized)
-    print(f"the 95 % interval of an exact form holds the size {inside} of {len(sized)}")
-    for r in some:
-        if not is_found(r, exactly=False):
-            told = "none" if r["score"] is None else f"{r['score']:.1f}"
-            print(f"  seed {r['seed']}: {' '.join(r['hidden'])} ({told}): {r['verdict']} {r['causes']} {r['terms']}")
+    print("of an exact form: ", end="")
+    print_sizes([(t[2], t[3], r["size"]) for r in products for t in r["terms"][:1] if t[1] == r["hidden"][1]])
     print("verdicts:", dict(Counter(r["verdict"] for r in some)))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
+    parser = parser_of(__doc__, "terms")
     parser.add_argument("--silent", action="store_true", help="nothing hidden")
     parser.add_argument("--without-accelerometers", action="store_true", help="diagnose by trajectories")
     parser.add_argument("--gusts", type=float, default=0.0, help="their deviation, m/s; diagnose by innovations")
-    parser.add_argument("--out", type=Path, default=Path("terms"))
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    one = partial(case, silent=given.silent, bare=given.without_accelerometers)
-    one = partial(gusty_case, silent=given.silent, gusts=given.gusts) if given.gusts > 0.0 else one
-    report(resumed(given.out / "terms.jsonl", {seed: partial(one, seed) for seed in seeds}))
+    settings = {"silent": given.silent, "without": given.without_accelerometers, "gusts": given.gusts}
+    report(run_seeds(given, "terms.jsonl", case, **settings))

@@ -1,36 +1,32 @@
 """Hide a wing that stalls first, or one of four rivals, in stalls in bank of another simulator, and diagnose.
 
-    python benchmarks/wing_first.py 18 [--first 0] [--out wing_first] [--halves] [--only stall]
+    python benchmarks/wing_first.py 18 [--first 0] [--out wing_first] [--only stall]
 
 Aircraft are drawn at random and flown by `tests/stranger_six.py`, which shares no code with the package: elevator,
 aileron, rudder, a stall and two stalls in bank to and fro, 25 Hz, white noise. Each half of the wing has a separation
 point that lags. The card has the true model but for what is hidden: a wing that stalls first, an offset of the
 recorded aileron (for which the catalogue has `roll_offset`, the rolling moment that it makes), a centre of gravity
 aside, engines that deliver apart from what is recorded, or an offset of the sideslip vane. Every sixth flight is
-silent. `--halves`: each half also carries its lift and induced drag at its own angle of attack, which the card's model
-does not know. `--only`: the records that are diagnosed. One line of OUT/wing_first.jsonl each; goes on where it
-stopped.
+silent. `--only`: the records that are diagnosed. One line of OUT/wing_first.jsonl each; goes on where it stopped.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from resumed import resumed
+from studies import parser_of, run_seeds, told
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from six_axes import LATERAL, LONGITUDINAL, STALL, card_text, recorded
 from stranger_six import Plane, Strips, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.steps.post_diagnosis import proposed_points
@@ -54,13 +50,11 @@ def hidden(seed: int) -> str | None:
     return None if seed % 6 == 5 else CAUSES[seed % 6]
 
 
-def flown(seed: int, halves: bool = False) -> tuple[Plane, list[FlightRecord], float]:
+def flown(seed: int) -> tuple[Plane, list[FlightRecord], float]:
     """The aircraft, its records and the size of what is hidden, as the catalogue counts it."""
     rng, name = np.random.default_rng([seed, 33]), hidden(seed)
-    own = {} if halves else {"Clp": -0.45, "Clbe": -0.11}
-    plane = drawn(rng, alpha_star=rng.uniform(0.2, 0.22), tau1=rng.uniform(8.0, 16.0), **own)
-    if not halves:
-        plane = Strips(**{n: getattr(plane, n) for n in Plane.__dataclass_fields__})
+    plane = drawn(rng, alpha_star=rng.uniform(0.2, 0.22), tau1=rng.uniform(8.0, 16.0), Clp=-0.45, Clbe=-0.11)
+    plane = Strips(**{n: getattr(plane, n) for n in Plane.__dataclass_fields__})
     size = 0.0 if name is None else float(rng.choice([-1.0, 1.0]) * rng.uniform(*SIZES[name]))
     fields = {"wing_asymmetry": "first", "lateral_cg_shift": "aside", "thrust_asymmetry": "uneven"}
     if name in fields:
@@ -76,42 +70,26 @@ def flown(seed: int, halves: bool = False) -> tuple[Plane, list[FlightRecord], f
     return plane, records, -plane.Clda * size if name == "aileron_offset" else size
 
 
-def card_of(plane: Plane) -> Card:
-    """The model without what is hidden; no constants of the aircraft but mass and geometry."""
+def card_of(plane: Plane, effects: Sequence[str] = EFFECTS) -> Card:
+    """A model of these effects; no constants of the aircraft but mass and geometry."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "another.toml"
-        path.write_text(card_text(plane, EFFECTS), encoding="utf-8")
+        path.write_text(card_text(plane, effects), encoding="utf-8")
         return read_card(str(path))
 
 
-def case(seed: int, halves: bool = False, only: tuple[str, ...] = tuple(FLOWN)) -> dict:
+def case(seed: int, only: tuple[str, ...] = tuple(FLOWN)) -> dict:
     """Draw, fly, record and diagnose; `only` these records."""
-    plane, records, size = flown(seed, halves)
+    plane, records, size = flown(seed)
     records = [record for record in records if record.name in only]
     began = time.perf_counter()
     found = diagnose(records, card_of(plane), seed=seed, gains_wanted=False, process_noise=False)
-    return {
-        "seed": seed,
-        "hidden": hidden(seed),
-        "size": size,
-        **told(found),
-        "seconds": time.perf_counter() - began,
-    }
-
-
-def told(found: Diagnosis) -> dict:
-    """What a diagnosis says."""
-    return {
-        "verdict": found.verdict.value,
-        "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
-        "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
-        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
-        "manoeuvres": [p["manoeuvre"] for p in proposed_points(found).get("points", ())],
-    }
+    points = [p["manoeuvre"] for p in proposed_points(found).get("points", ())]
+    return {"seed": seed, "hidden": hidden(seed), "size": size, **told(found, began), "manoeuvres": points}
 
 
 def report(rows: list[dict]) -> None:
-    """A line for each cause and one for the silent flights; then what each flight said."""
+    """A line for each cause and one for the silent flights."""
     print(f"{'hidden':18} flights  named first  alone  in a set  size in 95 %")
     for cause in CAUSES:
         own, name = [r for r in rows if r["hidden"] == cause], NAMED.get(cause, cause)
@@ -125,25 +103,10 @@ def report(rows: list[dict]) -> None:
     silent = [r for r in rows if r["hidden"] is None]
     quiet = sum(not r["causes"] and not r["unexplained"] for r in silent)
     print(f"nothing hidden: silent {quiet} of {len(silent)}")
-    for r in rows:
-        size = "" if r["hidden"] is None else f" {r['size']:.4g}"
-        said = [
-            f"{name} {', '.join(f'{m:.4g} ± {s:.2g}' for m, s in sizes.values())}"
-            + (f" (or {', '.join(r['ambiguous'][name])})" if r["ambiguous"][name] else "")
-            for name, sizes in r["causes"].items()
-        ]
-        said += [f"unexplained {coefficient} over {channel}" for coefficient, channel in r["unexplained"]]
-        print(f"  {r['seed']} {r['hidden']}{size}: {'; '.join(said) or 'nothing'}", *r["manoeuvres"], sep="\n      ")
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("wing_first"))
-    parser.add_argument("--halves", action="store_true")
+    parser = parser_of(__doc__, "wing_first")
     parser.add_argument("--only", nargs="+", choices=tuple(FLOWN), default=tuple(FLOWN))
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    cases = {seed: partial(case, seed, given.halves, tuple(given.only)) for seed in seeds}
-    report(resumed(given.out / "wing_first.jsonl", cases))
+    report(run_seeds(given, "wing_first.jsonl", case, only=tuple(given.only)))

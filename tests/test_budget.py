@@ -14,13 +14,13 @@ LIMITS = {
     "bayes_aero: files": 538,
     "bayes_aero: private helpers used once": 875,
     "bayes_aero: class names with several meanings": 34,
-    "tests: lines": 32134,
-    "tests: files": 263,
-    "benchmarks: lines": 8678,
-    "benchmarks: files": 74,
-    "benchmarks/README.md: lines": 290,
+    "tests: lines": 32034,
+    "tests: files": 262,
+    "benchmarks: lines": 5947,
+    "benchmarks: files": 39,
+    "benchmarks/README.md: lines": 278,
     "CHANGELOG.md: lines": 158,
-    "docs: words": 32519,
+    "docs: words": 32476,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

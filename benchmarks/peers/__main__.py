@@ -34,7 +34,6 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=3000, help="of the peers' ensembles")
     parser.add_argument("--repeats", type=int, default=7, help="warm runs, at most")
     parser.add_argument("--seconds", type=float, default=120.0, help="no warm run is begun beyond these")
-    parser.add_argument("--cores", type=int, help="that every contender may use (Linux)")
     parser.add_argument("--quick", action="store_true", help="small sizes, one warm run: shows that everything works")
     parser.add_argument("--out", type=Path, help="where the table goes, too")
     parser.add_argument("--folder", type=Path, help="keeps the prepared data, which a run of the same ones reads again")
@@ -104,7 +103,7 @@ def main() -> None:
         folder = options.folder or Path(temporary)
         facts = prepared(options, folder)
         found = raced(options, folder)
-    facts |= {"cores": options.cores or os.cpu_count(), "python": platform.python_version()}
+    facts |= {"cores": os.cpu_count(), "python": platform.python_version()}
     text = page(found, facts)
     print(text)
     if options.out:

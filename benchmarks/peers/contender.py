@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import pickle
 import resource
 import statistics
@@ -49,8 +48,6 @@ def stall(problem: Problem) -> tuple[Model, Observations]:
 
 def run_one(block: str, name: str, size: str, options: argparse.Namespace) -> dict[str, Any]:
     """Numbers of one contender of one block, or of the preparation."""
-    if options.cores and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.cores])
     if block == "prepare" and name:
         from jet import prepare_jet
 

@@ -1,4 +1,4 @@
-"""Maximum likelihood of the 14 parameters: ours, SciPy and lmfit, from the card's start.
+"""Maximum likelihood of the 14 parameters: ours and SciPy's, from the card's start.
 
 Ours minimises (n/2) log det R and so finds the residual covariance R, too. The peers have no such cost and are given
 the R of the optimum as weights: least squares then have the same optimum. All are judged by (n/2) log det R.
@@ -49,22 +49,6 @@ def scipy_with(**how: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
     return prepared
 
 
-def lmfit_leastsq(problem: Problem, _: int, __: argparse.Namespace) -> Run:
-    """lmfit's default; its covariance is included."""
-    import lmfit
-
-    residual = residual_of(problem)
-    parameters = lmfit.Parameters()
-    for name, value in zip(problem.names[: len(problem.start)], problem.start, strict=True):
-        parameters.add(name, value=float(value))
-
-    def values(p: lmfit.Parameters) -> np.ndarray:
-        return np.fromiter(p.valuesdict().values(), float)
-
-    minimizer = lmfit.Minimizer(lambda p: residual(values(p)), parameters)
-    return lambda _: values(minimizer.minimize(method="leastsq").params)
-
-
 def judge(problem: Problem, _: int, warm: list[tuple[float, np.ndarray]]) -> dict[str, float]:
     """The cost reached, nats."""
     reference, theta = problem.reference, warm[-1][1]
@@ -77,5 +61,4 @@ CONTENDERS = {
     "bayes_aero, with both bounds": ours_with_bounds,
     "scipy least_squares, trf": scipy_with(method="trf"),
     "scipy least_squares, lm": scipy_with(method="lm"),
-    "lmfit leastsq, with covariance": lmfit_leastsq,
 }

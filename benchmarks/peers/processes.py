@@ -73,62 +73,6 @@ def tinygp_model(problem: Problem, size: int, _: argparse.Namespace) -> Run:
     return lambda _: minimize(objective, START, jac=True, method="L-BFGS-B", bounds=LIMITS, options=TOLERANCE).x
 
 
-def gpytorch_model(problem: Problem, size: int, _: argparse.Namespace) -> Run:
-    """GPyTorch's ExactGP in double precision with Cholesky factors, SciPy's L-BFGS-B over its raw parameters."""
-    import gpytorch
-    import torch
-    from gpytorch.constraints import Positive
-
-    x, y = (torch.as_tensor(a, dtype=torch.float64) for a in problem.processes[size])
-
-    class Process(gpytorch.models.ExactGP):
-        def __init__(self, likelihood: gpytorch.likelihoods.GaussianLikelihood) -> None:
-            super().__init__(x, y, likelihood)
-            self.mean_module = gpytorch.means.ZeroMean()
-            self.constant = gpytorch.kernels.ConstantKernel(constant_constraint=exponential())
-            self.linear = gpytorch.kernels.LinearKernel(ard_num_dims=4, variance_constraint=exponential())
-            smooth = gpytorch.kernels.RBFKernel(ard_num_dims=4, lengthscale_constraint=exponential())
-            self.smooth = gpytorch.kernels.ScaleKernel(smooth, outputscale_constraint=exponential())
-
-        def forward(self, at: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
-            covariance = self.constant(at) + self.linear(at) + self.smooth(at)
-            return gpytorch.distributions.MultivariateNormal(self.mean_module(at), covariance)
-
-    def exponential() -> Positive:
-        """Raw parameters are logs, as everywhere here."""
-        return Positive(transform=torch.exp, inv_transform=torch.log)
-
-    likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=exponential())
-    model = Process(likelihood).double()
-    model.train()
-    exact = gpytorch.mlls.ExactMarginalLogLikelihood(likelihood, model)
-    raw = [
-        model.constant.raw_constant,
-        model.linear.raw_variance,
-        model.smooth.raw_outputscale,
-        model.smooth.base_kernel.raw_lengthscale,
-        likelihood.noise_covar.raw_noise,
-    ]
-    logs_of = np.array([2.0] * 6 + [1.0] * 4 + [2.0])  # theirs are logs of variances
-
-    def set_raw(theta: np.ndarray) -> None:
-        parts = np.split(logs_of * theta, [1, 5, 6, 10])
-        with torch.no_grad():
-            for parameter, part in zip(raw, parts, strict=True):
-                parameter.copy_(torch.as_tensor(part).reshape(parameter.shape))
-
-    def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        set_raw(theta)
-        model.zero_grad()
-        with gpytorch.settings.fast_computations(False, False, False), gpytorch.settings.max_cholesky_size(10**6):
-            loss = -size * exact(model(x), y)  # theirs is per sample
-        loss.backward()
-        slope = np.concatenate([parameter.grad.numpy().ravel() for parameter in raw])
-        return float(loss.detach()), logs_of * slope
-
-    return lambda _: minimize(objective, START, jac=True, method="L-BFGS-B", bounds=LIMITS, options=TOLERANCE).x
-
-
 def judge(problem: Problem, size: int, warm: list[tuple[float, np.ndarray]]) -> dict[str, float]:
     """Log marginal likelihood at the hyperparameters found, from the textbook covariance; as a cost, nats."""
     from scipy.linalg import cho_factor, cho_solve
@@ -147,5 +91,4 @@ CONTENDERS = {
     "bayes_aero": ours,
     "scikit-learn": scikit_learn,
     "tinygp": tinygp_model,
-    "GPyTorch": gpytorch_model,
 }

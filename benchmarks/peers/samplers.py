@@ -1,4 +1,4 @@
-"""The posterior of the stall model under white noise: ours, stock emcee and lmfit's emcee on the same log-density.
+"""The posterior of the stall model under white noise: ours and stock emcee on the same log-density.
 
 Ours runs until its targets are met; peers run a fixed number of steps with 38 walkers and emcee's stretch move, from
 the same ball around the mode. ESS is ArviZ's bulk ESS of the parameter that has least of it, with the walkers of an
@@ -98,33 +98,11 @@ def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
     return run
 
 
-def lmfit_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
-    """lmfit.Minimizer.emcee on the same log-density, which carries the priors."""
-    import lmfit
-
-    parameters = lmfit.Parameters()
-    for name, value in zip(problem.names, problem.u, strict=True):
-        parameters.add(name, value=float(value))
-
-    def log_density(p: lmfit.Parameters) -> float:
-        return problem.posterior(np.fromiter(p.valuesdict().values(), float))
-
-    def run(seed: int) -> Drawn:
-        walkers = begin(problem, seed)
-        minimizer = lmfit.Minimizer(log_density, parameters)
-        found = minimizer.emcee(
-            steps=options.steps, nwalkers=len(walkers), pos=walkers, seed=seed, float_behavior="posterior",
-            progress=False,
-        )  # fmt: skip
-        return end_to_end(problem, np.asarray(found.chain))
-
-    return run
-
-
-def worth(warm: list[tuple[float, Drawn]], names: tuple[str, ...]) -> dict:
+def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
     from bayes_aero.inference.posterior.assembly import diagnose
 
+    names = problem.names
     ess, rate, free, rhat = [], [], [], []
     for seconds, drawn in warm:
         marginals = diagnose(drawn.x, names)
@@ -138,14 +116,8 @@ def worth(warm: list[tuple[float, Drawn]], names: tuple[str, ...]) -> dict:
     return told | {"rhat": max(rhat), "mean": x.mean(axis=0).tolist(), "sd": x.std(axis=0).tolist()}
 
 
-def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
-    """As `worth`."""
-    return worth(warm, problem.names)
-
-
 CONTENDERS = {
     "bayes_aero, emcee": ours("emcee"),
     "bayes_aero, NUTS": ours("NUTS"),
     "emcee": stock_emcee,
-    "lmfit emcee": lmfit_emcee,
 }

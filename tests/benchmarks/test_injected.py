@@ -7,7 +7,7 @@ import pytest
 import unlisted_terms
 import wing_first
 from calling import validated
-from injection import injected
+from injected_effects import injected
 
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.diagnose import diagnose
@@ -180,7 +180,7 @@ RECORDS = ("rudder", "stall_in_bank")
 
 def alone(found, name, size, most):
     """What is told of a diagnosis whose one cause, without rivals, has this size to `most` of it."""
-    said = wing_first.told(found)
+    said = wing_first.told(found, 0.0)
     assert list(said["causes"]) == [name]
     assert said["ambiguous"] == {name: []}
     ((mean, sd),) = said["causes"][name].values()

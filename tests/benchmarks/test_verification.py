@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import verify
-from claims import CLAIMS, LEVEL, ROUND, Claim, Side
 from qualification import CUBIC, DT, NOISE, OUTPUTS, TRUTH, N, aircraft, flight
-from resumed import resumed
 from scipy.stats import binomtest
-from verify import begin, count, enter, flights, fly, line_of, mark
+from studies import resumed
+from verify import CLAIMS, LEVEL, ROUND, Claim, Side, begin, count, enter, flights, fly, line_of, mark
 
 from bayes_aero.errors import InputError
 
@@ -58,7 +57,7 @@ def test_no_trials_refute_nothing_and_the_documentation_lists_every_claim_with_i
     assert all(claim.limits(0, 0) == (0.0, 1.0) and claim.holds(0, 0) for claim in CLAIMS)
     assert len({claim.key for claim in CLAIMS}) == len(CLAIMS)
     text = README.read_text(encoding="utf-8")
-    table = {row[0]: row[2].rstrip(" |") for row in (line.split(" | ") for line in text.splitlines()) if len(row) > 2}
+    table = {row[0]: row[-1].rstrip(" |") for row in (line.split(" | ") for line in text.splitlines()) if len(row) == 3}
     for claim in CLAIMS:
         assert table[f"| `{claim.key}`"] == f"{claim.side} {claim.rate:g}"
 

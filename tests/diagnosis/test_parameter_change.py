@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from changing_parameters import AT, changed
+from scipy import stats
 from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
-from scipy import stats
 
 from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose

@@ -289,7 +289,7 @@ def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, br
 
 @pytest.mark.verify
 def test_a_hidden_lag_is_kept_and_measured(card):
-    """Eight to sixteen chords: half a second and more in the stall. How often it is kept: benchmarks/flown_lag.py."""
+    """Eight to sixteen chords: half a second and more in the stall."""
     tau1 = np.random.default_rng(SEED).uniform(8.0, 16.0)
     lag, lagged = asked(card, {"separation_lag": {"tau1": tau1}}, SEED)
     assert lag.effect == "separation_lag"

@@ -1,28 +1,26 @@
-"""Hide an effect in flights that cannot name it alone, fly the test points that the diagnosis proposes, and diagnose.
+"""Hide an effect in a few standard manoeuvres, which cannot always name it, and diagnose.
 
-    python benchmarks/next_test_points.py 60 [--first 0] [--out points]
+    python benchmarks/standard_manoeuvres.py points 60 [--first 0] [--out standard]
+    python benchmarks/standard_manoeuvres.py unlike 60 [--first 0] [--silent] [--out standard]
 
-Each flight draws an effect of the catalogue, its size, and one or two standard manoeuvres, simulated with coloured
-disturbances and sensor noise. Where the diagnosis ends with an ambiguity, with effects that cancel or with an effect
-that a control at rest may have taken up, its test points are simulated, with the truth and noise of their own, and
-diagnosed together with the first records. A flight counts as decided rightly if the hidden effect is then named without
-a rival. One line of OUT/points.jsonl each; goes on where it stopped.
+Each flight draws an effect of the catalogue, its size, and the manoeuvres, simulated with coloured disturbances and
+sensor noise. `points`: one or two manoeuvres. Where the diagnosis ends with an ambiguity, with effects that cancel or
+with an effect that a control at rest may have taken up, the test points that it proposes are simulated, with the truth
+and noise of their own, and diagnosed together with the first records. A flight counts as decided rightly if the hidden
+effect is then named without a rival. `unlike`: two or three unlike manoeuvres, of which one does not predict another
+(`--silent`: nothing hidden). One line of OUT/points.jsonl, hidden.jsonl or silent.jsonl each.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hidden_effects import candidates
-from resumed import resumed
+from studies import parser_of, run_seeds, told
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -34,6 +32,7 @@ from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
 FIRST = (("slow_stall",), ("elevator_3211",), ("slow_stall", "elevator_3211"), ("thrust_steps",))
+UNLIKE = ("slow_stall", "elevator_3211", "thrust_steps", "speed_change", "bank_to_bank", "elevator_doublet")
 AT_REST = {"stabilizer", "flap", "spoiler", "dlc", "canard", "beta", "phi", "rudder", "aileron"}
 CARD = read_card("attas")
 
@@ -51,18 +50,6 @@ def flown(effects: dict, seed: int, name: str, **asked: Any) -> FlightRecord:
     return synthetic(Request(effects, seed=seed, **asked), CARD, CATALOGUE, name=name).record
 
 
-def told(found: Diagnosis) -> dict:
-    """What a diagnosis says."""
-    return {
-        "verdict": found.verdict.value,
-        "causes": {c.name: {p: [s.mean, s.sd] for p, s in c.parameters.items()} for c in found.causes},
-        "ambiguous": {c.name: list(c.ambiguous_with) for c in found.causes},
-        "together": [list(pair.effects) for pair in found.together],
-        "absorbed": [sorted(one.members) for one in found.absorbed],
-        "unexplained": [[u.coefficient, u.channel] for u in found.unknown],
-    }
-
-
 def case(seed: int) -> dict:
     """Draw, fly, diagnose; and once more with the test points, if there are any."""
     rng = np.random.default_rng([seed, 71])
@@ -75,7 +62,7 @@ def case(seed: int) -> dict:
         return row | {"refused": str(error)}
     began = time.perf_counter()
     found = diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False)
-    row |= {"before": told(found), "points": proposed_points(found, CARD.envelope)}
+    row |= {"before": told(found, began), "points": proposed_points(found, CARD.envelope)}
     if row["points"].get("points"):
         for k, p in enumerate(row["points"]["points"]):
             asked = {key: p[key] for key in ("manoeuvre", "amplitude", "airspeed", "altitude")}
@@ -83,8 +70,8 @@ def case(seed: int) -> dict:
                 records.append(flown(effects, 100 * seed + 50 + k, f"point {k + 1}", duration=p["seconds"], **asked))
             except InputError as error:
                 row.setdefault("not_flown", []).append(str(error))
-        row["after"] = told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False))
-    return row | {"seconds": time.perf_counter() - began}
+        row["after"] = told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False), began)
+    return row
 
 
 def outcome(row: dict) -> str:
@@ -110,15 +97,6 @@ def report(rows: list[dict]) -> None:
         own = [r for r in flown_again if _expected(r) == decided]
         counts = {what: sum(outcome(r) == what for r in own) for what in ("decided", "open", "wrong", "gone")}
         print("expected to be decided:" if decided else "expected to stay open:", len(own), counts)
-    for r in asked:
-        q = [
-            f"{' or '.join(q['effects'])} {q['present']:.1f}"
-            + "".join(f" > {p['standard_errors'][k]:.1f}" for p in r["points"]["points"])
-            for k, q in enumerate(r["points"]["questions"])
-        ]
-        points = [f"{p['manoeuvre']} x{p['amplitude']}" for p in r["points"]["points"]]
-        end = outcome(r) + f" {list(r['after']['causes'])}" if "after" in r else "not flown"
-        print(f"  {r['seed']} {r['hidden']} {r['first']}: {'; '.join(q)} | {', '.join(points)} | {end}")
 
 
 def _expected(row: dict) -> bool:
@@ -128,11 +106,42 @@ def _expected(row: dict) -> bool:
     return all(last[k] >= row["points"]["questions"][k]["enough"] for k in own)
 
 
+def unlike(seed: int, silent: bool) -> dict:
+    """Draw, fly and diagnose."""
+    rng = np.random.default_rng([seed, 83])
+    kinds = [str(k) for k in rng.choice(UNLIKE, int(rng.integers(2, 4)), replace=False)]
+    name = str(rng.choice(open_to_rivals()))
+    effects = {} if silent else {name: draw_hidden(rng, name)}
+    row = {"seed": seed, "hidden": effects, "kinds": kinds}
+    try:
+        records = [flown(effects, 100 * seed + k, kind, manoeuvre=kind) for k, kind in enumerate(kinds)]
+    except InputError as error:
+        return row | {"refused": str(error)}
+    began = time.perf_counter()
+    return row | told(diagnose(records, CARD, seed=seed, gains_wanted=False, process_noise=False), began)
+
+
+def report_unlike(rows: list[dict], silent: bool) -> None:
+    """Counts."""
+    tried = [r for r in rows if "refused" not in r]
+    if silent:
+        quiet = sum(not r["causes"] and not r["unexplained"] for r in tried)
+        print(f"nothing hidden: no finding in {quiet} of {len(tried)}")
+    else:
+        first = [r for r in tried if next(iter(r["causes"]), None) in r["hidden"]]
+        named = [r for r in tried if set(r["hidden"]) & set(r["causes"])]
+        sets = [r for r in tried if any(set(r["hidden"]) & set(x) for x in r["ambiguous"].values())]
+        false = [r for r in tried if r["causes"] and r not in named and r not in sets]
+        print(f"{len(tried)} flights: named {len(named)}, first {len(first)}, among the rivals of a cause {len(sets)}")
+        print(f"only another cause {len(false)}; unexplained {sum(bool(r['unexplained']) for r in tried)}")
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("points"))
+    parser = parser_of(__doc__, "standard", ("points", "unlike"))
+    parser.add_argument("--silent", action="store_true")
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.count)
-    report(resumed(given.out / "points.jsonl", {seed: partial(case, seed) for seed in seeds}))
+    if given.what == "points":
+        report(run_seeds(given, "points.jsonl", case))
+    else:
+        name = "silent.jsonl" if given.silent else "hidden.jsonl"
+        report_unlike(run_seeds(given, name, unlike, silent=given.silent), given.silent)

@@ -1,0 +1,143 @@
+"""Simulation with sensitivities against a bare scan of the same equations, and fits, warm.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/simulation_speed.py [stall six fit] [--book ../shared/book]
+
+`stall`: one stall manoeuvre of the card `attas`, in the plane of symmetry. `six`: three simulated manoeuvres of
+`full_six` (3-2-1-1, doublets of aileron and rudder) in six degrees of freedom. The bare scan is Runge and Kutta's step
+written out, and its forward derivative by JAX in all directions; both are first shown to compute the same. `fit`:
+output error of `six`, and with the book's data maximum likelihood of the coefficients of TC23.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from timing import compare
+
+from bayes_aero.dynamics.aircraft.gusts import FLOW
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
+from bayes_aero.dynamics.tangent import later
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.model.joined_channels import join
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.synthetic_record import synthetic
+
+KINDS = ("elevator_3211", "aileron_doublet", "rudder_doublet")
+
+
+def step(system: Any, x: Any, now: Any, then: Any, dt: Any) -> Any:
+    """Of Runge and Kutta."""
+    middle = {name: 0.5 * (now[name] + then[name]) for name in now}
+    k1 = system.motion(x, now)[0]
+    k2 = system.motion(x + 0.5 * dt * k1, middle)[0]
+    k3 = system.motion(x + 0.5 * dt * k2, middle)[0]
+    return x + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + system.motion(x + dt * k3, then)[0])
+
+
+@eqx.filter_jit
+def bare(cut: SegmentTrajectories, theta: Any) -> Any:
+    """Outputs' derivatives by parameters and initial states."""
+    prepared, dynamics, k = prepare(cut, theta), cut.dynamics, len(theta)
+
+    def outputs(z):
+        system = dynamics.system(dynamics.values(z[:k]), cut.flights.aircraft)
+
+        def one(start, inputs, dt):
+            def further(x, rows):
+                found = system.motion(x, rows[0])[1]
+                return step(system, x, rows[0], rows[1], dt), jnp.stack([found[name] for name in cut.outputs])
+
+            return jax.lax.scan(further, system.state_at_start(start + z[k:]), (inputs, later(inputs)))[1]
+
+        return jax.vmap(one)(prepared.begin, prepared.drives, jnp.asarray(cut.dt))
+
+    return jax.jacfwd(outputs)(jnp.concatenate([theta, jnp.zeros(len(dynamics.start))]))
+
+
+@eqx.filter_jit
+def ours(cut: SegmentTrajectories, theta: Any) -> Any:
+    """The same, of residuals."""
+    k, s = len(theta), len(cut.dynamics.start)
+    away = jnp.zeros((len(cut.index), s))
+    residual = lambda theta, shared: simulate(cut, theta, away + shared).residual  # noqa: E731
+    along = lambda t: jax.jvp(residual, (theta, jnp.zeros(s)), (t[:k], t[k:]))[1]  # noqa: E731
+    return jax.vmap(along, out_axes=-1)(jnp.eye(k + s))
+
+
+def flown(card: Card, records: Sequence[FlightRecord], truth: dict[str, float]) -> tuple[SegmentTrajectories, Any]:
+    """Whole manoeuvres and the true parameters."""
+    flights = join(list(records), card, ())
+    dynamics = aircraft_dynamics(Model.from_card(card), flights)
+    outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n != "altitude")
+    return segments(flights, dynamics, outputs=outputs), np.array([truth.get(p.name, p.start) for p in dynamics.free])
+
+
+def stall() -> tuple[SegmentTrajectories, Any]:
+    """One stall."""
+    card = read_card("attas")
+    return flown(card, [simulate_stall(0, card=card, sensor_noise=0.0, disturbance=0.0)], TRUTH)
+
+
+def six() -> tuple[SegmentTrajectories, Any]:
+    """Three manoeuvres in six degrees of freedom."""
+    card = read_card("full_six")
+    asked = [Request({}, kind, "white", seed=seed, duration=28.0) for seed, kind in enumerate(KINDS)]
+    made = [synthetic(one, card, CATALOGUE, one.manoeuvre) for one in asked]
+    return flown(card, [one.record for one in made], {k: x for one in made for k, x in one.parameters.items()})
+
+
+def sensitivities(name: str, cut: SegmentTrajectories, theta: Any) -> None:
+    """Both ways."""
+    whole, at = jax.tree.map(jnp.asarray, cut.nameless), jnp.asarray(theta)
+    kept = [c for c, output in enumerate(cut.outputs) if output not in FLOW]  # vane and pitot tube have their own units
+    one, other = (np.asarray(x(whole, at))[:, :, kept] for x in (bare, ours))
+    apart = np.abs(one + other).max() / np.abs(one).max()
+    print(f"{name}: {cut.flights.n} samples, {len(theta)} parameters, Jacobians {apart:.0e} apart")
+    runs = {"bare scan": lambda: bare(whole, at), "bayes_aero": lambda: ours(whole, at)}
+    compare({label: lambda run=run: jax.block_until_ready(run()) for label, run in runs.items()}, 7)
+
+
+def fits(book: Path | None) -> None:
+    """Output error of simulated manoeuvres, and maximum likelihood of TC23: 2128 samples, 20 parameters."""
+    cut, theta = six()
+    runs: dict[str, Any] = {"output error, simulated": lambda: fit_output_error(cut, start=1.1 * theta)}
+    if book is not None:
+        card = read_card("full_six")
+        records = [read_record(book / f"fAttas{name}.mat", card.channels) for name in ("Elv1", "Ail1", "Rud1")]
+        model = Model.from_card(card)
+        made = observe(records, card, model, "published")
+        runs["maximum likelihood, TC23"] = lambda: fit_mle(model, made, extra_starts=0)
+    compare(runs)
+
+
+def main() -> None:
+    """Those asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", default=["stall", "six", "fit"])
+    parser.add_argument("--book", type=Path)
+    given = parser.parse_args()
+    for what in given.what:
+        if what == "fit":
+            fits(given.book)
+        else:
+            sensitivities(what, *{"stall": stall, "six": six}[what]())
+
+
+if __name__ == "__main__":
+    main()
