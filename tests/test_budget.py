@@ -20,7 +20,7 @@ LIMITS = {
     "benchmarks: files": 74,
     "benchmarks/README.md: lines": 290,
     "CHANGELOG.md: lines": 158,
-    "docs: words": 27768,
+    "docs: words": 27767,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 
