@@ -27,9 +27,9 @@ __version__ = "0.1.0"
 _HOME = {
     "CATALOGUE": "effects",
     "Card": "flight.card.card",
-    "Diagnosed": "api_results",
+    "Diagnosed": "api",
     "Effect": "effect",
-    "Fit": "api_results",
+    "Fit": "api",
     "FlightRecord": "flight.record",
     "InputError": "errors",
     "Model": "model.model",
@@ -50,8 +50,7 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from bayes_aero.api import diagnose, fit, gpr, next_flight, plot, read, sample
-    from bayes_aero.api_results import Diagnosed, Fit
+    from bayes_aero.api import Diagnosed, Fit, diagnose, fit, gpr, next_flight, plot, read, sample
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
     from bayes_aero.errors import InputError

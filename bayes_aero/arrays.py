@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-Array = Any  # of either library; jaxtyping still checks its kind and shape
-Samples = Float[Array, "*#n"]  # some at one sample, or for many directions at once
+AnyArray = Any  # of either library; jaxtyping still checks its kind and shape
+Samples = Float[AnyArray, "*#n"]  # some at one sample, or for many directions at once
 
 
 def namespace(*arrays: Any) -> Any:

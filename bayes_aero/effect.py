@@ -15,9 +15,9 @@ from typing import Any
 
 from jaxtyping import Float
 
-from bayes_aero.arrays import Array
+from bayes_aero.arrays import AnyArray
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Length, Lengths, Limits, Parameter, Prior, Role, Sign
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
@@ -137,7 +137,7 @@ class Effect:
     claim: str
     parameters: tuple[Parameter, ...]
     channels: tuple[str, ...]
-    increments: Callable[[Values, Mapping[str, Float[Array, "*n"]], Aircraft, Known], Increments]
+    increments: Callable[[Values, Mapping[str, Float[AnyArray, "*n"]], Aircraft, Known], Increments]
     example: Example
     source: str
     uses: tuple[str, ...] = ()

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.arrays import Array
+from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 
 FAMILIES = ("normal", "lognormal", "halfnormal", "uniform")
@@ -92,7 +92,7 @@ class Prior:
         if self.family == "lognormal" and self.location <= 0.0:
             raise InputError(f"a lognormal prior has the median {self.location}; it must be positive")
 
-    def log_density(self, x: Float[Array, ""]) -> Float[Array, ""]:
+    def log_density(self, x: Float[AnyArray, ""]) -> Float[AnyArray, ""]:
         """Natural logarithm of the prior density at `x`, in the parameter's own unit."""
         import jax.numpy as jnp
         import jax.scipy.stats as stats
@@ -233,7 +233,7 @@ def departure(value: float, neutral: float) -> float:
     return value - neutral if math.isfinite(neutral) else -value
 
 
-def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def to_unbounded(parameter: Parameter, x: Float[AnyArray, "*shape"]) -> Float[AnyArray, "*shape"]:
     """Map the open interval of `parameter.bounds` onto the real line (identity, log or logit; see `knee`)."""
     import jax.numpy as jnp
 
@@ -253,8 +253,8 @@ def to_unbounded(parameter: Parameter, x: Float[Array, "*shape"]) -> Float[Array
 
 
 def from_unbounded(
-    parameter: Parameter, u: Float[Array, "*shape"]
-) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    parameter: Parameter, u: Float[AnyArray, "*shape"]
+) -> tuple[Float[AnyArray, "*shape"], Float[AnyArray, "*shape"]]:
     """The inverse of `to_unbounded`, and log |dx/du|, which the density of `u` carries."""
     import jax.numpy as jnp
 

@@ -17,11 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jsbsim_flights import STATES, flown, loaded, simulated
 
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
-from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
+from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle

@@ -36,9 +36,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency.bands import coefficients_in_band
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.frequency import coefficients_in_band
+from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.jobs.fly import fly
@@ -48,9 +47,8 @@ from bayes_aero.model.noise import DEFAULT, Colour, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
+from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.injection import hidden_flights
-from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
 # Against colour and sample rate

@@ -23,10 +23,8 @@ from calibration import band_of, rank
 
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.pooled import SCATTER, Hierarchy, from_prior_units, next_flight, pool, to_prior_units
 from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp
-from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, pool
-from bayes_aero.inference.posterior.pooled.next_flight import next_flight
-from bayes_aero.inference.posterior.pooled.normal_estimates import from_prior_units, to_prior_units
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT, Noise

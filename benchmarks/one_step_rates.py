@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 from scipy.signal import lfilter
 
-from bayes_aero.dynamics.filtering.kalman import Filtered
+from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.inference.one_step import one_step
 from bayes_aero.inference.scores import Calibration
 

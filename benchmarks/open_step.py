@@ -21,10 +21,8 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 
-from bayes_aero.explore.asked import Asked
-from bayes_aero.explore.choice import Choice
-from bayes_aero.explore.opened import open_result
-from bayes_aero.explore.page import Page, page_of
+from bayes_aero.explore.opened import Choice, open_result
+from bayes_aero.explore.page import Asked, Page, page_of
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
 

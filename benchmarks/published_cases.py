@@ -18,11 +18,11 @@ import numpy as np
 import scipy.io
 
 from bayes_aero.diagnosis.trajectories.results import Setting
-from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
+from bayes_aero.diagnosis.trajectories.trajectories import fit_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.linear import channel_units, linear_dynamics
+from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord

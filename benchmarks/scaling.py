@@ -41,7 +41,8 @@ def long_record(n: int, seed: int = 0):
 def samples(n: int) -> dict[str, float]:
     """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
     from bayes_aero.flight.card.card import read_card
-    from bayes_aero.flight.reading.read_record import read_record, write_record
+    from bayes_aero.flight.reading.read_record import read_record
+    from bayes_aero.flight.writers import write_record
     from bayes_aero.inference.likelihood.mle import fit_mle
     from bayes_aero.inference.posterior import ensemble
     from bayes_aero.inference.posterior.laplace import density_start, find_mode

@@ -21,10 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from timing import compare
 
-from bayes_aero.dynamics.aircraft.gusts import FLOW
+from bayes_aero.dynamics.aircraft import FLOW
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
-from bayes_aero.dynamics.tangent import later
+from bayes_aero.dynamics.system import later
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.reading.read_record import read_record
@@ -34,8 +34,7 @@ from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.simulate.demo import TRUTH, simulate_stall
-from bayes_aero.simulate.request import Request
+from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.synthetic_record import synthetic
 
 KINDS = ("elevator_3211", "aileron_doublet", "rudder_doublet")

@@ -36,8 +36,7 @@ from wing_first import FLOWN as STALLS
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
 from bayes_aero.jobs import fly as flying
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe

@@ -26,9 +26,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.steps.post_diagnosis import proposed_points
+from bayes_aero.jobs.steps.post_processing import proposed_points
+from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import draw_hidden
-from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
 FIRST = (("slow_stall",), ("elevator_3211",), ("slow_stall", "elevator_3211"), ("thrust_steps",))

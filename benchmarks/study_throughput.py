@@ -24,9 +24,9 @@ from pathlib import Path
 import psutil
 
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.jobs.catalogue.known_effects import known_effects
-from bayes_aero.jobs.simulated_truth import simulate_file
-from bayes_aero.simulate.request import Request
+from bayes_aero.jobs.catalogue import known_effects
+from bayes_aero.jobs.options import simulate_file
+from bayes_aero.simulate.demo import Request
 
 STUDY = """
 records = ["{pattern}"]

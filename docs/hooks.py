@@ -87,7 +87,7 @@ def channels() -> str:
 
 def units() -> str:
     """Spellings of units."""
-    from bayes_aero.unit_words import words
+    from bayes_aero.units import words
 
     spelled: dict[str, list[str]] = {}
     for word, meant in sorted(words()):
@@ -110,7 +110,7 @@ def aircraft() -> str:
 
 def tolerances() -> str:
     """Bands that hold where a card has none."""
-    from bayes_aero.flight.tolerances import TOLERANCES
+    from bayes_aero.flight.record import TOLERANCES
 
     return _table(
         ("output", "half width, SI", "source"), [(f"`{k}`", _number(t.value), t.source) for k, t in TOLERANCES.items()]
@@ -119,7 +119,7 @@ def tolerances() -> str:
 
 def envelope() -> str:
     """Ranges that hold where a card has none."""
-    from bayes_aero.flight.envelope import DEFAULT_RANGES, UNITS
+    from bayes_aero.flight.aircraft import DEFAULT_RANGES, UNITS
 
     rows = [
         (f"`{name}`", UNITS[name], *("" if math.isinf(x) else _number(x) for x in pair))

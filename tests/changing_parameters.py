@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.simulate.demo import DT, MARGIN
 from bayes_aero.simulate.injection import Beyond, hidden_records
-from bayes_aero.simulate.manoeuvres import DT, MARGIN
 
 AT = 43.0  # s from the begin of the record
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from bayes_aero.diagnosis.selection.residuals import theil_parts
-from bayes_aero.diagnosis.trajectories.results import Error, Estimates, Path, Trajectories
+from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
+from bayes_aero.diagnosis.trajectories.results import Error, Estimates, SimulatedManoeuvre, Trajectories
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 
@@ -20,7 +20,7 @@ def halves(record: FlightRecord) -> Trajectories:
                 for output, x in measured.items()
             }
             paths += [
-                Path(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
+                SimulatedManoeuvre(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
                 for split in ("fitted", "hold_out")
             ]
     fit = Estimates({}, {}, OutputErrorStatus.CONVERGED, (), ())

@@ -11,8 +11,8 @@ import numpy as np
 from stranger_six import Plane
 
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 

@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 61899,
-    "bayes_aero: files": 538,
-    "bayes_aero: private helpers used once": 875,
-    "bayes_aero: class names with several meanings": 34,
-    "tests: lines": 32034,
-    "tests: files": 262,
-    "benchmarks: lines": 5947,
+    "bayes_aero: lines": 60308,
+    "bayes_aero: files": 295,
+    "bayes_aero: private helpers used once": 877,
+    "bayes_aero: class names with several meanings": 33,
+    "tests: lines": 28731,
+    "tests: files": 131,
+    "benchmarks: lines": 5933,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
-    "CHANGELOG.md: lines": 158,
-    "docs: words": 32476,
+    "CHANGELOG.md: lines": 161,
+    "docs: words": 27752,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

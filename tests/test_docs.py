@@ -130,7 +130,7 @@ def test_the_effect_of_the_how_to_works_out_its_own_example(tmp_path):
     page = (DOCS / "howto" / "new_effect.md").read_text(encoding="utf-8")
     _, name, code = BLOCK.findall(page)[0]
     (tmp_path / name).write_text(code, encoding="utf-8")
-    from bayes_aero.model.own_effects import own_effects
+    from bayes_aero.model.model import own_effects
 
     effect = own_effects([tmp_path / name])["power_moment"]
     example, aircraft = effect.example, type("Wing", (), {"wing_area": 60.0})()

@@ -9,7 +9,7 @@ import pytest
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import response_scales
 from bayes_aero.model.joined_records import marks_of

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
-from bayes_aero.unit_words import spellings, words
-from bayes_aero.units import canonical, from_si, quantity_to_si, same_unit, si_unit, to_si
+from bayes_aero.units import canonical, from_si, quantity_to_si, same_unit, si_unit, spellings, to_si, words
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from bayes_aero.diagnosis.design.information import noise_of, signals_of
-from bayes_aero.diagnosis.design.next_test_points import NOT_BY_HAND, candidates_of, worth_of
-from bayes_aero.diagnosis.design.standard import of_records, on_record
+from bayes_aero.diagnosis.design import (
+    NOT_BY_HAND,
+    candidates_of,
+    noise_of,
+    of_records,
+    on_record,
+    signals_of,
+    worth_of,
+)
 
 
 def deviations(state, effects, flights, sizes=MappingProxyType({})):

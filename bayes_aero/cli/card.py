@@ -8,15 +8,7 @@ from typing import Annotated
 import typer
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.cli.terminal import (
-    SUFFIXES,
-    JsonOption,
-    exit_if_failed,
-    loading,
-    print_failures,
-    print_json,
-    teller,
-)
+from bayes_aero.cli.terminal import SUFFIXES, JsonOption, exit_if_failed, loading, print_failures, print_json, teller
 from bayes_aero.errors import InputError
 
 
@@ -43,7 +35,7 @@ def card(
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
     with loading():
-        from bayes_aero.jobs.card.card_template import starter_card
+        from bayes_aero.jobs.card_template import starter_card
 
     starter = starter_card(record)
     try:
@@ -53,7 +45,7 @@ def card(
     report = None
     failures: tuple[str, ...] = ()
     if page:
-        from bayes_aero.jobs.card.template_page import put_starter_page
+        from bayes_aero.jobs.card_template import put_starter_page
 
         report, failures = put_starter_page(starter, record, target)
     if json:

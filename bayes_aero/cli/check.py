@@ -27,7 +27,7 @@ from bayes_aero.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from bayes_aero.diagnosis.consistency.check_result import CheckReport
+    from bayes_aero.diagnosis.result import CheckReport
     from bayes_aero.flight.reading.inspection import RecordReport
 
 
@@ -79,10 +79,10 @@ def _tell(console: Console, report: CheckReport) -> None:
         headline,
         left_over,
         sensor_sentences,
+        sizes,
         unused_columns,
         use_sentences,
     )
-    from bayes_aero.report.text.consistency import sizes
 
     doubt, told = report.consistency.disagrees, sensor_sentences(report)
     for caution in report.cautions:
@@ -103,7 +103,7 @@ def _tell(console: Console, report: CheckReport) -> None:
 
 
 def _tell_record(console: Console, r: RecordReport, unused: tuple[str, ...]) -> None:
-    from bayes_aero.report.tables.channels import channel_table, sampling
+    from bayes_aero.report.tables.table import channel_table, sampling
     from bayes_aero.report.text.check import part_sentences
 
     console.print(r.path, style="bold", end="", soft_wrap=True)

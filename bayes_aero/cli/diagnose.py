@@ -70,8 +70,8 @@ def diagnose(
     """
     (card, flights), hidden = card_and_records(model, records or [], resample, split), None
     with loading():
-        from bayes_aero.jobs.catalogue.effect_file import refuse_existing, write_effects
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
+        from bayes_aero.jobs.io.effect_file import refuse_existing, write_effects
         from bayes_aero.jobs.options import DiagnoseOptions
 
     if write_effect is not None:
@@ -103,10 +103,9 @@ def diagnose(
 
 
 def _tell(console: Console, found: Outcome) -> None:
-    from bayes_aero.report.design.in_band import in_band_sentences
-    from bayes_aero.report.design.points import points_sentences
+    from bayes_aero.report.design import in_band_sentences, points_sentences
     from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
-    from bayes_aero.report.tables.trajectories import error_table
+    from bayes_aero.report.tables.fly import hold_out_error_table
     from bayes_aero.report.text.diagnosis import revealed, sentences
 
     verdict, *rest = sentences(found.view)
@@ -116,7 +115,7 @@ def _tell(console: Console, found: Outcome) -> None:
         first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
         console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
     if found.view.trajectories is not None:
-        console.print(error_table(found.view.trajectories).terminal())
+        console.print(hold_out_error_table(found.view.trajectories).terminal())
     for sentence in (*rest, *in_band_sentences(found.in_band), *points_sentences(found.test_points)):
         console.print(f"• {sentence}", highlight=False)
     for note in found.notes:

@@ -40,7 +40,7 @@ def effects(
     Example: bayes-aero effects pitch_rate_bias
     """
     from bayes_aero.flight.card.card import read_card
-    from bayes_aero.jobs.catalogue.known_effects import effect_facts, effect_named, known_effects
+    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
 
     card = None if model is None else read_card(model)
     known = known_effects(card)
@@ -48,9 +48,9 @@ def effects(
     found = [effect_facts(effect, card) for effect in chosen]
     failures: tuple[str, ...] = ()
     if out is not None:
-        from bayes_aero.jobs.catalogue.catalogue_page import write_effects
+        from bayes_aero.jobs.catalogue_page import write_effects_page
 
-        failures = write_effects(found, SCHEMA, card, out)
+        failures = write_effects_page(found, SCHEMA, card, out)
     if json:
         print_json({"schema": SCHEMA, "effects": found})
     elif name is None:
@@ -90,7 +90,7 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _explained(effect: Mapping[str, Any]) -> None:
-    from bayes_aero.report.text.effects import facts, parameter_facts, unit_behind, worked
+    from bayes_aero.report.text.check import facts, parameter_facts, unit_behind, worked
 
     console = teller(highlight=True)
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayes_aero.cli.choices import InitialState, Inputs
 from bayes_aero.cli.terminal import (
     FAILED,
     RECORDS,
     FrequencyOption,
+    InitialState,
+    Inputs,
     JsonOption,
     ModelOption,
     ResampleOption,
@@ -117,9 +118,15 @@ def fly(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.motion.tables import mode_table
-    from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
-    from bayes_aero.report.tables.fly import beside_table, error_table, parameter_table
+    from bayes_aero.report.motion import mode_table
+    from bayes_aero.report.tables.fly import (
+        beside_table,
+        error_table,
+        one_step_table,
+        parameter_table,
+        posterior_table,
+        process_noise_table,
+    )
 
     console.print(parameter_table(found.flown).terminal())
     if found.flown.frequency:

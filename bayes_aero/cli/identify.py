@@ -7,14 +7,16 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.choices import Coefficients, NoiseModel, Split
 from bayes_aero.cli.terminal import (
     RECORDS,
+    Coefficients,
     FrequencyOption,
     JsonOption,
     ModelOption,
+    NoiseModel,
     ResampleOption,
     SeedOption,
+    Split,
     SplitOption,
     bar,
     card_and_records,
@@ -73,7 +75,7 @@ def identify(
         from bayes_aero.jobs import identify as job
         from bayes_aero.jobs.options import IdentifyOptions
         from bayes_aero.model.noise import Colour
-        from bayes_aero.report.pooled.next_flight import next_flight_table
+        from bayes_aero.report.pooled import next_flight_table
         from bayes_aero.report.tables.run_tables import parameter_table
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.choices import InitialState
 from bayes_aero.cli.fly import print_fit
 from bayes_aero.cli.terminal import (
     DOUBT,
     FAILED,
     RECORDS,
+    InitialState,
     JsonOption,
     ModelOption,
     ResampleOption,

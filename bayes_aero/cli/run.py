@@ -104,8 +104,8 @@ def _done(
     asked: Study, folder: Path, planned: list[Planned], cluster: tuple[int | None, str | None, str | None]
 ) -> tuple[Mapping[str, Mapping[str, Any]], str, tuple[str, ...]]:
     """What every unit that was due said, the study's verdict, and what could not be written."""
-    from bayes_aero.study.report import put_report
     from bayes_aero.study.run import UNITS, StoppedError, plan, run_study
+    from bayes_aero.study.summary import put_report
 
     def resume() -> str:
         done = sum(p.state.word == "done" for p in plan(asked, folder))

@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.choices import Manoeuvre, SimulatedNoise
 from bayes_aero.cli.terminal import (
     JsonOption,
+    Manoeuvre,
     ModelOption,
     SeedOption,
+    SimulatedNoise,
     bar,
     exit_if_failed,
     interruptible,
@@ -57,10 +58,10 @@ def simulate(
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     with loading():
         from bayes_aero.flight.card.card import read_card
-        from bayes_aero.jobs.catalogue.effect_arguments import parsed_effects
-        from bayes_aero.jobs.catalogue.known_effects import known_effects
-        from bayes_aero.jobs.simulated_truth import simulate_file
-        from bayes_aero.simulate.request import Request
+        from bayes_aero.jobs.catalogue import known_effects
+        from bayes_aero.jobs.catalogue_page import parsed_effects
+        from bayes_aero.jobs.options import simulate_file
+        from bayes_aero.simulate.demo import Request
 
     card = read_card(model)
     known = known_effects(card)

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,13 +15,15 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
+from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 
-if TYPE_CHECKING:  # the real imports wait until a command needs them
+if TYPE_CHECKING:
     from bayes_aero.flight.agreement import Consistency
     from bayes_aero.flight.card.card import Card
     from bayes_aero.flight.health import HealthFinding
     from bayes_aero.flight.record import FlightRecord
+
 
 FAILED = 1
 BAD_INPUT = 2
@@ -97,7 +100,7 @@ def card_and_records(
 
 def print_json(content: Mapping[str, Any]) -> None:
     """One JSON document on stdout; a number that does not exist (NaN, infinity) is null."""
-    from bayes_aero.jobs.provenance.provenance import as_json
+    from bayes_aero.jobs.provenance import as_json
 
     sys.stdout.write(as_json(dict(content)))
 
@@ -109,7 +112,7 @@ def print_doubts(
 
     `corrects`: whether the command takes known errors of sensors out by itself.
     """
-    from bayes_aero.report.text.consistency import consistency_sentences
+    from bayes_aero.report.text.check import consistency_sentences
 
     for finding in health:
         console.print(f"! {finding.sentence}", highlight=False)
@@ -172,3 +175,116 @@ def kept_stages(out: Path) -> Callable[[], str]:
         )
 
     return told
+
+
+# --- Choices of options, written out so that --help need not import the numerical libraries; a test compares them.
+
+
+class NoiseModel(StrEnum):
+    """Noise models of the posterior: `model.noise.Colour`."""
+
+    WHITE = "white"
+    AR1 = "ar1"
+    BUFFET_AR1 = "buffet-ar1"
+
+
+class Coefficients(StrEnum):
+    """How coefficients are formed: `model.observations.Forming`."""
+
+    MATCHED = "matched"
+    PUBLISHED = "published"
+
+
+class InitialState(StrEnum):
+    """Where a manoeuvre begins: `jobs.options.INITIAL_STATES`."""
+
+    FREE = "free"
+    FIXED = "fixed"
+
+
+class Inputs(StrEnum):
+    """Inputs between samples: `jobs.options.INPUTS`."""
+
+    LINEAR = "linear"
+    HELD = "held"
+
+
+class Split(StrEnum):
+    """How data are held back to test the Gaussian process: `inference.splits.SplitKind`."""
+
+    RANDOM = "random"
+    BLOCK = "block"
+    MANOEUVRE = "manoeuvre"
+
+
+class SimulatedNoise(StrEnum):
+    """Noise of a simulated record: `simulate.request.NOISES`."""
+
+    NONE = "none"
+    WHITE = "white"
+    AR1 = "ar1"
+    BUFFET = "buffet"
+
+
+class Manoeuvre(StrEnum):
+    """What is flown: `simulate.request.MANOEUVRES`."""
+
+    RANDOM_STALL = "random_stall"
+    SLOW_STALL = "slow_stall"
+    ELEVATOR_DOUBLET = "elevator_doublet"
+    ELEVATOR_3211 = "elevator_3211"
+    MULTISINE = "multisine"
+    THRUST_STEPS = "thrust_steps"
+    SPEED_CHANGE = "speed_change"
+    SIDESLIP = "sideslip"
+    BANK_TO_BANK = "bank_to_bank"
+    STABILIZER_STEPS = "stabilizer_steps"
+    AILERON_DOUBLET = "aileron_doublet"
+    RUDDER_DOUBLET = "rudder_doublet"
+    STALL_WITH_BANK = "stall_with_bank"
+    ENGINE_STEPS = "engine_steps"
+
+
+class ExportForm(StrEnum):
+    """Forms of an exported model: `jobs.handover.export.FORMS`."""
+
+    JSBSIM = "jsbsim"
+    FMU = "fmu"
+    TABLES = "tables"
+
+
+# --- Options of the command line that are gone: one row each, told before the command line is parsed.
+
+GONE: tuple[tuple[str, str, str], ...] = (
+    (
+        "diagnose",
+        "--predictors/--no-predictors",
+        "predictors are no longer compared; use --no-test-points to leave out the manoeuvres that decide what is open",
+    ),
+    ("fly", "--drift", "run diagnose, which says whether a parameter changed, when and by how much"),
+    (
+        "identify",
+        "--approximate-gp",
+        "Gaussian processes are exact; give shorter parts of the records (FILE@FROM:TO) or a longer --resample",
+    ),
+    ("run", "--verify", "run the study again with another --out and compare the two summary.csv"),
+)
+"""Command, option (every spelling, "--one/--no-one"), and the rest of the sentence: what to use instead."""
+
+
+def refuse_gone(arguments: Sequence[str]) -> None:
+    """Refuse an option that is gone, with what to use instead.
+
+    Args:
+        arguments: of the program, the command first.
+
+    Raises:
+        InputError: one of them is gone.
+    """
+    command, *rest = arguments or ("",)
+    options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
+    spelled = [argument.partition("=")[0] for argument in options]
+    for of, option, instead in GONE:
+        for given in option.split("/"):
+            if of == command and given in spelled:
+                raise InputError(f"{given} of {command} is gone: {instead}")

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.consistency.consistency import in_gusts
-from bayes_aero.diagnosis.consistency.sensor_errors import SENSOR_KINDS
+from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
     FLIGHT_PATH,
@@ -25,28 +24,31 @@ from bayes_aero.diagnosis.result import (
 from bayes_aero.diagnosis.screening.accuracy import implausible, implausible_candidate
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.search.search_coefficients import search_coefficients
-from bayes_aero.diagnosis.search.search_innovations import search_innovations
-from bayes_aero.diagnosis.search.search_result import SearchResult, lacking
-from bayes_aero.diagnosis.search.search_trajectories import search_trajectories
-from bayes_aero.diagnosis.selection.absorbed import absorbed
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, confirmation
-from bayes_aero.diagnosis.selection.collinear import CancellingPair, cancelling, correlated
-from bayes_aero.diagnosis.selection.cross_validation import split_name
+from bayes_aero.diagnosis.search.searches import search_coefficients, search_innovations, search_trajectories
+from bayes_aero.diagnosis.search.stages import SearchResult, lacking
 from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
-from bayes_aero.diagnosis.selection.gains import NO_GAIN, NOTHING, gains_of, rival_gains
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins, without_hold
-from bayes_aero.diagnosis.selection.undecided_errors import open_errors
+from bayes_aero.diagnosis.selection.gains import (
+    NO_GAIN,
+    NOTHING,
+    as_structure,
+    attributed,
+    gains_of,
+    own_share,
+    rival_gains,
+    stand_ins,
+    without_hold,
+)
+from bayes_aero.diagnosis.selection.holdout import Confirmation, confirmation, split_name
+from bayes_aero.diagnosis.selection.rivals import CancellingPair, absorbed, cancelling, correlated, open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.threads import blas_threads
-from bayes_aero.inference.variance.variance_inflation import nats
-from bayes_aero.model.model import Model
-from bayes_aero.model.own_effects import own_effects
-from bayes_aero.model.recorded_axes import on_recorded_axes
+from bayes_aero.inference.compiled_programs import blas_threads
+from bayes_aero.inference.covariance import nats
+from bayes_aero.model.joined_records import on_recorded_axes
+from bayes_aero.model.model import Model, own_effects
 from bayes_aero.progress import Progress
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.selection.absorbed import Absorbed
-from bayes_aero.diagnosis.selection.collinear import CancellingPair
+from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.noise import NoiseReport
-from bayes_aero.diagnosis.terms.result import FoundTerm
+from bayes_aero.diagnosis.selection.rivals import Absorbed, CancellingPair
+from bayes_aero.diagnosis.terms.library import Term
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 
@@ -276,3 +280,99 @@ def as_tested(found: Verdict, tested: Tested) -> Verdict:
     if found is Verdict.NO_EFFECT and tested.beyond:
         return Verdict.UNDECIDED
     return found
+
+
+# --- What a check of records has found, before anything is fitted.
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """Flight-path consistency: the sensor errors and winds it asks for, and root mean squares before and after, SI."""
+
+    note: str  # why it was not done; empty where it was
+    errors: dict[str, dict[str, Any]]
+    rms: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
+
+    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences. `left_out` has a
+    sentence on each axis of the card that the records do not serve.
+    """
+
+    card: Card
+    records: tuple[RecordReport, ...]
+    uses: dict[str, str]
+    not_testable: dict[str, str]
+    sensors: SensorCheck
+    consistency: Consistency
+    health: tuple[HealthFinding, ...] = ()
+    left_out: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # of checks that went wrong themselves
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What is wrong with the records, in words."""
+        return tuple(finding.sentence for finding in self.health)
+
+    @property
+    def usable(self) -> bool:
+        """Whether every record can be read and some command can work on all of them."""
+        return not any(r.problems for r in self.records) and "" in self.uses.values()
+
+
+# --- Sizes of the causes in a band of frequencies, as plain data.
+
+
+@dataclass(frozen=True)
+class SizeInBand:
+    """A parameter of a cause, SI: in the band, with its standard error, and beside the `mean` and `sd` of the
+    coefficients. `apart`: their difference in standard errors of the difference."""
+
+    cause: str
+    parameter: str
+    unit: str
+    in_band: tuple[float, float]
+    coefficients: tuple[float, float]
+    apart: float
+
+
+@dataclass(frozen=True)
+class CausesInBand:
+    """`band` in Hz. `unseen`: parameters of causes that the band does not show; `converged`: whether the fit did."""
+
+    band: tuple[float, float]
+    sizes: tuple[SizeInBand, ...]
+    unseen: tuple[str, ...]
+    converged: bool
+
+
+# --- What is reported of a form found for structure that no effect of the catalogue explains.
+
+
+@dataclass(frozen=True)
+class FoundTerm:
+    """A term of a coefficient, with its factor; SI, the standard error counts the autocorrelation of the residuals.
+
+    Attributes:
+        coefficient: to which it adds size times the term.
+        term: the product.
+        size: estimate and standard error of its factor.
+        share: of the coefficient's variance that was left without it; by trajectories and innovations, of the output
+            of which it takes the largest share.
+        gain: log density of left-out folds, divided by the variance inflation, that it gains.
+        weight: posterior probability of this term among itself and the `others`.
+        others: terms of about the same gain that these records do not tell from it, with the weight of each.
+        least: smallest factor worth modelling, by what it changes the coefficient over the swing of these flights.
+    """
+
+    coefficient: str
+    term: Term
+    size: tuple[float, float]
+    share: float
+    gain: float
+    weight: float
+    others: tuple[tuple[Term, float], ...]
+    least: float

@@ -12,16 +12,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from bayes_aero.dynamics.aircraft.effect_system import MIN_LAG, EffectSystem, refuse_lags
-from bayes_aero.dynamics.aircraft.longitudinal import LATERAL, Longitudinal
-from bayes_aero.dynamics.aircraft.prescribed import SIDE, lateral_drives, rigid_drives, rigid_outputs
-from bayes_aero.dynamics.aircraft.rigid_body import RigidBody, held_states
+from bayes_aero.dynamics.aircraft import (
+    LATERAL,
+    MIN_LAG,
+    SIDE,
+    EffectSystem,
+    Longitudinal,
+    RigidBody,
+    held_states,
+    lateral_drives,
+    refuse_lags,
+    rigid_drives,
+    rigid_outputs,
+)
 from bayes_aero.dynamics.output_channels import needed_channels
 from bayes_aero.dynamics.system import System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model

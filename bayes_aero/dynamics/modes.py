@@ -16,14 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.aircraft.rigid_body import HELD, RigidBody
+from bayes_aero.dynamics.aircraft import HELD, RigidBody
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics
 from bayes_aero.dynamics.linear import LinearDynamics
-from bayes_aero.dynamics.simulated.plant import CONTROLS
-from bayes_aero.dynamics.simulated.rigid_trim import SURFACES, Condition, rigid_trim
+from bayes_aero.dynamics.simulated.trim import CONTROLS, SURFACES, Condition, rigid_trim
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY
 

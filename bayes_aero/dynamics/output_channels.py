@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 
 FLIGHT = ("airspeed", "alpha", "theta", "q")
 RIGID = ("airspeed", "alpha", "beta", "p", "q", "r")

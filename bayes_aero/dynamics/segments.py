@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from bayes_aero.dynamics.aircraft.effect_system import POINTS
+from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
-from bayes_aero.dynamics.late_outputs import LateOutputs
+from bayes_aero.dynamics.linear import LateOutputs
 from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import Flights

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
-
-from bayes_aero.dynamics.tangent import between, later, motion, stage_table, tangent_flight
 
 Row = Mapping[str, Any]
 """Inputs or outputs at one instant, by name."""
@@ -165,3 +164,208 @@ def _flight_jvp(primals, tangents, *, dt, substeps, outputs, held):
     along = tangent_flight(substeps, outputs, held)
     dx, found = jax.tree.map(lambda y: y[0], along(system, *row, t_system, *tangents))
     return flown, (dx, found, None)
+
+
+# --- Sensitivities of a simulated trajectory: the derivative of its integration, in a fraction of the time.
+# The states are known, so the derivatives of `motion` at all stages of all samples are computed at once, in reverse
+# mode, because `motion` has fewer results than parameters. Only a linear recurrence of s by s matrices remains as a
+# loop over the samples. Directions are the last axis.
+
+NODES, AHEAD, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0)  # the four stages of a step
+
+Channels = Mapping[str, Any]
+
+
+def later(inputs: Channels, held: bool = False) -> dict[str, Array]:
+    """Inputs one sample later, the last one repeated; the same inputs where they are `held`. Samples: last axis."""
+    if held:
+        return dict(inputs)
+    return {name: jnp.concatenate([x[..., 1:], x[..., -1:]], axis=-1) for name, x in inputs.items()}
+
+
+def between(now: Channels, then: Channels, share: Any) -> dict[str, Any]:
+    """Inputs at `share` of the way to the next sample."""
+    return {name: now[name] + share * (then[name] - now[name]) for name in now}
+
+
+@eqx.filter_jit
+def motion(system: Any, x: Array, u: Channels) -> tuple[Array, dict[str, Array]]:
+    """`system.motion`, traced once for all callers."""
+    return system.motion(x, u)
+
+
+def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
+    """For all stages (4 `substeps`) of a sample: share of the sample time, step to the next stage, weight, and whether
+    a Runge-Kutta step ends there."""
+    shares = jnp.array([(number + node) / substeps for number in range(substeps) for node in NODES])
+    ahead, weights, last = (jnp.tile(jnp.array(row), substeps) for row in (AHEAD, WEIGHTS, (False, False, False, True)))
+    return shares, ahead, weights, last
+
+
+@lru_cache
+def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
+    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction.
+
+    Under `jax.vmap` segments are joined along the segments' axis, directions along the directions' axis.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
+        towards = jax.tree.map(lambda t: t[..., None], (t_system, t_start, t_inputs))
+        found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
+        return jax.tree.map(lambda t: t[..., 0], found)
+
+    @tangent.def_vmap
+    def _(size, batched, *arguments):
+        (system, *flight, t_system, t_start, t_inputs), marks = arguments, jax.tree.map(bool, batched)
+        alike = not any(jax.tree.leaves(marks[0]))
+        if alike and not any(jax.tree.leaves(marks[:5])):  # directions
+            x, inside, inputs, dt = flight
+            towards = tuple(_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True))
+            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
+            found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
+        elif alike and not any(jax.tree.leaves(marks[5])):  # segments
+            trees, known = (*flight, t_start, t_inputs), (*marks[1:5], *marks[6:])
+            own = [_laid(t, m, size) for t, m in zip(trees, known, strict=True)]
+            found = tangent(system, *own[:4], t_system, *own[4:])
+            found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
+        else:
+            axes = jax.tree.map(lambda m: 0 if m else None, tuple(marks))
+            found = jax.vmap(tangent.fun, axes)(*arguments)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return tangent
+
+
+def _last(tree: Any, marks: Any, size: int) -> Any:
+    """Move directions from the first axis to the last; repeat where there is no such axis."""
+    give = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
+    return jax.tree.map(give, tree, marks)
+
+
+def _laid(tree: Any, marks: Any, size: int) -> Any:
+    """Merge a new axis of segments with the existing one."""
+
+    def give(t, m):
+        wide = t if m else jnp.broadcast_to(t, (size, *t.shape))
+        return wide.reshape(-1, *wide.shape[2:])
+
+    return jax.tree.map(give, tree, marks)
+
+
+def _along(
+    system: Any,
+    x: Float[Array, "w n s"],
+    inside: Bool[Array, "w n"],
+    inputs: Channels,
+    dt: Float[Array, " w"],
+    towards: tuple[Any, Any, Any],
+    substeps: int,
+    outputs: tuple[str, ...],
+    held: bool,
+) -> tuple[Float[Array, "w n s d"], dict[str, Float[Array, "w n d"]]]:
+    """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
+    t_system, t_start, t_inputs = towards
+    (w, n, _), directions = x.shape, t_start.shape[-1]
+    h = (dt / substeps)[:, None, None]
+    shares, *table = stage_table(substeps)
+    at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
+    u = at(inputs, later(inputs, held))  # m w n
+    t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
+    t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
+    points = stage_points(system, x, u, h, table)[0]
+    read = tuple(name for name in outputs if name not in system.state_outputs)
+    dynamic, static = eqx.partition(
+        system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
+    )
+
+    def own(made):
+        """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""
+
+        def at(x, u):
+            def all_of(x, dynamic, inputs):
+                return made(*motion(eqx.combine(dynamic, static), x, u | inputs))
+
+            size, back = jax.vjp(all_of, x, dynamic, {name: u[name] for name in t_u})
+            by_x, by_system, by_u = jax.vmap(back)(jnp.eye(len(size)))
+            return by_x, _flat(by_system, len(size)), by_u
+
+        return jax.vmap(at)
+
+    numbers = jnp.concatenate(
+        [jnp.zeros((0, directions)), *(t.reshape(-1, directions) for t in jax.tree.leaves(t_system))]
+    )
+
+    def slopes(made, stages: slice):
+        """The same at these stages (m, w, n, r, ...): by the state, and in all directions otherwise."""
+        wide = lambda y: y[stages].reshape(-1, *y.shape[3:])  # noqa: E731
+        by_x, by_system, by_u = own(made)(wide(points), jax.tree.map(wide, u))
+        direct = by_system @ numbers
+        for name, t in t_u.items():
+            direct = direct + by_u[name][:, :, None] * wide(t)[:, None, :]
+        return tuple(y.reshape(-1, w, n, *y.shape[1:]) for y in (by_x, direct))
+
+    moved = jnp.concatenate([inside[:, 1:], jnp.ones((w, 1), bool)], axis=1)[None, :, :, None, None]
+    A, b = (jnp.where(moved, y, 0.0) for y in slopes(lambda slope, _: slope, slice(None)))  # outside it stays
+    dx = _recurrence(jnp.moveaxis(A, 0, 2), jnp.moveaxis(b, 0, 2), t_start, dt / substeps)
+    found = {name: dx[:, :, system.states.index(name)] for name in outputs if name not in read}
+    if read:  # at the first stage alone, where the sample is
+        by_x, direct = slopes(lambda _, found: jnp.stack([found[name] for name in read]), slice(1))
+        dy = jnp.sum(by_x[0, :, :, :, :, None] * dx[:, :, None], axis=3) + direct[0]
+        found |= {name: dy[:, :, i] for i, name in enumerate(read)}
+    return dx, found
+
+
+def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
+    """All leaves (r, ...) side by side."""
+    return jnp.concatenate([jnp.zeros((rows, 0)), *(y.reshape(rows, -1) for y in jax.tree.leaves(tree))], axis=1)
+
+
+def stage_points(
+    system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, table: Sequence[Array]
+) -> tuple[Float[Array, "m w n s"], Float[Array, "w n s"]]:
+    """States at all Runge-Kutta stages, all samples at once, and those a sample later.
+
+    `u`: inputs at the stages, (m, w, n); `h`: time of a Runge-Kutta step, s; `table`: steps, weights and ends of
+    `stage_table`.
+    """
+    slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
+
+    def one_stage(carry, stage):
+        begin, gathered, point = carry
+        u, ahead, weight, last = stage
+        k = slope(point, u)
+        gathered = gathered + weight * k
+        begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
+        return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
+
+    (after, *_), points = jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))
+    return points, after
+
+
+def _recurrence(
+    A: Float[Array, "w n m s s"], b: Float[Array, "w n m s d"], begin: Float[Array, "w s d"], h: Float[Array, " w"]
+) -> Float[Array, "w n s d"]:
+    """Sensitivities of the states from those of the motion at every stage."""
+
+    def slope(A, b, dx):
+        return jnp.sum(A[..., None] * dx, axis=1) + b
+
+    def along(segment):
+        A, b, begin, h = segment
+
+        def one_stage(dx, row):
+            A, b = row
+            new = dx
+            for i in range(0, A.shape[0], 4):
+                k1 = slope(A[i], b[i], new)
+                k2 = slope(A[i + 1], b[i + 1], new + 0.5 * h * k1)
+                k3 = slope(A[i + 2], b[i + 2], new + 0.5 * h * k2)
+                k4 = slope(A[i + 3], b[i + 3], new + h * k3)
+                new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+            return new, dx
+
+        return jax.lax.scan(one_stage, begin, (A, b))[1]
+
+    # One segment after the other: of many at once XLA makes slower code for the small products.
+    return jax.lax.map(along, (A, b, begin, h))

@@ -22,7 +22,7 @@ from bayes_aero.effect import (
 )
 from bayes_aero.effects.sources import OUR_WIDTH, RELATIVE_ERROR
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.separation import lagged
 

@@ -9,9 +9,8 @@ from bayes_aero.effect import Example, Increments, Known, Signals, Stage, Values
 from bayes_aero.effects.sources import OUR_WIDTH, STALL_MODEL
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Length, Prior, Role
-from bayes_aero.physics.half_wings import moments_of_difference
 from bayes_aero.physics.rates import reduced, reduced_lateral
-from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, separation_point
+from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
 
 SEPARATED_SHARE = "derivative linear in the separated share 1 - X; our choice of form"
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.effect import Effect
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.explore.choice import addable
-from bayes_aero.explore.linear import LIMITS, linear_groups
-from bayes_aero.explore.sliders import Group, groups_of
+from bayes_aero.export.identified import Identified
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.handover.fitted_records import fitted_records
-from bayes_aero.jobs.handover.identified_card import card_of
-from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
-from bayes_aero.jobs.handover.identified_result import read_finished, with_process_noise
-from bayes_aero.jobs.handover.result_file import read_result, result_file
+from bayes_aero.jobs.export import write_export
+from bayes_aero.jobs.fitted import (
+    Finished,
+    IdentifiedLinear,
+    card_of,
+    fitted_records,
+    read_finished,
+    with_process_noise,
+)
+from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks
-from bayes_aero.report.text.consistency import consistency_sentences
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter
+from bayes_aero.report.text.check import consistency_sentences
+from bayes_aero.report.text.phrases import for_people, plain_unit
 
 
 @dataclass(frozen=True)
@@ -148,3 +157,252 @@ def _departures(told: Mapping[str, Any], command: str) -> dict[str, dict[str, fl
         manoeuvre: {name: float(state["departure"]) for name, state in states.items()}
         for manoeuvre, states in told["initial_states"].items()
     }
+
+
+# --- What is chosen on the page: values, effects that are off, effects that are added, and the model of it.
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Values (SI) of parameters that differ from the result's, names of effects that are `off` and that are `added`."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    off: frozenset[str] = frozenset()
+    added: tuple[str, ...] = ()
+
+
+def shown_effects(model: Model, added: Sequence[str] = ()) -> tuple[Effect, ...]:
+    """Effects of a model that can be switched off, and the added ones: those with parameters that a simulation without
+    noise follows, not fixed at neutral."""
+    wider = with_added(model, added)
+    return tuple(e for e in wider.acting if e.parameters and e.disturbance is None)
+
+
+def addable(model: Model, channels: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects of the catalogue that may be added: candidates on the model's axes whose channels were recorded."""
+    own = {e.name for e in model.acting}
+    names = {p.name for p in model.parameters}
+    have = {*channels, "alpha_dot", "X", "dt", "start", "elapsed", "first", "last"}
+    return tuple(
+        e
+        for e in CATALOGUE.values()
+        if e.candidate
+        and e.name not in own
+        and e.disturbance is None
+        and e.acts_on(model.axes)
+        and have.issuperset(e.channels)
+        and names.issuperset(e.uses)
+        and (e.name in {x.name for x in model.effects} or names.isdisjoint(p.name for p in e.parameters))
+    )
+
+
+def flown_model(model: Model, choice: Choice) -> Model:
+    """The model that is flown: every parameter of the effects that act is free, and nothing else is there.
+
+    A lag that is off is left out: its separation point would be a state with the least lag. So are random processes,
+    which a simulation without noise does not follow, and effects that the card fixes at neutral.
+    """
+    wider = with_added(model, choice.added)
+    neutral = {p.name: p.neutral for e in wider.effects for p in e.parameters}
+    gone = {e.name for e in wider.acting if e.stage is Stage.LAG and e.name in choice.off}
+    kept = tuple(e for e in wider.acting if e.name not in gone and e.disturbance is None)
+    own = {p.name for e in kept for p in e.parameters}
+    held = {name: dict(wider.fixed).get(name, x) for name, x in neutral.items() if name not in own}
+    parameters = tuple(p for p in wider.parameters if p.name in own)
+    return replace(wider, effects=kept, parameters=parameters, fixed=tuple(held.items()))
+
+
+def values_of(model: Model, values: Mapping[str, float], choice: Choice) -> dict[str, float]:
+    """Values of the model's parameters, SI: chosen, else the result's, else where a fit begins; neutral where off.
+
+    Args:
+        model: of `flown_model`.
+        values: of the result.
+        choice: what was chosen.
+    """
+    found = {p.name: choice.values.get(p.name, values.get(p.name, p.start)) for p in model.parameters}
+    for e in model.effects:
+        for p in e.parameters:
+            if e.name in choice.added and p.name not in choice.values:
+                found[p.name] = p.start
+            if e.name in choice.off:
+                found[p.name] = p.neutral
+    return found
+
+
+def with_added(model: Model, added: Sequence[str]) -> Model:
+    """The model with the `added` effects, their parameters free: a card may hold an effect at neutral."""
+    there = {e.name for e in model.effects}
+    freed = {p.name for e in model.effects if e.name in added for p in e.parameters}
+    fixed = tuple((name, x) for name, x in model.fixed if name not in freed)
+    return replace(model, fixed=fixed).extended(*(name for name in added if name not in there))
+
+
+# --- The model as it stands on the page, handed to another simulator.
+
+FOLDER = "exports"
+
+
+def chosen_model(opened: Opened, choice: Choice, values: Mapping[str, float]) -> Identified:
+    """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral.
+
+    Raises:
+        InputError: it is a linear system.
+    """
+    identified = opened.identified
+    if isinstance(identified, IdentifiedLinear):
+        raise InputError(LIMITS.removesuffix("."))
+    model = with_added(identified.model, choice.added)
+    off = {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
+    every = {p.name: identified.values.get(p.name, p.neutral) for p in model.parameters} | dict(values) | off
+    every = {p.name: every[p.name] for p in model.parameters}
+    fixed = {name: every[name] for name in (*dict(model.fixed), *off)}
+    said = _changes(identified, choice, every, off)
+    return replace(
+        identified,
+        model=replace(model, fixed=tuple(fixed.items())),
+        values=every,
+        sources=(*identified.sources, said) if said else identified.sources,
+    )
+
+
+def export_chosen(opened: Opened, choice: Choice, values: Mapping[str, float], form: str) -> tuple[Path, list[str]]:
+    """Write the chosen model into a new folder below the result; what is there stays.
+
+    Returns:
+        The folder, and its files.
+
+    Raises:
+        InputError: the model has no counterpart in this form, or the folder cannot be written.
+    """
+    found = chosen_model(opened, choice, values)
+    root = opened.folder / FOLDER
+    names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
+    target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
+    facts = write_export(found, form, target)
+    return target, facts["files"]
+
+
+def _changes(identified: Identified, choice: Choice, now: Mapping[str, float], off: Mapping[str, float]) -> str:
+    """What was changed by hand; nothing where nothing was."""
+    moved = [
+        f"{name} = {x:.10g} (was {identified.values[name]:.10g})"
+        for name, x in now.items()
+        if name not in off and name in identified.values and x != identified.values[name]
+    ]
+    new = [f"{name} = {x:.10g} (new)" for name, x in now.items() if name not in identified.values and name not in off]
+    gone = [f"{name} off" for name in sorted(choice.off)]
+    changed = ", ".join((*moved, *new, *gone))
+    return f"Changed by hand with open, SI and radians: {changed}. These values are no estimates." if changed else ""
+
+
+# --- A linear system on the page: a group of sliders for each of its rows.
+
+LIMITS = (
+    "The card states a linear system: it has no effects to switch or to add, no coefficients, and no form in another "
+    "simulator."
+)
+
+
+def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[Group, ...]:
+    """The parameters of each row, every parameter once, with the row that the card writes first.
+
+    Args:
+        found: the system with its values.
+        errors: standard errors, SI, where they are known.
+    """
+    rows, free = found.rows, {p.name: p for p in found.fitted.free}
+    many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
+    titles = [f"rate of {name}" for name in rows.states] + [f"output {name}" for name in rows.outputs]
+    parts = [[term.parameter for term in row] for _, row in rows.rows]
+    titles, parts = [*titles, "delays"], [*parts, [parameter for _, parameter in rows.delays]]
+    groups, seen = [], set()
+    for title, part in zip(titles, parts, strict=True):
+        names = [n for parameter in part for n in many.get(parameter, [parameter]) if n in free and n not in seen]
+        seen |= {*names}
+        sliders = []
+        for name in dict.fromkeys(names):
+            p, value = free[name], found.values[name]
+            sliders.append(slider(p, value, errors.get(name, 0.0), abs(p.start) or 1.0))
+        if sliders:
+            groups.append(Group(title, f"{title} of the linear system", False, tuple(sliders), switch=False))
+    return tuple(groups)
+
+
+# --- Ranges of the sliders: about the estimate by its standard error, within the parameter's bounds.
+
+ERRORS = 5.0  # standard errors to either side
+SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves something to see
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A parameter in the unit in which people read it: where it begins, its standard error (0: unknown), its range.
+
+    `factor` converts SI to this unit.
+    """
+
+    name: str
+    unit: str
+    factor: float
+    description: str
+    value: float
+    error: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """An effect with its sliders; `added`: it is not part of the result's model; `switch`: it can be switched off."""
+
+    name: str
+    claim: str
+    added: bool
+    sliders: tuple[Slider, ...]
+    switch: bool = True
+
+
+def groups_of(
+    model: Model, values: Mapping[str, float], errors: Mapping[str, float], added: Sequence[str] = ()
+) -> tuple[Group, ...]:
+    """Every effect that can be switched off, with its sliders.
+
+    Args:
+        model: of the result.
+        values: its parameters, SI.
+        errors: standard errors, SI, where they are known.
+        added: names of effects to add.
+    """
+    choice = Choice(added=tuple(added))
+    begin = values_of(flown_model(model, choice), values, choice)
+    known = {p.name: p for p in flown_model(model, choice).parameters}
+    return tuple(
+        Group(
+            e.name,
+            e.claim,
+            e.name in added,
+            tuple(
+                slider(known[p.name], begin[p.name], errors.get(p.name, 0.0), _largest(known[p.name], e))
+                for p in e.parameters
+            ),
+        )
+        for e in shown_effects(model, added)
+    )
+
+
+def slider(p: Parameter, value: float, error: float, largest: float) -> Slider:
+    """About `value` by the standard error `error` (0: unknown, then by the departure `largest`), SI."""
+    reach = max(ERRORS * error, SHARE * abs(value), 0.0 if error else largest)
+    low, high = max(value - reach, p.bounds[0]), min(value + reach, p.bounds[1])
+    unit, factor = for_people(p.unit)
+    shown = (factor * x for x in (value, error, low, high))
+    return Slider(p.name, plain_unit(unit), factor, p.description, *shown)
+
+
+def _largest(p: Parameter, effect: Effect) -> float:
+    """The largest plausible departure from neutral, for a parameter without a standard error."""
+    size = effect.sizes.get(p.name, (0.0, 0.0))[1]
+    if math.isfinite(p.neutral) and size > 0.0:
+        return size
+    return 1.0 if p.start == 0.0 else abs(p.start)

@@ -3,30 +3,41 @@
 from __future__ import annotations
 
 import json
+import math
 import time as clock
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
 import numpy as np
 from bokeh.core.properties import String
 from bokeh.document import Document
+from bokeh.layouts import column
 from bokeh.model import DataModel
-from bokeh.models import CustomJS
+from bokeh.models import (
+    BoxZoomTool,
+    Column,
+    ColumnDataSource,
+    CrosshairTool,
+    CustomJS,
+    HoverTool,
+    Range1d,
+    Span,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+from jaxtyping import Bool, Float
 
 from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
-from bayes_aero.explore.asked import Asked, read_asked
-from bayes_aero.explore.choice import Choice
-from bayes_aero.explore.figures import MOST, MOST_FAN, WORDS, Shared, View, stacked, window_of
-from bayes_aero.explore.hand_on import export_chosen
-from bayes_aero.explore.scores import gain, scores
+from bayes_aero.explore.opened import Choice, export_chosen
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
+from bayes_aero.flight.card.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.channel_units import channel_units
-from bayes_aero.jobs.handover.export import FORMS
+from bayes_aero.jobs.export import FORMS
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.plots import FARTHEST, Line, Panel, dress, extremes, scale
 from bayes_aero.report.text.phrases import axis_label, bracket, for_people
 
 Parts = Mapping[str, np.ndarray]
@@ -253,3 +264,253 @@ def page_of(simulator: Simulator) -> Callable[[Document], None]:
 
 def _part(name: str) -> str:
     return (resources.files("bayes_aero.explore") / "templates" / name).read_text(encoding="utf-8")
+
+
+# --- What the browser asks, checked.
+
+MOST_CHARACTERS = 100_000
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The state of the page's controls; values are in the units of the sliders, `window` in s."""
+
+    id: int = 0
+    manoeuvre: int = 0
+    window: tuple[float, float] | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+    off: tuple[str, ...] = ()
+    added: tuple[str, ...] = ()
+    fan: bool = False
+    export: str = ""
+
+
+def read_asked(text: str) -> Asked:
+    """The state from the browser's JSON.
+
+    Raises:
+        InputError: it is not what the page sends.
+    """
+    try:
+        if len(text) > MOST_CHARACTERS:
+            raise ValueError("it is too long")
+        told = json.loads(text)
+        form = str(told["export"] or "")
+        if form and form not in FORMS:
+            raise ValueError(f"there is no form {form!r}")
+        window = told["window"]
+        return Asked(
+            int(told["id"]),
+            max(0, int(told["manoeuvre"])),
+            None if window is None else (_number(window[0]), _number(window[1])),
+            {str(name): _number(x) for name, x in told["values"].items()},
+            tuple(map(str, told["off"])),
+            tuple(dict.fromkeys(map(str, told["added"]))),
+            bool(told["fan"]),
+            form,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as reason:
+        raise InputError(f"the page sent what it never sends ({reason}); load it again") from None
+
+
+def _number(x: Any) -> float:
+    found = float(x)
+    if not math.isfinite(found):
+        raise ValueError(f"{x} is no finite number")
+    return found
+
+
+# --- How near a simulation is to the flight in a window of time.
+
+Series = Mapping[str, Float[np.ndarray, " n"]]
+
+
+@dataclass(frozen=True)
+class Score:
+    """One output in a window, SI: RMS error of the result and now; share inside the tolerance (None: it has none)."""
+
+    name: str
+    before: float
+    now: float
+    within_before: float | None = None
+    within: float | None = None
+
+
+def scores(
+    recorded: Series, before: Series, now: Series, window: Bool[np.ndarray, " n"], tolerances: Mapping[str, float]
+) -> list[Score]:
+    """One for each output that is `now` there, over the samples of `window`."""
+    found = []
+    for name, y in now.items():
+        old, new = (np.abs(recorded[name] - x)[window] for x in (before[name], y))
+        band = tolerances.get(name)
+        shares = (None, None) if band is None else (float(np.mean(old <= band)), float(np.mean(new <= band)))
+        found.append(Score(name, _rms(old), _rms(new), *shares))
+    return found
+
+
+def gain(
+    recorded: Series,
+    before: Series,
+    now: Series,
+    window: Bool[np.ndarray, " n"],
+    deviations: Mapping[str, float],
+    inflation: float,
+) -> float:
+    """Change of the log likelihood from the result to now, nats.
+
+    Args:
+        recorded: outputs (n,).
+        before: simulated by the result.
+        now: simulated now.
+        window: samples that count.
+        deviations: standard deviation of the normal residuals of each output that counts.
+        inflation: samples that count for one, because residuals are coloured.
+
+    Source:
+        Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, eq. 4.11, with a diagonal covariance.
+    """
+    total = 0.0
+    for name, sd in deviations.items():
+        old, new = (((recorded[name] - x)[window] / sd) ** 2 for x in (before[name], now[name]))
+        total += 0.5 * float(np.sum(old) - np.sum(new))
+    return total / inflation
+
+
+def _rms(x: Float[np.ndarray, " n"]) -> float:
+    return float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
+
+
+# --- Panels over one time axis: the record with its tolerance, the result, what is flown now, and draws as a fan.
+
+MOST = 900  # points a line in the window: more than a panel has columns
+MOST_FAN = 200  # and of each draw
+LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
+WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}
+"""What the colours mean."""
+
+Curve = Float[np.ndarray, " n"]
+
+
+class Shared:
+    """What all panels have in common: the range of time, the cross-hair, and the source of what is flown now."""
+
+    def __init__(self) -> None:
+        """Empty."""
+        self.time = Range1d(start=0.0, end=1.0)
+        self.cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
+        self.now = ColumnDataSource({}, name="now")
+
+    def draw_now(self, lines: Sequence[Mapping[str, np.ndarray]]) -> None:
+        """The columns of all panels, made equally long by gaps."""
+        every = {name: np.zeros(0) for name in self.now.column_names}
+        for line in lines:
+            every |= line
+        n = max(map(len, every.values()))
+        self.now.update(data={k: np.pad(x, (0, n - len(x)), constant_values=np.nan) for k, x in every.items()})
+
+
+class View:
+    """One panel. `factor` converts SI to the unit of its label, `band` (SI) is the tolerance about the measurement.
+
+    What is flown now has one source for all panels, so that a step is one message to the browser.
+    """
+
+    def __init__(self, name: str, label: str, factor: float, shared: Shared, band: float | None) -> None:
+        """An empty panel."""
+        self.name, self.label, self.factor = name, label, factor
+        self.band = None if band is None else factor * band
+        self.record = ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
+        self.before = ColumnDataSource({"t": [], "y": []})
+        self.columns = f"t {name}", f"y {name}"
+        self.fan = ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
+        self.range = Range1d(start=0.0, end=1.0)
+        self.figure = self._figure(shared)
+
+    def _figure(self, shared: Shared) -> Any:
+        box = BoxZoomTool(dimensions="width")
+        wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+        f = figure(
+            x_range=shared.time,
+            y_range=self.range,
+            y_axis_label=self.label,
+            sizing_mode="stretch_both",
+            min_height=LEAST,
+            tools=[box, wheel, CrosshairTool(overlay=shared.cross)],
+            active_drag=box,
+            toolbar_location=None,
+            min_border_left=62,
+            min_border_right=6,
+            min_border_top=3,
+            min_border_bottom=3,
+        )
+        if self.band is not None:
+            f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
+        f.multi_line("xs", "ys", source=self.fan, line_color=COLOURS["crb"], line_alpha=0.3, line_width=1)
+        shown = f.line("t", "y", source=self.record, color=COLOURS["measured"], line_width=1.3)
+        t, y = self.columns
+        shared.now.add([], t)
+        shared.now.add([], y)
+        now = f.line(t, y, source=shared.now, color=COLOURS["after"], line_width=2.0, level="overlay")
+        before = {"color": COLOURS["before"], "line_dash": "dashed", "line_width": 1.4, "level": "overlay"}
+        f.line("t", "y", source=self.before, **before)
+        for line, (at, value) in ((now, self.columns), (shown, ("t", "y"))):
+            tips = [("t", f"@{{{at}}}{{0.00}} s"), (self.label, f"@{{{value}}}{{0.[0000]}}")]
+            f.add_tools(HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
+        return f
+
+    def draw_record(self, time: Curve, y: Curve) -> None:
+        """The measurement, with its tolerance."""
+        y = self.factor * y
+        index = extremes([y], MOST)
+        columns = {"t": time[index], "y": _drawable(y[index])}
+        half = self.band or 0.0
+        self.record.update(data=columns | {"low": columns["y"] - half, "high": columns["y"] + half})
+
+    def draw_before(self, time: Curve, y: Curve) -> None:
+        """The result."""
+        y = self.factor * y
+        index = extremes([y], MOST)
+        self.before.update(data={"t": time[index], "y": _drawable(y[index])})
+
+    def line_now(self, time: Curve, y: Curve) -> dict[str, np.ndarray]:
+        """The columns of what is flown now."""
+        y = self.factor * y
+        index = extremes([y], MOST)
+        return dict(zip(self.columns, (time[index], _drawable(y[index])), strict=True))
+
+    def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
+        """Draws; none removes them."""
+        chosen = [(extremes([self.factor * y], MOST_FAN), self.factor * y) for y in draws]
+        ys = [_drawable(y[index]) for index, y in chosen]
+        self.fan.update(data={"xs": [time[index] for index, _ in chosen], "ys": ys})
+
+    def fit(self, shown: Sequence[Curve]) -> None:
+        """A vertical scale for the measurement (first) and the result; what is flown now cannot flatten them."""
+        lines = tuple(Line("", "", self.factor * y) for y in shown)
+        found = scale(Panel(self.label, lines, band=self.band))
+        self.range.update(start=found.start, end=found.end)
+
+
+def stacked(views: Sequence[View], name: str) -> Column:
+    """Panels below each other, the time axis below the last."""
+    for view in views:
+        last = view is views[-1]
+        dress(view.figure, last, LEAST)
+        if last:
+            view.figure.xaxis.axis_label = "time of the record [s]"
+            view.figure.min_height = LEAST + AXIS
+    return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
+
+
+def _drawable(y: Curve) -> Curve:
+    """Values that a canvas can take; those of a diverged simulation are gaps."""
+    return np.where(np.abs(y) < FARTHEST, y, np.nan)
+
+
+def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
+    """Samples in a window of time, s; all, where there is none or it has fewer than two."""
+    if window is None:
+        return np.ones(len(time), bool)
+    inside = (time >= window[0]) & (time <= window[1])
+    return inside if inside.sum() > 1 else np.ones(len(time), bool)

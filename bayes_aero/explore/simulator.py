@@ -17,14 +17,12 @@ from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.errors import InputError
-from bayes_aero.explore.choice import Choice, flown_model, values_of
-from bayes_aero.explore.opened import Opened
-from bayes_aero.jobs.handover.identified_linear import Finished, IdentifiedLinear
-from bayes_aero.jobs.handover.posterior_draws import drawn
+from bayes_aero.explore.opened import Choice, Opened, flown_model, values_of
+from bayes_aero.jobs.fitted import Finished, IdentifiedLinear, drawn
 from bayes_aero.jobs.options import FIXED, HELD
 from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.residuals.equation_error import EquationError
 
 DRAWS = 40  # of the fan

@@ -11,9 +11,7 @@ from pathlib import Path
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.export.identified import Identified
-from bayes_aero.export.python_source import python_source
-from bayes_aero.export.text import about, meaning, unit
+from bayes_aero.export.identified import Identified, about, meaning, python_source, unit
 
 MOST_SECONDS = 300
 SLAVE = '''"""Co-simulation of an identified aerodynamic model."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from importlib import metadata
+from keyword import iskeyword
 from typing import Any
 
 import jax
@@ -12,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.dynamics.aircraft.effect_system import MIN_LAG, POINTS
+from bayes_aero.dynamics.aircraft import MIN_LAG, POINTS
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.errors import InputError
-from bayes_aero.export.program import Program
-from bayes_aero.export.translate import translated
+from bayes_aero.errors import InputError, plain_line
+from bayes_aero.export.program import Operand, Program, translated
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficient_names import LATERAL
 
 LEAST = {"airspeed": 1.0, "density": 1e-3}
 """Signals that models divide by (q c/V, thrust over dynamic pressure), and what stands for them below it: m/s, kg/m3.
@@ -238,3 +242,204 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(float(x) for x in value)
     return None if value is None else float(value)
+
+
+# --- Sentences that every exported form has: origin, conventions, validity, what is left out.
+
+CONVENTIONS = (
+    "SI units and radians. Body axes x forward, y right, z down. CL and CD are lift and drag along the stability axes: "
+    "CX = CL sin(alpha) - CD cos(alpha), CZ = -CL cos(alpha) - CD sin(alpha). CY is the side force along body y.",
+    "Force = 0.5 density airspeed^2 wing_area coefficient. Moments are about the aerodynamic reference point.",
+    "Surfaces: trailing edge down is positive, a rudder's to the left. aileron is half of right less left.",
+)
+
+
+def version() -> str:
+    """The program and its version."""
+    try:
+        return f"bayes_aero {metadata.version('bayes-aero')}"
+    except metadata.PackageNotFoundError:
+        return "bayes_aero"
+
+
+def lengths(found: Identified) -> tuple[str, ...]:
+    """Reference lengths and speeds of rates and moments, with their values."""
+    a = found.actual_aircraft
+    rate, lateral = a.rate_length or a.chord, a.lateral_rate_length or a.half_span
+    speed = "V" if a.reference_speed is None else f"{a.reference_speed:.6g} m/s"
+    texts = [
+        f"wing area {a.wing_area:.6g} m^2; Cm refers to the chord, {a.chord:.6g} m; q enters as q l/{speed} with "
+        f"l = {rate:.6g} m (many texts: q c/2V)"
+    ]
+    if set(found.exported.coefficients) & set(LATERAL):
+        texts.append(
+            f"Cl and Cn refer to {a.moment_length:.6g} m; p and r enter as p l/{speed} with l = {lateral:.6g} m "
+            f"(half the span is {a.half_span:.6g} m)"
+        )
+    x, y, z = a.reference_point
+    texts.append(f"aerodynamic reference point {x:.6g}, {y:.6g}, {z:.6g} m from the centre of gravity, body axes")
+    return tuple(f"{text[0].upper()}{text[1:]}." for text in texts)
+
+
+def validity(found: Identified) -> tuple[str, ...]:
+    """The flown range of every channel that the model reads."""
+    flown = [n for n in found.signals if n in found.flown]
+    if not flown:
+        return ("The flown region is not stated: the values are a card's, or of an earlier version's result.",)
+    parts = (f"{n} {found.flown[n][0]:.4g} to {found.flown[n][1]:.4g} {unit(n)}".rstrip(" 1") for n in flown)
+    return (f"Flown region; outside it the model extrapolates: {', '.join(parts)}.",)
+
+
+def states(found: Identified) -> tuple[str, ...]:
+    """What is said of the separation point and of alpha-dot."""
+    said = []
+    if found.lagged:
+        said.append(
+            f"State {', '.join(found.points)}: the separation point (1 attached, 0 separated) follows its static "
+            "value, lag dX/dt = X_static - X; it starts at the static value."
+        )
+    elif found.separates:
+        said.append(f"{', '.join(found.points)}: the separation point (1 attached, 0 separated), without lag.")
+    before = (Stage.INCIDENCE, Stage.SEPARATION)
+    reading = [e for e in found.exported.acting if "alpha_dot" in e.channels]
+    if any(e.stage not in before or not found.lagged for e in reading):
+        said.append(
+            "The coefficients depend on alpha_dot at the same instant, and alpha_dot on them: a simulator solves the "
+            "equation, or takes alpha_dot through a lag of a few steps."
+        )
+    return tuple(said)
+
+
+def at_rest(found: Identified) -> tuple[str, ...]:
+    """Where the model stops following the signals that it divides by."""
+    floors = [
+        f"{name} below {LEAST[name]:g} {unit(name)}" for name in found.program.inputs_of("signal") if name in LEAST
+    ]
+    if not floors:
+        return ()
+    return (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",)
+
+
+def about(found: Identified) -> tuple[str, ...]:
+    """All of them, a sentence or two each."""
+    drawn = found.draws
+    uncertain = (
+        () if drawn is None else (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
+    )
+    sentences = (
+        f"{found.title}. Exported by {version()}.",
+        *found.sources,
+        *CONVENTIONS,
+        *lengths(found),
+        *states(found),
+        *validity(found),
+        *at_rest(found),
+        *uncertain,
+        *found.left_out,
+    )
+    return tuple(map(plain_line, sentences))
+
+
+def unit(channel: str) -> str:
+    """The SI unit of a channel; empty where the program does not know it."""
+    return STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else ""
+
+
+def meaning(channel: str) -> str:
+    """What a channel is."""
+    return STANDARD_CHANNELS[channel].description if channel in STANDARD_CHANNELS else "input of an effect"
+
+
+def wrapped(sentences: Sequence[str], width: int) -> str:
+    """Paragraphs of lines that are no longer than `width`."""
+    import textwrap
+
+    return "\n".join(textwrap.fill(s, width) for s in sentences)
+
+
+# --- The model as one Python function that needs nothing but `math`: what an FMU evaluates.
+
+WIDTH = 110
+TAKEN = r"P|A|t\d+|math|parameters"
+"""Names that the function uses itself."""
+INFIX = {
+    "add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "lt": ("<", 0), "le": ("<=", 0),
+    "gt": (">", 0), "ge": (">=", 0), "eq": ("==", 0), "ne": ("!=", 0),
+}  # fmt: skip
+MATH = ("sqrt", "cbrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+        "cosh", "tanh", "floor", "ceil", "pow")  # fmt: skip
+OWN = {
+    "logistic": "def _logistic(x):\n    return 1.0 / (1.0 + math.exp(-x)) if x >= 0.0 else math.exp(x) / "
+    "(1.0 + math.exp(x))\n",
+    "sign": "def _sign(x):\n    return float(x > 0.0) - float(x < 0.0)\n",
+}
+WORDS = {"min": "min({}, {})", "max": "max({}, {})", "abs": "abs({})", "and": "({} and {})", "or": "({} or {})",
+         "not": "(not {})", "select": "({1} if {0} else {2})", "neg": "(-{})"}  # fmt: skip
+
+
+def python_source(found: Identified) -> str:
+    """The text of a Python file: parameters, constants and the function `aerodynamics`."""
+    program = found.program
+    used = {step.operation for step in program.steps}
+    states = found.points if found.lagged else program.inputs_of("state")
+    names = (*program.inputs_of("signal"), *states)
+    for name in names:
+        if not name.isidentifier() or iskeyword(name) or re.fullmatch(TAKEN, name):
+            raise InputError(f"channel {name} cannot be an argument in Python; give it another name on the card")
+    read = program.inputs_of("parameter")
+    values = {p.name: found.values[p.name] for p in found.exported.parameters if p.name in read}
+    parts = [
+        "import math\n",
+        _table("PARAMETERS", values),
+        _table("AIRCRAFT", {n: found.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")}),
+        *(f"\n{OWN[name]}" for name in OWN if name in used),
+        f"\ndef aerodynamics({', '.join((*names, 'parameters=PARAMETERS'))}):",
+        f"    P, A = parameters, AIRCRAFT\n{_body(program)}",
+    ]
+    return "\n".join(parts)
+
+
+def _table(name: str, rows: Mapping[str, float]) -> str:
+    lines = [f"    {json.dumps(key)}: {float(value)!r}," for key, value in rows.items()]
+    return "\n".join([f"{name} = {{", *lines, "}"])
+
+
+def _body(program: Program) -> str:
+    """Assignments and the returned dict; what is read once stands where it is read, if the line stays short."""
+    known: dict[str, tuple[str, int]] = {name: (_input(name), 9) for name in program.inputs}
+    uses, lines, number = program.uses, [], 0
+
+    def value(x: Operand) -> tuple[str, int]:
+        return known[x] if isinstance(x, str) else (repr(x), 9 if x >= 0.0 else 1)
+
+    for step in program.steps:
+        text, rank = _expression(step.operation, [value(x) for x in step.arguments])
+        if uses[step.name] > 1 or len(text) > WIDTH - 30:
+            number += 1
+            lines.append(f"    t{number} = {text}")
+            text, rank = f"t{number}", 9
+        known[step.name] = (text, rank)
+    lines.append("    return {")
+    lines += [f'        "{name}": {value(x)[0]},' for name, x in program.outputs.items()]
+    return "\n".join([*lines, "    }", ""])
+
+
+def _input(name: str) -> str:
+    kind, own = name.split(".", 1)
+    return {"parameter": f"P[{json.dumps(own)}]", "aircraft": f"A[{json.dumps(own)}]"}.get(kind, own)
+
+
+def _expression(operation: str, given: list[tuple[str, int]]) -> tuple[str, int]:
+    """The text of an operation, and how tightly it binds."""
+    if operation in INFIX:
+        sign, rank = INFIX[operation]
+        (left, first), (right, second) = given
+        left = f"({left})" if first < rank or rank == 0 else left
+        right = f"({right})" if second <= rank else right
+        return f"{left} {sign} {right}", rank
+    texts = [text for text, _ in given]
+    if operation in WORDS:
+        texts = [f"({t})" if rank < 9 and operation in ("neg", "not", "and", "or", "select") else t
+                 for t, (_, rank) in zip(texts, given, strict=True)]  # fmt: skip
+        return WORDS[operation].format(*texts), 9
+    return f"{'math.' if operation in MATH else '_'}{operation}({', '.join(texts)})", 9

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from enum import StrEnum
+
+from bayes_aero.units import canonical, spellings
 
 __all__ = ["STANDARD_CHANNELS", "Channel", "StandardChannel"]
 
@@ -121,3 +125,204 @@ _TABLE = (
 STANDARD_CHANNELS: dict[str, StandardChannel] = {
     name: StandardChannel(name, unit, description, (lo, hi)) for name, unit, description, lo, hi in _TABLE
 }
+
+
+# --- Axes of an aircraft's motion: what a card may model.
+
+
+class Axis(StrEnum):
+    """The plane of symmetry (CL, CD, Cm) or out of it (CY, Cl, Cn)."""
+
+    LONGITUDINAL = "longitudinal"
+    LATERAL = "lateral"
+
+
+# --- What people call channels and units in the headers of their files.
+
+__all___aliase = ["ALIASES", "is_command", "plain_heading", "side_of", "split_heading", "symbol_of"]
+
+_NAMES: dict[str, str] = {
+    "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "
+    "missiontime simtime",
+    "alpha": "alpha aoa angleofattack alfa alphacg alcg alphavane aoatrue alphatrue incidence al",
+    "beta": "beta aos sideslip angleofsideslip sideslipangle betacg becg",
+    "airspeed": "tas airspeedtrue tasairspeed v vtas trueairspeed vtrue airspeed vt vtascg ktas speed va",
+    "calibrated_airspeed": "ias cas vcas vias kcas kias indicatedairspeed calibratedairspeed vc vi",
+    "p": "p prate rollrate pb prgx omegax wx gyrox rollvel",
+    "q": "q qrate pitchrate qb qrgy omegay wy gyroy pitchvel",
+    "r": "r rrate yawrate rb rrgz omegaz wz gyroz yawvel",
+    "phi": "phi roll bank rollangle bankangle rollattitude rollatt bankatt",
+    "theta": "theta the pitch pitchangle pitchattitude pitchatt tht",
+    "psi": "magneticheading magheading hdgmag psi heading hdg yaw yawangle trueheading headingtrue",
+    "ax": "gloadaxial ax nx nxb axcg accx accelx axb axbody longacc longitudinalacceleration acclong nxcg "
+    "longloadfactor longitudinalloadfactor longaccel longitudinalaccel axialaccel",
+    "ay": "gloadside ay ny nyb aycg accy accely ayb aybody latacc lateralacceleration acclat nycg "
+    "latloadfactor lateralloadfactor lataccel lateralaccel",
+    "az": "gloadnorml gloadnormal "
+    "az nz nzb azcg accz accelz azb azbody normalacceleration loadfactor vertacc nzcg normacc accnorm "
+    "normalaccel normaccel normalloadfactor normloadfactor vertloadfactor verticalloadfactor",
+    "altitude": "alt altitude h hp pressurealtitude palt hbaro baroalt hqnh pressalt baroaltitude altmsl",
+    "radio_altitude": "radalt ralt hradio radioaltitude radaralt",
+    "elevator": "de deteu deted elevteu elevted elevator elev delv deltae elevatordeflection elevatorposition elevpos "
+    "elevatorpos dele elevdefl",
+    "elevator_left": "elevatorleft leftelevator elevleft elevl elvl elevatorl",
+    "elevator_right": "elevatorright rightelevator elevright elevr elvr elevatorr",
+    "elevon_left": "elevonleft leftelevon elevonl",
+    "elevon_right": "elevonright rightelevon elevonr",
+    "canard": "canard deltac canardposition canardpos canarddeflection",
+    "stabilizer": "stab stabilizer stabiliser ih ihtrm pitchtrim stabtrim htrim stabpos",
+    "rudder": "dr rudder rud drud rudderposition rudpos deltar rudderdeflection",
+    "aileron": "ail aileron da dail deltaa aileronposition ailpos ailerondeflection dela",
+    "aileron_left": "daill aileronleft leftaileron ailleft aill dal",
+    "aileron_right": "dailr aileronright rightaileron ailright ailr dar",
+    "flap": "flap flaps flapposition flappos df flapangle flapdeflection",
+    "spoiler_left": "dspll spoilerleft leftspoiler spll",
+    "spoiler_right": "dsplr spoilerright rightspoiler splr",
+    "n1_left": "n1l n1left n1eng1 n11 n1t1l",
+    "n1_right": "n1r n1right n1eng2 n12 n1t2r",
+    "thrust": "thrust fn netthrust totalthrust thrusttotal fntotal thr",
+    "thrust_left": "thrustleft thrustl fnl leftthrust fnleft thrust1 fn1 thrl",
+    "thrust_right": "thrustright thrustr fnr rightthrust fnright thrust2 fn2 thrr",
+    "throttle": "throttle throttleposition throttlepos",
+    "throttle_left": "throttleleft leftthrottle throttlel throttle1",
+    "throttle_right": "throttleright rightthrottle throttler throttle2",
+    "engine_speed": "rpm enginerpm enginespeed proprpm propellerspeed",
+    "dynamic_pressure": "qbar dynamicpressure dynpress dynpres dynpressure pdyn qdyn qinf dynp",
+    "p_dot": "pdot rollaccel rollacceleration angularaccx",
+    "q_dot": "qdot pitchaccel pitchacceleration angularaccy",
+    "r_dot": "rdot yawaccel yawacceleration angularaccz",
+    "alpha_dot": "alphadot aldot aoadot aoarate",
+    "beta_dot": "betadot bedot aosdot sideslipdot",
+    "mach": "mach m machnumber ma machno",
+    "density": "rho density airdensity",
+    "static_temperature": "sat oat temperature statictemperature tstat outsideairtemperature ts",
+    "static_pressure": "ps pstat staticpressure pstatic",
+    "fuel_used": "fuelused fuelus fuelburn fuelburned",
+    "latitude": "lat latitude",
+    "longitude": "lon long longitude",
+    "gear": "gear gearpos landinggear",
+}
+
+
+def _sided() -> dict[str, str]:
+    """Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron.
+
+    Only of whole words: "del" and "rde" are too short to say.
+    """
+    pairs = [name.removesuffix("_left") for name in STANDARD_CHANNELS if name.endswith("_left")]
+    return {
+        alias: f"{whole}_{side}"
+        for whole in pairs
+        for word in (whole, *_NAMES.get(whole, "").split())
+        if len(word) > 3
+        for side in ("left", "right")
+        for mark in (side, side[0], f"{side[0]}h")
+        for alias in (word + mark, mark + word)
+    }
+
+
+ALIASES: dict[str, str] = (
+    _sided()
+    | {alias: name for name, text in _NAMES.items() for alias in text.split()}
+    | {name.replace("_", ""): name for name in STANDARD_CHANNELS}
+)
+"""Channel by what a heading is called in lower case, without blanks, underscores and units."""
+
+_NO_UNIT_OF_A_NAME = frozenset(
+    "1 - -- none nd ratio fraction frac mach min mins minute h hr hour rpm bar n1 n2 n3".split()  # noqa: SIM905
+)
+"""Words that end names for other reasons: "thrust_1", "alpha_min", "engine_N2"."""
+
+_IN_NAME = {"ktas": "kt", "kcas": "kt", "kias": "kt", "nx": "g", "ny": "g", "nz": "g", "nzcg": "g", "loadfactor": "g"}
+_IN_NAME |= dict.fromkeys(("rpm", "enginerpm", "proprpm"), "rpm")
+_BRACKETS = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
+_BEHIND_COMMA = re.compile(r"([^,]*),_*([^,]+?)_*")  # "alpha,__deg"
+_PARTS = re.compile(r"[\s_.:/#-]+")
+
+
+_BESIDE = frozenset(
+    "gyro vane sensor meas measured recorded raw filt filtered up down imu ahrs ins irs adc fdr eng probe boom".split()  # noqa: SIM905
+)
+"""Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
+
+
+def plain_heading(heading: str) -> str:
+    """The heading without such words, unless nothing would be left: "Q [deg/s]" of "Q gyro [deg/s]"."""
+    bracketed = _BRACKETS.match(heading.strip())
+    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
+    named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
+    return "_".join(kept) + unit if named else heading
+
+
+_SIDES = dict.fromkeys("l left lh lft port 1".split(), "left")  # noqa: SIM905
+_SIDES |= dict.fromkeys("r right rh rgt stbd starboard 2".split(), "right")  # noqa: SIM905
+_NUMBERED = re.compile(r"\b(eng|engine|motor|no|nr)([12])\b")
+_AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
+
+
+def side_of(heading: str) -> tuple[str, str] | None:
+    """The heading without the word for one of two sides or engines, and "left" or "right": "net_thrust_1"."""
+    bracketed = _BRACKETS.match(heading.strip())
+    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    words = _PARTS.split(_NUMBERED.sub(r"\1 \2", " ".join(filter(None, _PARTS.split(name.lower())))))
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    rest = [word for word in words if word not in _SIDES and word not in _AROUND]
+    return ("_".join(rest) + unit, sides[0]) if len(sides) == 1 and rest else None
+
+
+def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:
+    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS".
+
+    Args:
+        heading: as in the file.
+        si: SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]".
+    """
+    bracketed = _BRACKETS.match(heading.strip()) or _BEHIND_COMMA.fullmatch(heading.strip())
+    if bracketed and "," in bracketed[0][len(bracketed[1]) :] and _spelled(bracketed[2], si) is None:
+        bracketed = None  # "Gload,norml" is a name of two words
+    name, unit = (bracketed[1], _spelled(bracketed[2], si)) if bracketed else (heading.strip(), None)
+    parts = [part for part in _PARTS.split(name.lower()) if part]
+    if unit is None and not bracketed:
+        for count in (2, 1):  # "rate_deg_s" before "accel_g"
+            found = _ending(parts[-count:], si) if len(parts) > count else None
+            if found is not None:
+                parts, unit = parts[:-count], found
+                break
+    key = re.sub(r"[^a-z0-9]", "", "".join(parts))
+    return key, unit or _IN_NAME.get(key)
+
+
+def _spelled(text: str, si: str | None) -> str | None:
+    """Only what the table of spellings knows: to pint, "(cal)" would be a calorie."""
+    return canonical(text, si) if spellings(text) else None
+
+
+def _ending(words: list[str], si: str | None) -> str | None:
+    """The unit that the last words of a name are: "deg", "s2" is deg/s^2, "in", "hg" is inHg."""
+    if words[-1] in _NO_UNIT_OF_A_NAME:
+        return None
+    if len(words) == 1:
+        return _spelled(words[0], si)
+    found = _spelled("/".join(words), si)
+    return found or (_spelled(" ".join(words), si) if words[-1] in ("hg", "c", "f", "k") else None)
+
+
+_SYMBOLS = frozenset(
+    "nx ny nz ax ay az tas ktas ias kias cas kcas vtas aoa aos alpha beta theta phi psi mach rho".split()  # noqa: SIM905
+)
+_WANTED = frozenset("cmd command commanded target desired demand demanded ref reference selected sel set".split())  # noqa: SIM905
+
+
+def is_command(heading: str) -> bool:
+    """Whether a heading names a command or a reference, not a measured position: "elevator_cmd"."""
+    return bool(_WANTED & {word.lower() for word in _PARTS.split(heading)})
+
+
+def symbol_of(heading: str) -> str | None:
+    """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
+    bracketed = _BRACKETS.match(heading.strip())
+    words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
+    while len(words) > 1 and spellings(words[-1]) and words[-1] not in _SYMBOLS:
+        words.pop()
+    return words[-1] if words and words[-1] in _SYMBOLS and not is_command(heading) else None

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 import jax
+from joblib import cpu_count
+from threadpoolctl import ThreadpoolController
 
 MAPPINGS, LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 MAX_SHARE = 0.6  # of the memory mappings; the next task may take as much as a whole diagnosis, a tenth
@@ -34,3 +42,57 @@ def full_of_programs() -> bool:
         return count > MAX_SHARE * int(LIMIT.read_text(encoding="utf-8"))
     except OSError:  # another system has no such limit
         return False
+
+
+# --- Number of cores that this process may use, and limits on the threads of linear algebra.
+
+VARIABLE = "BAYES_AERO_CORES"
+WORTH_THREADS = 2500  # rows of a matrix below which a second BLAS thread costs more than it does (twice at 1000 rows)
+
+
+def cores() -> int:
+    """Number of cores by the variable BAYES_AERO_CORES, else all that the system allows this process.
+
+    A worker of a cluster has one core; the others belong to other workers.
+    """
+    allowed = os.environ.get(VARIABLE, "")
+    return max(1, int(allowed)) if allowed.isdecimal() else cpu_count()
+
+
+@contextmanager
+def blas_threads(rows: int) -> Iterator[None]:
+    """Context (or decorator) with one BLAS thread for matrices of few `rows`, on which several wait for each other.
+
+    Larger matrices keep the number of threads with which BLAS was started.
+    """
+    if rows >= WORTH_THREADS:
+        yield
+        return
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@lru_cache
+def _libraries() -> ThreadpoolController:
+    """The BLAS libraries of NumPy and SciPy, found once."""
+    return ThreadpoolController()
+
+
+# --- End of processes whose parent was killed; they would wait for ever to return their results.
+
+POLL_SECONDS = 1.0
+_watched: set[int] = set()
+
+
+def exit_with(parent: int) -> None:
+    """End this process soon after its parent has ended; without effect in the parent itself."""
+    if os.getppid() != parent or parent in _watched:
+        return
+    _watched.add(parent)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(POLL_SECONDS)
+    os._exit(1)

@@ -15,10 +15,10 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency.result import FrequencyFit
+from bayes_aero.inference.frequency_result import FrequencyFit
 from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
+from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.model import Model

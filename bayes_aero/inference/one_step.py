@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float
 from scipy.special import betainc
 from scipy.stats import beta, norm
 
-from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
-from bayes_aero.dynamics.filtering.kalman import Filtered
+from bayes_aero.dynamics.innovations import neighbour_correlation
+from bayes_aero.dynamics.kalman import Filtered
+from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Predicted, Share
-from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)  # of central predictive intervals
 SIGNIFICANCE = 0.05  # rate of false alarms for calibrated predictions, all outputs and levels together

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.arrays import Array
+from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
-from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
+from bayes_aero.inference.covariance import standard_error_of_sum
 
 __all__ = [
     "COLOURED_INNOVATIONS",
@@ -27,9 +27,9 @@ __all__ = [
     "score",
 ]
 
-Vector = Float[Array, " n"]
-Draws = Float[Array, "draws points"]
-Prediction = Float[Array, " points"]  # its length is checked in words
+Vector = Float[AnyArray, " n"]
+Draws = Float[AnyArray, "draws points"]
+Prediction = Float[AnyArray, " points"]  # its length is checked in words
 COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
@@ -153,7 +153,7 @@ def score(measured: Vector, predicted: Prediction) -> Scores:
     return Scores(r, rmse, theil, r2, status)
 
 
-def log_density(error: Float[Array, "*n"], variance: Float[Array, "*#n"]) -> Float[np.ndarray, "*n"]:
+def log_density(error: Float[AnyArray, "*n"], variance: Float[AnyArray, "*#n"]) -> Float[np.ndarray, "*n"]:
     """Log density of each error of a normal prediction with this variance."""
     return -0.5 * (error**2 / variance + np.log(2.0 * np.pi * variance))
 

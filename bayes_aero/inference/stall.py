@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.simulated.steady import conditions, steady_flow
+from bayes_aero.dynamics.simulated.trim import conditions, steady_flow
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.inference.identification import Identification, Interval, Stall
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus

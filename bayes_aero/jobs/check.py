@@ -10,26 +10,21 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
-from bayes_aero.diagnosis.consistency.consistency import KnownErrors, errors_of_path
-from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
+from bayes_aero.diagnosis.consistency import KnownErrors, errors_of_path, screen_sensor_errors
+from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading.read_record import manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
 from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.jobs.steps.usable_for import available, usable_for
+from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
 from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import joined
-from bayes_aero.model.model import Model
-from bayes_aero.model.own_effects import own_effects
-from bayes_aero.model.recorded_axes import on_recorded_axes
+from bayes_aero.model.joined_records import joined, on_recorded_axes
+from bayes_aero.model.model import Model, own_effects
 from bayes_aero.progress import Progress
 
 SCHEMA = "bayes_aero/check/1"

@@ -10,32 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
+from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.noise_check import with_tested
+from bayes_aero.diagnosis.trajectories.trajectories import with_tested
 from bayes_aero.diagnosis.view.models import view_of
 from bayes_aero.diagnosis.view.results import DiagnosisView
-from bayes_aero.dynamics.simulated.plant import can_simulate
+from bayes_aero.dynamics.simulated.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.threads import blas_threads, cores
+from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.result_store import ResultStore
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.jobs.steps.background import in_background
-from bayes_aero.jobs.steps.post_diagnosis import simulations
-from bayes_aero.jobs.steps.post_processing import drawings, follow
+from bayes_aero.jobs.provenance import provenance
+from bayes_aero.jobs.steps.post_processing import drawings, follow, in_background, simulations
 from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable

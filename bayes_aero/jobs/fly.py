@@ -7,46 +7,50 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.consistency.consistency import in_gusts
-from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
-from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
+from bayes_aero.diagnosis.consistency import in_gusts
+from bayes_aero.diagnosis.trajectories.motion import motion_of
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories.trajectories import WINDOW, fit_disagreements, still_apart
 from bayes_aero.dynamics.flight import DERIVED
 from bayes_aero.dynamics.output_channels import OF_AXIS
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency.bands import linear_in_band
+from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions, check_band
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
-from bayes_aero.jobs.steps.disturbed_flight import process_noise, with_posterior
-from bayes_aero.jobs.steps.flight_fits import coefficient_fit, output_error_fit, starts_of
-from bayes_aero.jobs.steps.flown_dynamics import flown_dynamics
-from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.jobs.steps.usable_for import usable_for
-from bayes_aero.model.recorded_axes import on_recorded_axes
+from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.steps.flights import (
+    coefficient_fit,
+    flown_dynamics,
+    output_error_fit,
+    process_noise,
+    starts_of,
+    with_posterior,
+)
+from bayes_aero.jobs.steps.record_checks import record_checks, usable_for
+from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
-from bayes_aero.report.figures.pit import one_step_quantiles
-from bayes_aero.report.figures.posterior import pair_of
-from bayes_aero.report.figures.process_noise import gusts
-from bayes_aero.report.figures.trajectories import fly_figures
-from bayes_aero.report.frequency.figures import FREQUENCY_FIGURES
-from bayes_aero.report.frequency.tables import frequency_sentences
+from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
+from bayes_aero.report.figures.time_histories import fly_figures, gusts
+from bayes_aero.report.frequency import FREQUENCY_FIGURES, frequency_sentences
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.motion.text import motion_sentences
+from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.filtered import gust_table, posterior_table
-from bayes_aero.report.tables.fly import parameter_table
+from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences
-from bayes_aero.report.text.process_noise import gust_sentences, process_noise_sentences, settled_sentences
+from bayes_aero.report.text.fly import (
+    disagreement_sentences,
+    fly_sentences,
+    gust_sentences,
+    process_noise_sentences,
+    settled_sentences,
+)
 
 DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
 

@@ -10,40 +10,36 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
+from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.common_rate import rate_notes
+from bayes_aero.flight.reading.read_record import rate_notes
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency.bands import coefficients_in_band
+from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle
-from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
+from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.pooled import check_manoeuvres
+from bayes_aero.inference.posterior.calibration import pit_of, prior_sensitivity
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
-from bayes_aero.inference.posterior.pit import pit_of
-from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.posterior.prior_sensitivity import prior_sensitivity
 from bayes_aero.inference.stall import stall_of_run
 from bayes_aero.inference.validation import Training, validate
-from bayes_aero.jobs.io.identification_files import IdentificationFiles
+from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions, check_band
-from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.jobs.steps.identified_flight import fly_identified
-from bayes_aero.jobs.steps.pooled_manoeuvres import left_out_of_many, pooled_manoeuvres
-from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.jobs.steps.spike_repair import repaired
+from bayes_aero.jobs.provenance import provenance
+from bayes_aero.jobs.steps.flights import fly_identified, left_out_of_many, pooled_manoeuvres
+from bayes_aero.jobs.steps.record_checks import record_checks, repaired
 from bayes_aero.model.density import Density
+from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
-from bayes_aero.model.recorded_axes import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
-from bayes_aero.report.frequency.tables import frequency_sentences
+from bayes_aero.report.frequency import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.text.restraints import leaning_sentences

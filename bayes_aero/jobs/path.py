@@ -23,7 +23,7 @@ from bayes_aero.jobs.fly import fly_records
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.jobs.io.output_folder import safe_name
 from bayes_aero.jobs.options import FREE, FlyOptions
-from bayes_aero.jobs.provenance.provenance import write_json
+from bayes_aero.jobs.provenance import write_json
 from bayes_aero.progress import Progress
 
 WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.card.channel_table import ATMOSPHERE, RULES
+from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.atmosphere import GAMMA, GAS, air
 

@@ -18,10 +18,10 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model import pytrees as pytrees
-from bayes_aero.model.joined_records import Joined, joined
+from bayes_aero.model.joined_records import Joined, joined, without_spikes
 from bayes_aero.model.model import Model
-from bayes_aero.model.spikes import without_spikes
-from bayes_aero.physics.coefficients import REQUIRED, unsmoothed_joined
+from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.physics.coefficients import unsmoothed_joined
 from bayes_aero.physics.filters import smooth_joined
 
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
+from scipy.ndimage import median_filter, rank_filter, uniform_filter1d
 
-from bayes_aero.effect import MARKS
+from bayes_aero.arrays import AnyArray
+from bayes_aero.effect import MARKS, Effect
+from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.standard import GAMMA, GAS, standard_air
+from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.health.finding import GAMMA, GAS, standard_air
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.spikes import without_spikes
-from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.model.model import own_effects
+from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM, REQUIRED
 
 
 @runtime_checkable
@@ -172,3 +176,143 @@ def cuts_of(samples: int, dt: float, window: float | None) -> list[int]:
     if len(cuts) > 1 and samples - cuts[-1] < MIN_WINDOW_SHARE * length:
         cuts.pop()
     return cuts
+
+
+# --- Repair of single wild samples (spikes) in recorded channels.
+
+SPIKED = ("ax", "ay", "az", "p", "q", "r", "alpha", "beta", "airspeed", "theta", "phi", "altitude")
+SPIKE_FACTOR = 7.0  # local standard deviations from the median of five neighbours
+STEP_WINDOW, STEP_RANK = 7, 2  # the typical step is the third smallest of seven; two spikes make four large ones
+STEP_FACTOR = 2.5  # typical steps from the median, at least
+END_SAMPLES = 5  # samples at either end that are not repaired
+LOCAL_WINDOW = 51  # samples of the local standard deviation
+STEPPED_SHARE = 0.4  # share of small steps from which a channel is quantised
+SMALL_STEP = 0.1  # of the large steps
+
+
+def _step_size(steps: Float[np.ndarray, " n"]) -> float:
+    """The quantisation step of a channel; a small step of the noise where the channel is not quantised.
+
+    A channel computed from a quantised one (airspeed from a pressure, in air of changing density) also has small steps
+    between the large ones; they are ignored. A jump over a few steps is no spike.
+    """
+    moving = steps[steps > 0.0]
+    if not len(moving):
+        return 0.0
+    large = np.quantile(moving, 0.9)
+    if np.mean(steps <= SMALL_STEP * large) < STEPPED_SHARE:
+        return float(np.quantile(moving, 0.05))
+    return float(np.median(steps[steps > SMALL_STEP * large]))
+
+
+def without_spikes(
+    channels: Mapping[str, AnyArray], lengths: Sequence[int]
+) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
+    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
+
+    A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations and
+    by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are kept:
+    the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no more than
+    the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at either end
+    are not repaired, because smoothing does not reach them and their neighbours are on one side. Source: Hampel's
+    identifier.
+    """
+    repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
+    for name in (name for name in SPIKED if name in repaired_channels):
+        parts = [_without_spikes(part) for part in np.split(repaired_channels[name], np.cumsum(lengths)[:-1])]
+        if spikes := sum(n for _, n in parts):
+            repaired_channels[name], count[name] = np.concatenate([part for part, _ in parts]), spikes
+    return repaired_channels, count
+
+
+def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], dict[str, int]]:
+    """The records without spikes, and the number of replaced samples by channel; see `without_spikes`."""
+    repaired_channels, count = [], {}
+    for record in records:
+        channels, spikes = without_spikes(record.channels, (record.n,))
+        count |= {name: count.get(name, 0) + found for name, found in spikes.items()}
+        repaired_channels.append(replace(record, channels=channels))
+    return repaired_channels, count
+
+
+def _without_spikes(part: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
+    median = median_filter(part, 5, mode="nearest")
+    deviation = np.abs(part - median)
+    # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
+    local = 1.25 * uniform_filter1d(deviation, LOCAL_WINDOW, mode="nearest")
+    steps = np.abs(np.diff(part))
+    floor = 1.25 * np.mean(deviation) + _step_size(steps) + np.abs(part).max() * 1e-9
+    typical_step = rank_filter(np.append(steps, 0.0), STEP_RANK, STEP_WINDOW, mode="nearest")
+    spikes = (deviation > SPIKE_FACTOR * np.maximum(local, floor)) & (deviation > STEP_FACTOR * typical_step)
+    spikes[:END_SAMPLES] = spikes[len(spikes) - END_SAMPLES :] = False
+    return np.where(spikes, median, part), int(spikes.sum())
+
+
+# --- Removal of an axis from a card where records lack its channels.
+
+FORMED = ("alpha_dot",)  # from recorded channels, in any record
+
+
+def on_recorded_axes(
+    card: Card,
+    records: Sequence[FlightRecord],
+    needed: Mapping[Axis, Sequence[str]] = FORMED_FROM,
+    made: Collection[str] = FORMED,
+) -> tuple[Card, tuple[str, ...]]:
+    """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
+
+    A card of one axis, or one whose axes all lack channels, is unchanged; the missing channels are reported later.
+
+    Args:
+        card: aircraft and model.
+        records: flights, at least one.
+        needed: channels that each axis needs beside those of its effects; default: for the coefficients.
+        made: channels that effects read and that are computed from others.
+
+    Returns:
+        The card without these axes, and a sentence for each of them.
+    """
+    if len(card.axes) < 2 or not records:
+        return card, ()
+    catalogue = {**CATALOGUE, **own_effects(card.effect_files)}
+    own = {a: [catalogue[n] for n in card.effects if n in catalogue and catalogue[n].axes == (a,)] for a in card.axes}
+    missing = {axis: _missing(card, records, needed[axis], made, own[axis]) for axis in card.axes}
+    kept = tuple(axis for axis in card.axes if not missing[axis])
+    if not kept or kept == card.axes:
+        return card, ()
+    unknown = {name for axis in card.axes if axis not in kept for name in missing[axis][1:]}
+    every = [catalogue[name] for name in card.effects if name in catalogue]
+    gone = {e.name for e in every if not e.acts_on(kept) or not unknown.isdisjoint(e.channels)}
+    theirs = {p.name for name in gone for p in catalogue[name].parameters}
+    fewer = replace(
+        card,
+        axes=kept,
+        effects=tuple(name for name in card.effects if name not in gone),
+        fixed={name: x for name, x in card.fixed.items() if name not in theirs},
+        changes={name: x for name, x in card.changes.items() if name not in theirs},
+    )
+    return fewer, tuple(_sentence(axis, *missing[axis]) for axis in card.axes if axis not in kept)
+
+
+def _missing(
+    card: Card,
+    records: Sequence[FlightRecord],
+    needed: Sequence[str],
+    made: Collection[str],
+    effects: Sequence[Effect],
+) -> tuple[str, ...]:
+    """The record that lacks channels of an axis, then the channels; nothing where all have them."""
+    asked = dict.fromkeys((*needed, *(c for effect in effects for c in effect.channels)))
+    for record in records:
+        have = with_sums(record, card)
+        lacks = [name for name in asked if name not in have and name not in made]
+        if lacks:
+            return record.name, *lacks
+    return ()
+
+
+def _sentence(axis: Axis, record: str, *channels: str) -> str:
+    return (
+        f"The {axis.value} axis ({', '.join(COEFFICIENTS[axis])}) is left out: record {record} has no channel "
+        f"{', '.join(channels)}; map {'it' if len(channels) == 1 else 'them'} on the card to include it."
+    )

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from difflib import get_close_matches
+from functools import cached_property, lru_cache
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from jaxtyping import Float
 
-from bayes_aero.arrays import Array, namespace, xp
+from bayes_aero.arrays import AnyArray, namespace, xp
 from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card
-from bayes_aero.model.chosen import as_on_card, effect_named, lengths_of, no_such_axis
-from bayes_aero.model.own_effects import own_effects
+from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import USUAL, Lengths, Parameter, Role, per_length
 from bayes_aero.physics.coefficient_names import coefficients_of
 
-Signals = Mapping[str, Float[Array, "*#n"]]
+Signals = Mapping[str, Float[AnyArray, "*#n"]]
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ class Model:
         """Channels that the effects need."""
         return tuple(dict.fromkeys(c for effect in self.effects for c in effect.channels))
 
-    def values(self, theta: Float[Array, " k"]) -> dict[str, Any]:
+    def values(self, theta: Float[AnyArray, " k"]) -> dict[str, Any]:
         """All parameter values by name, from the vector of the free ones."""
         return dict(self.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
 
@@ -218,7 +220,7 @@ class Model:
         values: Mapping[str, Any],
         signals: Signals,
         aircraft: Aircraft,
-        X: Float[Array, "*#n"] | tuple[Float[Array, "*#n"], Float[Array, "*#n"]] | None = None,
+        X: Float[AnyArray, "*#n"] | tuple[Float[AnyArray, "*#n"], Float[AnyArray, "*#n"]] | None = None,
     ) -> dict[str, Any]:
         """The flow by all effects: X, the attached lift, the coefficients (see `effect.Known`).
 
@@ -274,7 +276,7 @@ class Model:
                         total[key] = _sum(total[key], increment)
         return total
 
-    def predicted(self, theta: Float[Array, " k"], signals: Signals, aircraft: Aircraft) -> Float[Array, "*n c"]:
+    def predicted(self, theta: Float[AnyArray, " k"], signals: Signals, aircraft: Aircraft) -> Float[AnyArray, "*n c"]:
         """The modelled coefficients.
 
         Args:
@@ -297,3 +299,108 @@ def _sum(old: Any, increment: Any) -> Any:
     if isinstance(old, tuple):
         return tuple(x + dx for x, dx in zip(old, increment, strict=True))
     return old + increment
+
+
+# --- Effects and parameters as a card or a caller chooses them.
+
+TRANSPORT_SPAN = 21.5  # m, of the transport of some 20 t for which `effects` states sizes
+
+
+def lengths_of(a: Aircraft) -> Lengths:
+    """How often the card's reference lengths go into chord, half span and span."""
+    given = (a.chord, a.rate_length), (a.half_span, a.lateral_rate_length), (2.0 * a.half_span, a.lateral_length)
+    span = 2.0 * float(a.half_span) / TRANSPORT_SPAN
+    rate, lateral_rate, moment = (1.0 if length is None else float(usual) / float(length) for usual, length in given)
+    return Lengths(rate, lateral_rate, moment, span if math.isfinite(span) else 1.0)
+
+
+def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
+    """The sentence on an effect that adds to none of the coefficients of a model of `axes`."""
+    added = ", ".join(effect.example.increments)
+    return (
+        f"effect {effect.name} acts on {added} of the {' and '.join(effect.axes)} axis, which the model lacks; "
+        f'remove it, or add "{effect.axes[0]}" to the axes ({", ".join(axes)})'
+    )
+
+
+def effect_named(name: str) -> Effect:
+    """An effect of the catalogue by name.
+
+    Raises:
+        InputError: there is none; the message suggests a similar name.
+    """
+    if name in CATALOGUE:
+        return CATALOGUE[name]
+    close = get_close_matches(name, CATALOGUE, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"the catalogue has {', '.join(CATALOGUE)}"
+    raise InputError(f"there is no effect {name!r}; {hint}")
+
+
+def as_on_card(parameter: Parameter, card: Card) -> Parameter:
+    """A parameter with the start, bounds and prior that a card states."""
+    change = card.changes.get(parameter.name)
+    if change is None:
+        return parameter
+    given = {key: value for key, value in vars(change).items() if value is not None}
+    try:
+        return parameter.changed(**given)
+    except InputError as error:
+        raise InputError(f"card {card.name}: {error}") from None
+
+
+# --- A user's own effects: Python files that a card names.
+
+MAX_BYTES = 1 << 20
+
+
+def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
+    """Every `Effect` at the top level of `files`, by name.
+
+    The files are Python code and are run. A card given by its path is trusted; a study needs --trust-effects. Each
+    content is run once, so that an effect is always the same object and its compiled programs are used again.
+    """
+    found: dict[str, Effect] = {}
+    for path in files:
+        try:
+            text = _text(path)
+        except (OSError, ValueError) as error:
+            raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
+        for effect in _run(path, text):
+            if effect.name in CATALOGUE or effect.name in found:
+                raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")
+            others = (*CATALOGUE.values(), *found.values())
+            taken = {p.name for e in others for p in e.parameters} & {p.name for p in effect.parameters}
+            if taken:
+                raise InputError(
+                    f"effect file {path}: the parameter {', '.join(sorted(taken))} of {effect.name} belongs to another "
+                    "effect; give it another name"
+                )
+            found[effect.name] = effect
+    return found
+
+
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise FileNotFoundError("there is no such file")
+    with path.open("rb") as handle:
+        raw = handle.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise ValueError(f"it has more than {MAX_BYTES} bytes")
+    return raw.decode("utf-8")
+
+
+@lru_cache(maxsize=32)
+def _run(path: Path, text: str) -> tuple[Effect, ...]:
+    module = ModuleType(f"own_effects_{path.stem}_{abs(hash((path, text))):x}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look their module up there
+    try:
+        exec(compile(text, str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:  # whatever a user's code may raise
+        del sys.modules[module.__name__]
+        raise InputError(f"effect file {path} does not run: {type(error).__name__}: {error}") from None
+    defined = (value for value in vars(module).values() if isinstance(value, Effect))
+    effects = tuple(e for e in defined if e is not CATALOGUE.get(e.name))  # built-in ones may be imported
+    if not effects:
+        raise InputError(f"effect file {path} defines no Effect at its top level; see bayes_aero/effects for examples")
+    return tuple(dict.fromkeys(effects))

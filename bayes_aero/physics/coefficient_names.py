@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 
 NAMES = ("CL", "CD", "Cm")
 REQUIRED = ("ax", "az", "p", "q", "r", "alpha", "airspeed", "density", "thrust")

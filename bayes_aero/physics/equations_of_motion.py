@@ -14,10 +14,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
-from bayes_aero.physics.flightpath import motion_in_plane, side_force, sideslip_rate
-from bayes_aero.physics.forces import lateral_force, moments, specific_force
-from bayes_aero.physics.kinematics import RATES, Rotation, angular_accelerations, down_of, lever_arm
+from bayes_aero.flight.channel import Axis
+from bayes_aero.physics.coefficients import lateral_force, moments, specific_force
+from bayes_aero.physics.flightpath import (
+    RATES,
+    Rotation,
+    angular_accelerations,
+    down_of,
+    lever_arm,
+    motion_in_plane,
+    side_force,
+    sideslip_rate,
+)
 
 TOLERANCE = 1e-12  # rad/s, of alpha-dot
 MIN_SLOPE = 0.1  # of the equation of alpha-dot; at zero the motion is not unique

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.arrays import Array, namespace
+from bayes_aero.arrays import AnyArray, namespace
 
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
@@ -39,7 +39,7 @@ _DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
 SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, SPENCER) ** 2)))
 
 
-def smooth(x: Float[Array, " n"]) -> Float[Array, " n"]:
+def smooth(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
     """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are.
 
     It passes cubics unchanged. `x` has any unit; n >= 20.
@@ -52,7 +52,7 @@ def smooth(x: Float[Array, " n"]) -> Float[Array, " n"]:
     return xp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
 
 
-def _central(x: Float[Array, "*r n"], weights: np.ndarray) -> Float[Array, "*r m"]:
+def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray, "*r m"]:
     """Antisymmetric central difference per sample at the n - 2 len(weights) samples that have all neighbours."""
     half, n = len(weights), x.shape[-1]
     lags = range(1, half + 1)
@@ -65,7 +65,9 @@ def _central(x: Float[Array, "*r n"], weights: np.ndarray) -> Float[Array, "*r m
     )
 
 
-def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""] | Float[Array, " n"]) -> Float[Array, " n"]:
+def differentiate(
+    x: Float[AnyArray, " n"], dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"]
+) -> Float[AnyArray, " n"]:
     """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
 
     `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
@@ -79,7 +81,9 @@ def differentiate(x: Float[Array, " n"], dt: float | Float[Array, ""] | Float[Ar
     return xp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
 
 
-def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]) -> Float[Array, " n"]:
+def smooth_joined(
+    x: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
+) -> Float[AnyArray, " n"]:
     """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to.
 
     One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
@@ -89,7 +93,7 @@ def smooth_joined(x: Float[Array, " n"], first: Int[Array, " n"], last: Int[Arra
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
 
 
-def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
+def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
     """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band.
 
     Wrong near the ends.
@@ -101,8 +105,8 @@ def smooth_long(x: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def differentiate_joined(
-    x: Float[Array, "*r n"], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> Float[Array, "*r n"]:
+    x: Float[AnyArray, "*r n"], dt: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
+) -> Float[AnyArray, "*r n"]:
     """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records of
     them."""
     xp, n = namespace(x, dt), x.shape[-1]
@@ -112,14 +116,14 @@ def differentiate_joined(
     return slope[..., xp.clip(xp.arange(n), first + 2, last - 2)] / dt
 
 
-def inside_joined(n: int, first: Int[Array, " n"], last: Int[Array, " n"]) -> Int[Array, " n"]:
+def inside_joined(n: int, first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]) -> Int[AnyArray, " n"]:
     """Number of samples to the nearer end of the manoeuvre."""
     xp = namespace(first, last)
     place = xp.arange(n)
     return xp.minimum(place - first, last - place)
 
 
-def recurrence(keep: Float[Array, "n ..."], drive: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
+def recurrence(keep: Float[AnyArray, "n ..."], drive: Float[AnyArray, "n ..."]) -> Float[AnyArray, "n ..."]:
     """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero.
 
     A plain scan: the associative one runs no faster at some thousand samples and takes many times longer to compile.
@@ -138,12 +142,12 @@ def _kept_and_driven(x, row):
 
 
 def advance(
-    x: Float[Array, " n"],
-    seconds: Float[Array, ""],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
-) -> Float[Array, " n"]:
+    x: Float[AnyArray, " n"],
+    seconds: Float[AnyArray, ""],
+    dt: Float[AnyArray, " n"],
+    first: Int[AnyArray, " n"],
+    last: Int[AnyArray, " n"],
+) -> Float[AnyArray, " n"]:
     """x(t + seconds), by cubic convolution between samples, constant beyond the manoeuvre's `first` and `last` sample.
 
     Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2.

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, inside_joined, smooth_joined, smooth_long
-from bayes_aero.physics.kinematics import RATES, Rotation, lever_arm
+from bayes_aero.physics.flightpath import RATES, Rotation, lever_arm
 
 KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; dense where the flow separates
 ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot

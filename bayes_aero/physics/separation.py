@@ -5,12 +5,15 @@ Source: Goman and Khrabrov, J. Aircraft 31 (1994) 1109; Fischenberg and Jategaon
 
 from __future__ import annotations
 
+import math
+
 from jaxtyping import Bool, Float
 
-from bayes_aero.arrays import Array, Samples, xp
+from bayes_aero.arrays import AnyArray, Samples, xp
+from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.filters import recurrence
 
-Scalar = Float[Array, ""]
+Scalar = Float[AnyArray, ""]
 
 
 def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:
@@ -39,7 +42,9 @@ def kept_lift(X: Samples, difference: Samples) -> Samples:
     return (kirchhoff_factor(X + half) + kirchhoff_factor(X - half)) / 2.0
 
 
-def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Array, " n"], start: Bool[Array, " n"]):
+def lagged(
+    X_static: Float[AnyArray, " n"], tau: Float[AnyArray, " n"], dt: Float[AnyArray, " n"], start: Bool[AnyArray, " n"]
+):
     """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
 
     `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
@@ -57,3 +62,20 @@ def lagged(X_static: Float[Array, " n"], tau: Float[Array, " n"], dt: Float[Arra
     keep = jnp.where(start, 0.0, decay)
 
     return recurrence(keep, drive)
+
+
+# --- Moments due to a difference between the right and the left wing.
+
+CENTROID = 4.0 / (3.0 * math.pi)  # of half an elliptic lift distribution, share of the half span
+
+
+def moments_of_difference(CL: Samples, CD: Samples, alpha: Samples, aircraft: Aircraft) -> dict[str, Samples]:
+    """Cl and Cn of differences of lift and drag, right less left wing.
+
+    `CL` and `CD` are coefficients of a wing with both halves like the right one, less those with both halves like the
+    left one. The force of a half acts at `CENTROID`. Moments are about body axes.
+    """
+    CX = CL * xp.sin(alpha) - CD * xp.cos(alpha)
+    CZ = -CL * xp.cos(alpha) - CD * xp.sin(alpha)
+    arm = 0.5 * CENTROID * aircraft.half_span / aircraft.moment_length
+    return {"Cl": arm * CZ, "Cn": -arm * CX}

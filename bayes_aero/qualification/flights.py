@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -11,11 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.trajectories.histories import posterior_draws
+from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, Noise, left_out, masked
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
-from bayes_aero.dynamics.simulated.in_gusts import through_gusts
-from bayes_aero.inference.likelihood.disturbed import disturbed
-from bayes_aero.inference.likelihood.output_error import trajectories
-from bayes_aero.inference.threads import cores
+from bayes_aero.dynamics.simulated.simulate import through_gusts
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Envelope
+from bayes_aero.inference.compiled_programs import cores
+from bayes_aero.inference.likelihood.output_error import disturbed, fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.pooled import Hierarchy, from_prior_units, pool, prior_unit, to_prior_units
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.progress import Progress
+from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Further, Kind, OpenTolerance
+from bayes_aero.residuals.equation_error import EquationError
 
 
 def errors(
@@ -102,3 +118,250 @@ def _added(gusty: SegmentTrajectories, theta: Float[Array, " k"], white: Float[A
 
     made, sound = jax.vmap(fly)(jnp.stack([begin, states[0]]), jnp.stack([white[1:], jnp.zeros_like(white[1:])]))
     return jnp.where(jnp.all(sound, axis=0)[:, None], (made[0] - made[1]) / prepared.scale[0], jnp.inf)
+
+
+# --- Flights that would decide tolerances: what more records make of the parameters, and so of the probability to
+# pass.
+# A record narrows the distribution of the parameters. A flight departs from the simulation in proportion to their
+# errors, so that its part by the parameters shrinks with them, and errors of the structure and gusts stay. A
+# tolerance that stays undecided with known parameters is decided by no record: the model must become better. It is
+# assumed that the estimates do not move.
+
+KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions below it are known
+
+
+@dataclass(frozen=True)
+class OpenTest:
+    """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
+
+    kind: Kind
+    manoeuvre: str
+    output: str
+    tolerance: float
+    by_parameters: Float[np.ndarray, "m n"]
+    by_all_else: Float[np.ndarray, "m n"]
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """An open test whose part by the parameters is linear in their errors, as far as `slope` (k, n) says."""
+
+    test: OpenTest
+    slope: Float[np.ndarray, "k n"]
+    worst: int
+
+    @classmethod
+    def of(cls, test: OpenTest, errors: Float[np.ndarray, "m k"]) -> _Linear:
+        """From the draws."""
+        sound = np.all(np.isfinite(test.by_parameters), axis=1)
+        slope = np.linalg.lstsq(errors[sound], test.by_parameters[sound], rcond=None)[0]
+        total = np.nan_to_num(test.by_parameters + test.by_all_else, nan=np.inf)
+        return cls(test, slope, int(np.argmax(np.quantile(np.abs(total), PASSES_FROM, axis=0))))
+
+    def probability(self, errors: Float[np.ndarray, "m k"], shrunk: Float[np.ndarray, "m k"]) -> float:
+        """To stay inside, with `shrunk` errors of the parameters in place of `errors`."""
+        flights = self.test.by_parameters + (shrunk - errors) @ self.slope + self.test.by_all_else
+        return float(np.mean(np.all(np.abs(np.nan_to_num(flights, nan=np.inf)) <= self.test.tolerance, axis=1)))
+
+    def deviation(self, covariance: Float[np.ndarray, "k k"]) -> float:
+        """By the parameters, where the flight leaves the band most easily, SI."""
+        g = self.slope[:, self.worst]
+        return float(np.sqrt(max(g @ covariance @ g, 0.0)))
+
+
+def further_flights(
+    tests: Sequence[OpenTest],
+    names: Sequence[str],
+    errors: Float[np.ndarray, "m k"],
+    flights: Flights,
+    model: Model,
+    values: dict[str, float],
+    envelope: Envelope,
+) -> Further:
+    """Test points for the undecided tolerances.
+
+    Args:
+        tests: the undecided tests.
+        names: the k parameters.
+        errors: of drawn parameters, by which `tests` were flown.
+        flights: the fitted records.
+        model: whose parameters these are.
+        values: their estimates, SI.
+        envelope: inside which manoeuvres are proposed.
+
+    Raises:
+        InputError: the coefficients cannot be formed, or the model cannot be flown.
+    """
+    scale = np.std(errors, axis=0)
+    moving = np.flatnonzero(scale > 0.0)
+    names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
+    open_ = [_Linear.of(test, errors) for test in tests]
+    known = [one.probability(errors, np.zeros_like(errors)) for one in open_]
+    useful = [one for one, chance in zip(open_, known, strict=True) if _decided(chance)]
+    first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
+    points, refused = (), {}
+    if useful:
+        state = _state(flights, model, values)
+        variants = variants_of(state, (), envelope)
+        possible = [
+            replace(one, told=_precision(one.told, names, scale[moving]))
+            for one in possible_points(state, variants, (), noise_of(state), envelope)
+        ]
+        refused = refused_points(variants, envelope)
+        points = best_points(
+            possible,
+            np.zeros_like(first),
+            nats=lambda told: _nats(useful, first, told),
+            expected=lambda told: tuple(one.probability(errors, _shrunk(errors, first, told)) for one in open_),
+            decided=lambda told: all(_decided(one.probability(errors, _shrunk(errors, first, told))) for one in useful),
+        )
+    questions = tuple(
+        OpenTolerance(t.kind, t.manoeuvre, t.output, one.probability(errors, errors), chance)
+        for t, one, chance in zip(tests, open_, known, strict=True)
+    )
+    return Further(questions, tuple(points), refused)
+
+
+def _decided(chance: float) -> bool:
+    return not FAILS_TO < chance < PASSES_FROM
+
+
+def _nats(useful: Sequence[_Linear], first: np.ndarray, told: np.ndarray) -> float:
+    """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
+    after = _after(first, told)
+    ratios = [one.deviation(first) / max(one.deviation(after), 1e-300) for one in useful if one.deviation(first) > 0.0]
+    return float(np.sum(np.log(ratios)))
+
+
+def _after(first: Float[np.ndarray, "k k"], told: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Covariance with further information."""
+    return first - first @ told @ np.linalg.solve(np.eye(len(first)) + first @ told, first)
+
+
+def _shrunk(errors: np.ndarray, first: np.ndarray, told: np.ndarray) -> Float[np.ndarray, "m k"]:
+    """Errors of the covariance that is left, made of the drawn ones."""
+    return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, told))
+
+
+def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    size, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    size = np.where(size > KEPT * max(size[-1], 0.0), size, 0.0)
+    return (vectors * np.sqrt(size)) @ vectors.T
+
+
+def _precision(told: Information, names: Sequence[str], scale: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+    """Of a record by itself on scaled parameters, under coloured noise: I M^-1 I."""
+    at = [k for k, label in enumerate(told.labels) if label in names]
+    place = [list(names).index(told.labels[k]) for k in at]
+    unit = np.outer(scale[place], scale[place])
+    matrix, score = told.matrix[np.ix_(at, at)] * unit, told.score_variance[np.ix_(at, at)] * unit
+    whole = np.zeros((len(names), len(names)))
+    whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
+    return whole
+
+
+def _state(flights: Flights, model: Model, values: dict[str, float]) -> SelectionState:
+    """The model at its estimates on the fitted records, by coefficients."""
+    missing = [n for n in required_of(model.axes) if n not in flights.channels]
+    if missing:
+        raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
+    full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
+    theta = np.array([values[name] for name in model.names])
+    return linearised(full, EquationError.of(flights, model), model.coefficients, theta)
+
+
+# --- The same model fitted to all manoeuvres but one, and to each by itself: hold-out errors, and the next flight.
+
+USABLE = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+DRAWS = 40  # of the posterior of a fit without a manoeuvre
+NEGLIGIBLE = 1e-8  # eigenvalue of an information matrix over its largest
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Errors (w, n, c) of manoeuvres that were not fitted, and the mean squares (c,) that parameters explain, SI."""
+
+    errors: Float[np.ndarray, "w n c"]
+    explained: Float[np.ndarray, " c"]
+
+
+def joint_fit(flown: SegmentTrajectories, theta: Float[np.ndarray, " k"], inflation: float) -> OutputErrorResult:
+    """Output error from estimates that it has found before."""
+    return fit_output_error(flown, start=theta, prior_weight=inflation)
+
+
+def fits_without(fit: OutputErrorResult, noise: Noise) -> list[OutputErrorResult]:
+    """For each manoeuvre the fit to all others."""
+    candidate = CandidateFit("qualified", fit)
+    silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
+    return [found for _, found in left_out([candidate], silent, noise)]
+
+
+def hold_out(
+    wide: SegmentTrajectories, fits: Sequence[OutputErrorResult], inflation: float, seed: int
+) -> HoldOut | None:
+    """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
+    found, explained, counts = [], [], []
+    for k, fit in enumerate(fits):
+        alone = wide.part([k])
+        error, _, sound = errors(alone, fit.estimate)
+        if not sound[0]:
+            return None
+        draws = posterior_draws(fit, inflation, seed, DRAWS)
+        apart = spread(alone, fit.estimate, draws)[:, alone.inside[0]]
+        found.append(error[0])
+        explained.append(mean_square(apart))
+        counts.append(float(alone.inside.sum()))
+    return HoldOut(np.stack(found), np.average(explained, axis=0, weights=counts))
+
+
+def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
+    """Of the flights that stay in the envelope; infinite where none does."""
+    sound = np.all(np.isfinite(apart), axis=(1, 2))
+    return np.mean(apart[sound] ** 2, axis=(0, 1)) if sound.any() else np.full(apart.shape[2], math.inf)
+
+
+def alone_fits(fit: OutputErrorResult, without: Sequence[OutputErrorResult], inflation: float):
+    """Every manoeuvre fitted by itself; of two, the fit without the other."""
+    count = len(fit.flown.index)
+    if count == 2:
+        return [without[1], without[0]]
+    options = {"start": fit.estimate, "prior_weight": inflation}
+    return [fit_output_error(masked(fit.flown, k, keep=True), **options) for k in range(count)]
+
+
+def next_parameters(
+    alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
+) -> Float[np.ndarray, "m k"] | None:
+    """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits.
+
+    Every manoeuvre enters by the normal approximation of its likelihood, with coloured residuals counted.
+    """
+    usable = [fit for fit in alone if fit.status in USABLE]
+    if len(usable) < 2:
+        return None
+    y, information = zip(*(_of_data(fit, inflation) for fit in usable), strict=True)
+    parameters = usable[0].parameters
+    drawn, _ = pool(
+        Hierarchy.of([p.name for p in parameters], np.stack(y), np.stack(information)), seed=seed, progress=progress
+    )
+    following = drawn.following.reshape(-1, len(parameters))
+    kept = np.random.default_rng([seed, 11]).choice(len(following), count, replace=len(following) < count)
+    found = [from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)]
+    lower, upper = (np.array([p.bounds[i] for p in parameters], float) for i in (0, 1))
+    return np.clip(np.stack(found, axis=1), lower, upper)
+
+
+def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound.
+
+    At the maximum of the density the gradient of the likelihood is minus that of the prior.
+    """
+    parameters = fit.parameters
+    unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+    mean = np.array([p.prior.normal[0] for p in parameters])
+    free = np.array([p.name not in fit.at_bound for p in parameters], float)
+    information = fit.information * np.outer(unit * free, unit * free) / inflation
+    pulled = fit.priors.precision * unit**2 / inflation * (fit.estimate - mean) / unit * free
+    y = np.array([float(to_prior_units(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
+    return y + np.linalg.pinv(information, rcond=NEGLIGIBLE, hermitian=True) @ pulled, information

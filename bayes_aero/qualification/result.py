@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.design.next_test_points import TestPoint
+from bayes_aero.diagnosis.design import TestPoint
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.health import HealthFinding
 

@@ -9,10 +9,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.arrays import Array, namespace
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.arrays import AnyArray, namespace
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import Recorded, cuts_of
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
 
@@ -26,7 +28,7 @@ class ResidualModel(ABC):
     flights: Recorded
     model: Model
 
-    def with_channels(self, channels: Mapping[str, Array]) -> ResidualModel:
+    def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
         """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
@@ -63,11 +65,11 @@ class ResidualModel(ABC):
         return FILTER_STEP
 
     @abstractmethod
-    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+    def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
         """Means over blocks of anything sampled at the recorded rate."""
 
     @abstractmethod
-    def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[AnyArray, "m c"], Mapping[str, AnyArray]]:
         """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
 
     @abstractmethod
@@ -126,7 +128,7 @@ class Blockwise(ResidualModel):
         """Length of a block, s."""
         return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
 
-    def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
+    def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
         """Means over blocks, manoeuvre by manoeuvre; the last samples of an incomplete block are left out."""
         begin, parts = 0, []
         for length in self.flights.lengths:
@@ -141,6 +143,22 @@ class Blockwise(ResidualModel):
         manoeuvre = self.manoeuvre
         path = [c for c, name in enumerate(outputs) if name not in self.model.coefficients]
         S = np.zeros((len(manoeuvre), len(outputs), (int(manoeuvre[-1]) + 1) * len(path)))
-        for number, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
-            S[manoeuvre == k, c, number] = 1.0
+        for place, (k, c) in enumerate((k, c) for k in range(int(manoeuvre[-1]) + 1) for c in path):
+            S[manoeuvre == k, c, place] = 1.0
         return S
+
+
+# --- Windows of output error, between which the scatter tests effects where there are no accelerometers.
+
+WINDOW = 10.0  # s: long enough to integrate model errors, short enough to stay near the record
+
+
+def too_few_windows(records: Sequence[FlightRecord]) -> str:
+    """Why effects cannot be tested by the scatter between windows; empty where they can."""
+    if sum(len(cuts_of(record.n, record.dt, WINDOW)) for record in records) > 1:
+        return ""
+    seconds = records[0].time[-1] - records[0].time[0]
+    return (
+        f"without accelerometers an effect is tested by the scatter between windows of {WINDOW:g} s, and "
+        f"{records[0].name} of {number(seconds)} s is one window; give a second manoeuvre, or one of {2 * WINDOW:g} s"
+    )

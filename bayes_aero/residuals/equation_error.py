@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import stacked_coefficients

@@ -16,16 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.dynamics.aircraft.effect_system import POINTS
-from bayes_aero.dynamics.filtering.innovations import Observed, Observer, observer_of, run_observer
-from bayes_aero.dynamics.filtering.kalman import Filtered
-from bayes_aero.dynamics.filtering.linearised import (
+from bayes_aero.dynamics.aircraft import POINTS
+from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.innovations import (
+    Observed,
+    Observer,
     StateDerivatives,
     linearise,
     observer_derivatives,
+    observer_of,
+    run_observer,
     state_derivatives,
 )
-from bayes_aero.dynamics.flight import AircraftDynamics
+from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.residuals.output_error import OutputError
 

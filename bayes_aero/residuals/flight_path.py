@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.arrays import Array, namespace
+from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_records import Joined, Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import ANGLES, as_symmetric, integral, path_outputs, path_rates
-from bayes_aero.physics.kinematics import RATES
+from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.residuals.base import Blockwise
 
 CACHE_SIZE = 256  # stored residuals; a slope needs one for each direction
@@ -46,11 +45,11 @@ def rolled_unseen(flights: Recorded) -> bool:
 
 def differences(
     outputs: Sequence[str],
-    s: Mapping[str, Array],
+    s: Mapping[str, AnyArray],
     aircraft: Aircraft,
-    scales: Mapping[str, Array],
-    sines: tuple[Array, ...] | None = None,
-) -> Float[Array, "n c"]:
+    scales: Mapping[str, AnyArray],
+    sines: tuple[AnyArray, ...] | None = None,
+) -> Float[AnyArray, "n c"]:
     """Recorded minus integrated, in units of the recorded channels.
 
     Integrals begin at what was recorded first: times a scale that varies, another begin would be no constant.
@@ -91,7 +90,7 @@ class FlightPathError(Blockwise):
         plain = Joined(channels, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
         return cls(plain, model, flight_path(flights))
 
-    def evaluate(self, theta: Float[Array, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, Array]]:
+    def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
         """Residuals of blocks; there are no further signals."""
         return self._residual(np.asarray(theta)), {}
 

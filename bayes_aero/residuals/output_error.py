@@ -20,8 +20,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, ResidualModel
-from bayes_aero.residuals.windows import WINDOW
+from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, WINDOW, ResidualModel
 
 
 class OutputError(ResidualModel, eqx.Module):

@@ -9,30 +9,31 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.simulated.plant import can_simulate, refuse_unsimulated
-from bayes_aero.dynamics.simulated.simulate import FlightState, fly_together, outside
-from bayes_aero.dynamics.simulated.trim import level_speed
+from bayes_aero.dynamics.simulated.simulate import fly_together, outside
+from bayes_aero.dynamics.simulated.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.simulate.demo import DISTURBANCE, SPREAD, TRUTH, USUAL_SPREAD
-from bayes_aero.simulate.manoeuvres import (
+from bayes_aero.simulate.demo import (
+    DISTURBANCE,
     DT,
     LONGEST,
     MARGIN,
     SAMPLES,
+    SPREAD,
+    TRUTH,
+    USUAL_SPREAD,
     autoregressive,
     flight_time,
     moved_by,
     random_pilot,
 )
-from bayes_aero.simulate.sensor_faults import corrected, misrecorded
-from bayes_aero.simulate.sensor_model import FLOWN, sensed
+from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 
 FLOWN_AXES = (Axis.LONGITUDINAL,)
 """Axes on which the simulated aircraft has effects."""

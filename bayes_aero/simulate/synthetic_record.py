@@ -7,35 +7,55 @@ it is recorded.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
-from bayes_aero.dynamics.simulated.plant import SIGNALS, refuse_unsimulated
-from bayes_aero.dynamics.simulated.rigid_manoeuvres import rigid_pilots
-from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
-from bayes_aero.dynamics.simulated.rigid_trim import Condition, RigidTrim, rigid_trim
-from bayes_aero.dynamics.simulated.simulate import FlightState, Pilot, fly, outside
-from bayes_aero.dynamics.simulated.trim import level_speed
+from bayes_aero.dynamics.simulated.manoeuvres import rigid_pilots, standard_pilots
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly, fly_rigid, outside
+from bayes_aero.dynamics.simulated.trim import (
+    SIGNALS,
+    Condition,
+    FlightState,
+    RigidTrim,
+    level_speed,
+    refuse_unsimulated,
+    rigid_trim,
+)
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import air
 from bayes_aero.physics.coefficient_names import NAMES
-from bayes_aero.simulate.demo import DISTURBANCE, LATERAL_EFFECTS, LATERAL_TRUTH, TRUTH
-from bayes_aero.simulate.manoeuvres import DT, autoregressive, moved_by, random_pilot, resampled
-from bayes_aero.simulate.request import RANDOM_STALL, Grid, Request, grid_of, refuse
-from bayes_aero.simulate.sensor_faults import corrected, misrecorded
-from bayes_aero.simulate.sensor_model import FLOWN, OTHER_SENSORS, RIGID, sensed
+from bayes_aero.simulate.demo import (
+    DISTURBANCE,
+    DT,
+    LATERAL_EFFECTS,
+    LATERAL_TRUTH,
+    RANDOM_STALL,
+    TRUTH,
+    Grid,
+    Request,
+    autoregressive,
+    grid_of,
+    moved_by,
+    random_pilot,
+    refuse,
+    resampled,
+)
 
 BUFFET = 2.0  # growth of the disturbance with 1 - X
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
@@ -193,3 +213,151 @@ def _notes(request: Request, known: Mapping[str, Effect], true: Mapping[str, np.
             if abs(request.effects[name].get(p.name, p.neutral) - p.neutral) > most:
                 notes.append(f"{p.name} is beyond {most:g}, the largest plausible departure from {p.neutral:g}")
     return tuple(notes)
+
+
+# --- From what was flown to what a faulty installation would have recorded: effects of stage CHANNEL run backwards.
+
+STEPS = 8
+TOLERANCE = 1e-11  # of a channel's largest value
+
+
+class _Correction(eqx.Module):
+    """`Model.corrected` as a function of one matrix, a channel a row, each over its own scale."""
+
+    model: Model = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    values: dict[str, Any]
+    marks: dict[str, Any]
+    aircraft: Aircraft
+    scale: Float[Array, " k"]
+
+    @eqx.filter_jit
+    def __call__(self, x: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        channels = dict(zip(self.names, x * self.scale[:, None], strict=True))
+        true = self.model.corrected(self.values, channels | self.marks, self.aircraft)
+        return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
+
+    @eqx.filter_jit
+    def forward(self, x: Float[Array, "k n"], change: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        """Derivative at `x` times `change`."""
+        return jax.jvp(self, (x,), (change,))[1]
+
+    @eqx.filter_jit
+    def backward(self, x: Float[Array, "k n"], weight: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        """Transposed derivative at `x` times `weight`."""
+        return jax.vjp(self, x)[1](weight)[0]
+
+
+class _Derivative(LinearOperator):
+    """The derivative at `x`, on vectors."""
+
+    def __init__(self, correction: _Correction, x: Float[Array, "k n"]) -> None:
+        super().__init__(np.float64, (x.size, x.size))
+        self.correction, self.x = correction, x
+
+    def _matvec(self, v: np.ndarray) -> np.ndarray:
+        return np.asarray(self.correction.forward(self.x, jnp.asarray(v.reshape(self.x.shape)))).ravel()
+
+    def _rmatvec(self, v: np.ndarray) -> np.ndarray:
+        return np.asarray(self.correction.backward(self.x, jnp.asarray(v.reshape(self.x.shape)))).ravel()
+
+
+def corrected(
+    model: Model,
+    values: Mapping[str, Any],
+    channels: Mapping[str, np.ndarray],
+    marks: Mapping[str, Any],
+    aircraft: Aircraft,
+) -> dict[str, np.ndarray]:
+    """`Model.corrected`, compiled, without the marks."""
+    correction, x = _correction(model, values, channels, marks, aircraft)
+    return dict(zip(channels, np.asarray(correction(x) * correction.scale[:, None]), strict=True))
+
+
+def misrecorded(
+    model: Model,
+    values: Mapping[str, Any],
+    true: Mapping[str, np.ndarray],
+    marks: Mapping[str, Any],
+    aircraft: Aircraft,
+) -> dict[str, np.ndarray]:
+    """Channels that `Model.corrected` turns into `true`.
+
+    Gauss-Newton steps from the true channels, each solved for the least change (LSMR: Fong and Saunders, SIAM J. Sci.
+    Comput. 33 (2011) 2950). A plain fixed-point iteration would blow up what a delay leaves near half the sampling
+    rate, where it cannot be undone.
+    """
+    correction, goal = _correction(model, values, true, marks, aircraft)
+    x, left = goal, 0.0
+    for _ in range(STEPS):
+        error = np.asarray(goal - correction(x))
+        # What LSMR could not solve another step cannot either: it is what a delay has lost. Curvature leaves more.
+        if np.max(np.abs(error)) < TOLERANCE or np.linalg.norm(error) < 2.0 * left:
+            break
+        error = np.where(np.abs(error) < 1e-14, 0.0, error)  # rounding, in channels that no effect touches
+        step, _, _, left, *_ = lsmr(
+            _Derivative(correction, x), error.ravel(), atol=1e-13, btol=1e-13, conlim=0.0, maxiter=300
+        )
+        x = x + jnp.asarray(step.reshape(x.shape))
+    change = np.asarray((x - goal) * correction.scale[:, None])
+    return {name: series + dx for (name, series), dx in zip(true.items(), change, strict=True)}
+
+
+def _correction(
+    model: Model,
+    values: Mapping[str, Any],
+    channels: Mapping[str, np.ndarray],
+    marks: Mapping[str, Any],
+    aircraft: Aircraft,
+) -> tuple[_Correction, Float[Array, "k n"]]:
+    x = np.stack(list(channels.values()))
+    scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
+    correction = _Correction(model, tuple(channels), dict(values), dict(marks), aircraft, jnp.asarray(scale))
+    return correction, jnp.asarray(x / scale[:, None])
+
+
+# --- What a recorder stores of a simulated flight: channels by the card's names, with the noise of their sensors.
+
+OTHER_SENSORS = {
+    "ay": 0.02,
+    "phi": 3e-4,
+    "theta": 3e-4,
+    "psi": 3e-4,
+    "beta": 9e-4,
+    "altitude": 0.5,
+    "elevator": 3e-4,
+    "stabilizer": 2e-4,
+    "mach": 6e-4,
+}
+"""White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
+
+FLOWN = (
+    "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
+    "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
+    "thrust",
+)  # fmt: skip
+"""Channels of a flight that a recorder may store, in the order in which their noise is drawn."""
+RIGID = (*FLOWN, "aileron", "aileron_left", "aileron_right")
+"""Those of a flight in six degrees of freedom."""
+
+OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
+
+
+def sensed(
+    rng: np.random.Generator, channels: Mapping[str, np.ndarray], card: Card, scale: float, spikes: bool
+) -> dict[str, np.ndarray]:
+    """With sensor noise, thrust by engine, outliers; the channels that the card maps."""
+    engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
+    engine = card.sensors.get("thrust", 0.0) / math.sqrt(2.0)  # each
+    deviations: dict[str, float] = {**OTHER_SENSORS, **card.sensors, **dict.fromkeys(engines, engine)}
+    mapped = {channel.name for channel in card.channels}
+    sensed = {}
+    for name, values in (dict(channels) | engines).items():
+        n, sd = len(values), scale * deviations.get(name, 0.0)
+        noisy = values + sd * rng.standard_normal(n)
+        hit, sign = rng.uniform(size=n) < OUTLIER_SHARE, rng.choice([-1.0, 1.0], n)
+        if spikes and name in SPIKED:
+            noisy = noisy + OUTLIER_SIZE * sd * hit * sign
+        if name in mapped:
+            sensed[name] = noisy
+    return sensed

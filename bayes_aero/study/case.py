@@ -18,8 +18,7 @@ from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.card.toml_tables import is_file
-from bayes_aero.jobs.provenance.environment import environment_id
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.provenance import environment_id, provenance, write_json
 from bayes_aero.progress import Progress
 from bayes_aero.study.study import Unit, card_of
 

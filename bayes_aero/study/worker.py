@@ -22,9 +22,8 @@ from jax.experimental.compilation_cache import compilation_cache
 from bayes_aero.atomic_write import beside, host, sweep
 from bayes_aero.errors import InputError
 from bayes_aero.inference import compiled_programs
-from bayes_aero.inference.threads import VARIABLE as CORES
-from bayes_aero.jobs.provenance.environment import environment
-from bayes_aero.jobs.provenance.provenance import PACKAGES
+from bayes_aero.inference.compiled_programs import VARIABLE as CORES
+from bayes_aero.jobs.provenance import PACKAGES, environment
 from bayes_aero.study.case import run_unit
 from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
 

@@ -23,10 +23,9 @@ Run = Callable[[int], np.ndarray]
 
 def ours(problem: Problem, size: int, _: argparse.Namespace) -> Run:
     """`maximise`, which searches five directions and finds the other six in closed reach."""
-    from bayes_aero.inference.gp.kernel import noise_to_signal
+    from bayes_aero.inference.gp.emulator import ReducedData
+    from bayes_aero.inference.gp.kernel import Priors, noise_to_signal
     from bayes_aero.inference.gp.optimum import maximise
-    from bayes_aero.inference.gp.priors import Priors
-    from bayes_aero.inference.gp.reduced import ReducedData
 
     data, flat = ReducedData.of(*problem.processes[size]), Priors.flat()
     return lambda _: maximise(noise_to_signal(START), data, flat, w=START[:6].copy(), max_iterations=200).theta

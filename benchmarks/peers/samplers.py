@@ -100,7 +100,7 @@ def stock_emcee(problem: Problem, _: int, options: argparse.Namespace) -> Run:
 
 def judge(problem: Problem, _: int, warm: list[tuple[float, Drawn]]) -> dict:
     """Medians over the runs of the least ESS and of its rates; the worst R-hat; means, to see that they agree."""
-    from bayes_aero.inference.posterior.assembly import diagnose
+    from bayes_aero.inference.posterior.ensemble import diagnose
 
     names = problem.names
     ess, rate, free, rhat = [], [], [], []

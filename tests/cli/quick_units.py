@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
+from bayes_aero.jobs.provenance import provenance, write_json
 from bayes_aero.study import case as units
 
 SECONDS = float(os.environ.get("QUICK_SECONDS", "0.4"))

@@ -16,13 +16,13 @@ from stranger import fly, plane
 from stranger_records import write
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aliases import ALIASES
 from bayes_aero.flight.card.card import parse_card, read_card, shipped_cards
-from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.channel import ALIASES, Channel
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.standard import standard_air
-from bayes_aero.flight.reading.read_record import read_record, write_record
-from bayes_aero.jobs.card.card_template import starter_card
+from bayes_aero.flight.health.finding import standard_air
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.writers import write_record
+from bayes_aero.jobs.card_template import starter_card
 from bayes_aero.model.derived_channels import with_sums
 
 CONSTANTS = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
@@ -264,7 +264,7 @@ def test_every_starter_card_is_a_card(data):
 
 
 def test_a_card_that_cannot_be_read_back_is_never_written(program, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayes_aero.jobs.card.card_template._sums", lambda *_: iter(['a = "b" = "c"']))
+    monkeypatch.setattr("bayes_aero.jobs.card_template._sums", lambda *_: iter(['a = "b" = "c"']))
     (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
     done = program("card", "one.csv")
     assert done.code == 1

@@ -23,13 +23,13 @@ import pytest
 from calling import answer, called, holds, page_of, refused
 
 import bayes_aero as ba
-from bayes_aero.diagnosis.consistency import consistency
-from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
+from bayes_aero.diagnosis import consistency
+from bayes_aero.diagnosis.consistency import screen_sensor_errors
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import shipped_cards
 from bayes_aero.jobs import check
 from bayes_aero.jobs import identify as job
-from bayes_aero.jobs.card.card_template import starter_card
+from bayes_aero.jobs.card_template import starter_card
 
 
 def test_a_gyro_bias_is_seen_without_aerodynamics(program, flights):

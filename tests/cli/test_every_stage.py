@@ -23,10 +23,10 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.writers import write_record
-from bayes_aero.inference.likelihood.disturbed import GUSTS
+from bayes_aero.inference.likelihood.output_error import GUSTS
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.simulate.sensor_faults import misrecorded
+from bayes_aero.simulate.synthetic_record import misrecorded
 
 UNITS = {
     "time": "s", "airspeed": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s", "ax": "m/s^2", "az": "m/s^2",

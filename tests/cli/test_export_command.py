@@ -12,13 +12,13 @@ import xarray as xr
 from calling import answer, recorded, refused, succeeded
 
 import bayes_aero.jobs.diagnose as job
-from bayes_aero.cli.choices import ExportForm
+from bayes_aero.cli.terminal import ExportForm
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
-from bayes_aero.export.jsbsim_aircraft import jsbsim_files
+from bayes_aero.export.jsbsim import jsbsim_files
 from bayes_aero.flight.card.card import shipped_cards
-from bayes_aero.jobs.handover.export import FORMS
-from bayes_aero.jobs.handover.identified_result import read_identified
+from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.fitted import read_identified
 
 
 @pytest.fixture

@@ -13,12 +13,10 @@ from calling import answer, called, holds, refused, succeeded
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, record_of, short_period_flight
 
 from bayes_aero.errors import InputError
-from bayes_aero.explore.choice import Choice
-from bayes_aero.explore.hand_on import export_chosen
-from bayes_aero.explore.opened import open_result
+from bayes_aero.explore.opened import Choice, export_chosen, open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import write_record
+from bayes_aero.flight.writers import write_record
 
 
 def test_help_names_the_options(program):

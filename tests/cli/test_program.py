@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from calling import answer, holds, page_of, refused, succeeded
 
-from bayes_aero.cli import app, choices, gone_options, main
+from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading import read_record as reading
-from bayes_aero.inference.splits import SplitKind
+from bayes_aero.flight.reading import read_record
+from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.options import INITIAL_STATES, INPUTS
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
-from bayes_aero.simulate import request
+from bayes_aero.simulate import demo
 from bayes_aero.study import study
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
@@ -42,13 +42,13 @@ EFFECT = Effect(
 
 
 def test_choices_are_those_of_the_libraries():
-    assert {x.value for x in choices.Coefficients} == {x.value for x in Forming} == set(study.CHOICES["coefficients"])
-    assert {x.value for x in choices.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
-    assert {x.value for x in choices.InitialState} == set(INITIAL_STATES) == set(study.CHOICES["initial_state"])
-    assert {x.value for x in choices.Inputs} == set(INPUTS) == set(study.CHOICES["inputs"])
-    assert {x.value for x in choices.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
-    assert [x.value for x in choices.Manoeuvre] == list(request.MANOEUVRES)
-    assert [x.value for x in choices.SimulatedNoise] == list(request.NOISES)
+    assert {x.value for x in terminal.Coefficients} == {x.value for x in Forming} == set(study.CHOICES["coefficients"])
+    assert {x.value for x in terminal.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
+    assert {x.value for x in terminal.InitialState} == set(INITIAL_STATES) == set(study.CHOICES["initial_state"])
+    assert {x.value for x in terminal.Inputs} == set(INPUTS) == set(study.CHOICES["inputs"])
+    assert {x.value for x in terminal.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
+    assert [x.value for x in terminal.Manoeuvre] == list(demo.MANOEUVRES)
+    assert [x.value for x in terminal.SimulatedNoise] == list(demo.NOISES)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -128,7 +128,7 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     done = program("identify")
     assert done.code == INTERRUPTED
     assert all(part in done.err for part in ("parameters.csv", "same command"))
-    monkeypatch.setattr(reading, "read_records", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(read_record, "read_records", Mock(side_effect=KeyboardInterrupt))
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err
@@ -180,7 +180,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
         raise ZeroDivisionError("no such luck")
 
     (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
-    monkeypatch.setattr("bayes_aero.jobs.card.card_template.guessed", broken)
+    monkeypatch.setattr("bayes_aero.jobs.card_template.guessed", broken)
     done = program("card", "one.csv")
     assert done.code == 1
     assert done.err.startswith("error: the command failed unexpectedly (ZeroDivisionError: no such luck)")
@@ -282,7 +282,7 @@ def test_nothing_heavy_is_loaded(files, code, arguments):
     assert found == [code, []], done.stderr
 
 
-SPELLED = [(command, given, instead) for command, option, instead in gone_options.GONE for given in option.split("/")]
+SPELLED = [(command, given, instead) for command, option, instead in terminal.GONE for given in option.split("/")]
 
 
 @pytest.mark.parametrize(("command", "option", "instead"), SPELLED)
@@ -299,7 +299,7 @@ def test_no_command_has_an_option_that_is_gone(program, command, option):
 
 
 def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
-    monkeypatch.setattr(gone_options, "GONE", (("check", "--old/--no-old", "leave it out"),))
+    monkeypatch.setattr(terminal, "GONE", (("check", "--old/--no-old", "leave it out"),))
     assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
     assert "gone" not in program("path", "a.csv", "--no-old").err
     assert "gone" not in program("check", "--", "--no-old").err

@@ -14,10 +14,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.handover.fitted_records import fitted_records
-from bayes_aero.jobs.handover.identified_card import card_of
+from bayes_aero.jobs.fitted import card_of, fitted_records
 from bayes_aero.jobs.options import FlyOptions
-from bayes_aero.jobs.provenance.provenance import as_json, provenance
+from bayes_aero.jobs.provenance import as_json, provenance
 
 FEW = ("--draws", "100")
 

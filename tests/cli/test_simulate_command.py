@@ -11,19 +11,18 @@ import six_axes as six
 import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
-from bayes_aero.cli.choices import Manoeuvre
+from bayes_aero.cli.terminal import Manoeuvre
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
 from bayes_aero.dynamics.modes import Steady, modes
-from bayes_aero.dynamics.simulated.manoeuvres import commands
-from bayes_aero.dynamics.simulated.rigid_manoeuvres import lateral_commands
+from bayes_aero.dynamics.simulated.manoeuvres import commands, lateral_commands
 from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.simulate import request
-from bayes_aero.simulate.request import Request
+from bayes_aero.simulate import demo
+from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
 
@@ -69,8 +68,8 @@ def test_every_standard_manoeuvre_can_be_chosen():
     time = np.arange(0.0, 60.0, 0.04)
     trim = Trim(0.1, 2e4, 0.0)
     longitudinal = commands(time, trim, 0.1, 0.0)
-    known = {*longitudinal, *lateral_commands(time, trim, longitudinal["slow_stall"]), request.RANDOM_STALL}
-    assert known == set(request.MANOEUVRES) == set(Manoeuvre)
+    known = {*longitudinal, *lateral_commands(time, trim, longitudinal["slow_stall"]), demo.RANDOM_STALL}
+    assert known == set(demo.MANOEUVRES) == set(Manoeuvre)
 
 
 @pytest.mark.parametrize(
@@ -256,9 +255,9 @@ def test_simulated_manoeuvres_of_three_axes_are_flown_again(tmp_path):
 
 def test_errors_of_sensors_that_a_card_fixes_are_in_the_record():
     """At rest before the doublet a gyro shows its bias, and an accelerometer differs from another card's by its own."""
-    card, request = read_card("full_six"), Request({}, "elevator_doublet", "none", duration=6.0)
+    card, demo = read_card("full_six"), Request({}, "elevator_doublet", "none", duration=6.0)
     plain = replace(card, effects=tuple(n for n in card.effects if n not in ("pitch_rate_bias", "accel_z_bias")))
-    found, without = (synthetic(request, one, CATALOGUE).record for one in (card, plain))
+    found, without = (synthetic(demo, one, CATALOGUE).record for one in (card, plain))
     assert found["q"][0] == pytest.approx(card.fixed["pitch_rate_bias"], abs=1e-9)
     np.testing.assert_allclose(found["q"] - without["q"], card.fixed["pitch_rate_bias"], atol=1e-9)
     np.testing.assert_allclose(found["az"] - without["az"], card.fixed["accel_z_bias"], atol=1e-7)

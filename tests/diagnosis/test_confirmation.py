@@ -11,19 +11,16 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels, noise_effect, recording_noise, sizes
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.backward_elimination import backward_elimination, confirmation
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
-from bayes_aero.diagnosis.trajectories.elimination import eliminate
-from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
-from bayes_aero.diagnosis.trajectories.log_score import holdout_gain as log_score_gain
+from bayes_aero.diagnosis.selection.holdout import LeftOut, backward_elimination, confirmation, holdout_gain, truncated
+from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, HoldoutScore, eliminate, holdout_fits, left_out
+from bayes_aero.diagnosis.trajectories.holdout import holdout_gain as log_score_gain
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.physics.filters import smooth
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import simulate_stall

@@ -10,10 +10,10 @@ import pytest
 from gusty_flight import gusty_flight
 from stranger_records import flown
 
-from bayes_aero.diagnosis.consistency.consistency import consistency, in_gusts
-from bayes_aero.diagnosis.consistency.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.consistency.flight_path_noise import LIGHT_TURBULENCE, gusts, sensor_noise
+from bayes_aero.diagnosis.consistency import consistency, in_gusts
 from bayes_aero.diagnosis.diagnose import diagnose
+from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
+from bayes_aero.diagnosis.flight_path_check import LIGHT_TURBULENCE, gusts, sensor_noise
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement
 from bayes_aero.flight.card.card import read_card
@@ -27,8 +27,7 @@ from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import LATERAL, PATH, integral, path_rates, side_force
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.flightpath import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
 from bayes_aero.report.text.identification import verdict
 from bayes_aero.simulate.injection import hidden_records
 

@@ -8,37 +8,31 @@ import six_axes
 from parts import cause, part, with_candidates
 from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis import result as finding
+from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design.standard import standard
-from bayes_aero.diagnosis.diagnose import (
-    diagnose,
-    judged_on_held_out_flights,
-    sensors_not_missed,
-    structure_of,
-    verdict_of,
-)
-from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
+from bayes_aero.diagnosis.design import standard
+from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed, structure_of
+from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict, verdict_of
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.search.search_result import SearchResult
+from bayes_aero.diagnosis.search.stages import SearchResult
 from bayes_aero.diagnosis.selection import forward_selection as selecting
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.selection.collinear import cancelling
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.plausibility import as_structure, attributed, own_share, stand_ins
+from bayes_aero.diagnosis.selection.gains import as_structure, attributed, own_share, stand_ins
+from bayes_aero.diagnosis.selection.holdout import Confirmation
+from bayes_aero.diagnosis.selection.rivals import cancelling
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.model.chosen import lengths_of
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.model.model import lengths_of
+from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
-from bayes_aero.report.text.verdict import verdict_sentence
+from bayes_aero.report.text.phrases import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.injection import hidden_records
 
@@ -255,10 +249,10 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
     """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s."""
     d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=())
     for left, verdict, claim in (
-        (finding.OutputMiss(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
-        (finding.OutputMiss(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
+        (result.OutputMiss(0.3, 0.6, 1.2), Verdict.PARTLY_EXPLAINED, "cause improves the fit to the trajectories"),
+        (result.OutputMiss(0.3, 0.3, 1.2), Verdict.EXPLAINED, "the error of the card's model in the trajectories"),
     ):
-        tested = finding.Tested({"airspeed": left})
+        tested = result.Tested({"airspeed": left})
         headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested, verdict=verdict))
         assert claim in headline
         assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
@@ -266,11 +260,11 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed):
         assert "no term of the library describes structure outside the catalogue" in headline
         assert "(noise 0.30 m/s)" in detail
     none = replace(
-        d, causes=(), verdict=Verdict.UNDECIDED, tested=finding.Tested({"q": finding.OutputMiss(0.0, 1.0, 1.0)})
+        d, causes=(), verdict=Verdict.UNDECIDED, tested=result.Tested({"q": result.OutputMiss(0.0, 1.0, 1.0)})
     )
     assert "57 deg/s" in diagnosis_sentences(none)[0]
     assert "cannot decide" in diagnosis_sentences(none)[0]
-    flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=finding.Tested({})))[0]
+    flown_not = diagnosis_sentences(replace(d, verdict=Verdict.PARTLY_EXPLAINED, tested=result.Tested({})))[0]
     assert "was not computed" in flown_not
 
 

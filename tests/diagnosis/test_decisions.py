@@ -10,23 +10,27 @@ from parts import cause, part
 from scipy.special import erfc
 from scipy.stats import norm
 
+from bayes_aero.diagnosis import consistency
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.consistency import consistency
-from bayes_aero.diagnosis.consistency.consistency import errors_of_diagnosis
+from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.result import Cause, Diagnosis
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.search.search_result import SearchResult
-from bayes_aero.diagnosis.selection import backward_elimination as elimination
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation, backward_elimination
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, output_gains
+from bayes_aero.diagnosis.search.stages import SearchResult
+from bayes_aero.diagnosis.selection import holdout
 from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection.holdout import (
+    Confirmation,
+    LeftOut,
+    backward_elimination,
+    holdout_gain,
+    output_gains,
+)
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure import unexplained
-from bayes_aero.diagnosis.trajectories.elimination import _Flight
-from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
+from bayes_aero.diagnosis.trajectories.holdout import HoldoutScore, _Flight
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
@@ -148,13 +152,13 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
         for name in ("first_order", "refitted"):
             unseen = lambda *told: LeftOut(left(told[-1]), np.ones((n, 3)), np.ones(n, bool), outputs)
             monkeypatch.setattr(LeftOut, name, unseen)
-        monkeypatch.setattr(elimination, "truncated", lambda _, effects: effects)
+        monkeypatch.setattr(holdout, "truncated", lambda _, effects: effects)
         parts = np.arange(n) if compared == "innovations" else None
         responses = SimpleNamespace(
             model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
-        found = elimination.confirmation(part(
+        found = holdout.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
         ))  # fmt: skip
@@ -187,7 +191,7 @@ def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, 
         Extension, state=part(SelectionState, active=names), fit=None, causes=names, minor=(), steps=(),
         sizes={p: x for n in names for p, x in cause(n).parameters.items()},
     )  # fmt: skip
-    return part(SearchResult, full=full, stages=(("coefficients", one),), structures=(), forms=forms or {})
+    return part(SearchResult, full=full, stages=(("coefficients", one),), forms=forms or {})
 
 
 @pytest.fixture

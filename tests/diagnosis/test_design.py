@@ -12,22 +12,28 @@ from stranger_six import Plane
 from told_apart import deviations, weakest
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design.information import Information, noise_of
-from bayes_aero.diagnosis.design.next_test_points import candidates_of, next_test_points
-from bayes_aero.diagnosis.design.standard import of_records, on_record, standard
+from bayes_aero.diagnosis.design import (
+    Information,
+    candidates_of,
+    next_test_points,
+    noise_of,
+    of_records,
+    on_record,
+    standard,
+)
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.settings import ENOUGH
 from bayes_aero.dynamics.simulated.manoeuvres import commands
 from bayes_aero.dynamics.simulated.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.envelope import DEFAULT_RANGES, Envelope, excursion
+from bayes_aero.flight.aircraft import DEFAULT_RANGES, Envelope, excursion
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air, altitude_of_density
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH
 

@@ -15,8 +15,8 @@ from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
 from bayes_aero.diagnosis.result import TRAJECTORIES, Verdict
 from bayes_aero.diagnosis.screening.regression import Products
 from bayes_aero.diagnosis.search.stages import search_in_stages
-from bayes_aero.diagnosis.selection.cross_validation import integrated_deviance
 from bayes_aero.diagnosis.selection.forward_selection import noise_shares
+from bayes_aero.diagnosis.selection.holdout import integrated_deviance
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
@@ -28,8 +28,8 @@ from bayes_aero.model.observations import observe
 from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records
-from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 
 # Hide an effect, or nothing, in simulated flights and diagnose them; every effect is in test_candidates.py, and the

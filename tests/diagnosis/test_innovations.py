@@ -11,11 +11,11 @@ from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 from bayes_aero.diagnosis import diagnose as diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
-from bayes_aero.diagnosis.search import search_innovations as searched
-from bayes_aero.diagnosis.selection.noise import NoiseReport
+from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
+from bayes_aero.diagnosis.search import searches
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.disturbed import GUSTS
+from bayes_aero.inference.likelihood.output_error import GUSTS
 from bayes_aero.jobs import fly as job
 from bayes_aero.model.model import Model
 
@@ -33,11 +33,11 @@ def record():
 @pytest.fixture(scope="module")
 def found(record, hfb320):
     """The search, and the fit that it began with."""
-    fits, fit = [], searched.fit_disturbed
+    fits, fit = [], searches.fit_disturbed
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(searched, "fit_disturbed", lambda *a, **k: fits.append(fit(*a, **k)) or fits[-1])
+        patch.setattr(searches, "fit_disturbed", lambda *a, **k: fits.append(fit(*a, **k)) or fits[-1])
         settings = DiagnosisSettings(max_effects=3)
-        result = searched.search_innovations([record], hfb320, Model.from_card(hfb320), (), settings, seed=0)
+        result = searches.search_innovations([record], hfb320, Model.from_card(hfb320), (), settings, seed=0)
     return result, fits[0][1]
 
 

@@ -11,9 +11,14 @@ from stranger_six import drawn, fly
 
 from bayes_aero.api import read
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.consistency import sensor_errors
-from bayes_aero.diagnosis.consistency.consistency import KnownErrors, consistency, errors_of_diagnosis, errors_of_path
-from bayes_aero.diagnosis.consistency.sensor_errors import screen_sensor_errors
+from bayes_aero.diagnosis.consistency import (
+    KnownErrors,
+    check_sensors,
+    consistency,
+    errors_of_diagnosis,
+    errors_of_path,
+    screen_sensor_errors,
+)
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.regression import Fit
@@ -21,13 +26,13 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.report.text.consistency import consistency_sentences, open_sentences
+from bayes_aero.report.text.check import consistency_sentences, open_sentences
 from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import flyable, hidden_records
@@ -146,9 +151,9 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
         "linearised": linearised, "forward_selection": selected, "widened": lambda found, *_: found,
         "nats_gained": lambda *_: gained, "without_hold": lambda one: {n: {} for n in one.state.active},
     }.items():  # fmt: skip
-        monkeypatch.setattr(sensor_errors, name, given)
+        monkeypatch.setattr(f"bayes_aero.diagnosis.consistency.{name}", given)
     monkeypatch.setattr(FlightPathError, "outputs", ("airspeed",))
-    found = sensor_errors.check_sensors(full, part(FlightPathError), np.zeros(3), seed=0)
+    found = check_sensors(full, part(FlightPathError), np.zeros(3), seed=0)
     assert asked == [names, names[2:]]
     assert found.state.active == (names[2:] if gained > -3.0 else names[:2])
     assert [one.implausible for one in found.larger] == ([("airspeed_bias",)] if gained > -3.0 else [])
@@ -241,7 +246,7 @@ def test_an_error_that_a_diagnosis_is_sure_of_is_not_undecided(card, monkeypatch
     effects, flights = flyable(["accel_x_bias"], seed=5311, noise="white", seconds=90.0)
     found = diagnose([flight.record for flight in flights], card, seed=1, gains_wanted=False)
     two = (undecided("accel_x_bias", "pitch_attitude_bias"), undecided("vertical_wind", "alpha_bias"))
-    monkeypatch.setattr("bayes_aero.diagnosis.consistency.consistency.open_errors", lambda _: two)
+    monkeypatch.setattr("bayes_aero.diagnosis.consistency.open_errors", lambda _: two)
     known = errors_of_diagnosis(found)
     size = known.errors["accel_x_bias"]["parameters"]["accel_x_bias"]
     assert size["mean"] == pytest.approx(effects["accel_x_bias"]["accel_x_bias"], abs=4.0 * size["sd"])

@@ -9,17 +9,15 @@ from scipy import stats
 from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors, screen_sensor_errors
+from bayes_aero.diagnosis.consistency import check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.search import stages as module
+from bayes_aero.diagnosis.search import stages
 from bayes_aero.diagnosis.selection.block_jackknife import Blocks
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure.change_scan import ChangeScan, Span, spans
-from bayes_aero.diagnosis.structure.changes import manoeuvres
-from bayes_aero.diagnosis.structure.components import with_components
+from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, manoeuvres, spans, with_components
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
 
@@ -92,7 +90,7 @@ def test_the_coefficients_deny_a_correction_that_harms_them(silent, card, monkey
         sizes = {**found.sizes, name: Size(2.0, 0.1, "m/s")}
         return replace(found, state=state, fit=state.fit(), sizes=sizes, causes=(name,))
 
-    monkeypatch.setattr(module, "check_sensors", wrong)
+    monkeypatch.setattr(stages, "check_sensors", wrong)
     found = diagnose(silent, card, gains_wanted=False)
     assert found.verdict is Verdict.NO_EFFECT, [c.name for c in found.causes]
     assert any("airspeed_bias" in note for note in found.notes)

@@ -21,15 +21,14 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
 )
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut
-from bayes_aero.diagnosis.selection.residuals import profiles
-from bayes_aero.diagnosis.view.holdout import compared
+from bayes_aero.diagnosis.selection.block_jackknife import profiles
+from bayes_aero.diagnosis.selection.holdout import LeftOut
+from bayes_aero.diagnosis.view.models import compared
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.variance.autoregression import MAX_ROOT, ORDER
-from bayes_aero.inference.variance.coloured_bounds import standard_error_of_sum
+from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import NAMES

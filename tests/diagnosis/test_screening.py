@@ -18,18 +18,18 @@ from bayes_aero.diagnosis.result import Verdict, as_absorbed
 from bayes_aero.diagnosis.screening import accuracy
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
-from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression
+from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult, block_jackknife_covariance
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection import forward_selection
-from bayes_aero.diagnosis.selection.absorbed import Absorbed, absorbed
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
 from bayes_aero.diagnosis.selection.forward_selection import Extension, worth
+from bayes_aero.diagnosis.selection.holdout import Confirmation
+from bayes_aero.diagnosis.selection.rivals import Absorbed, absorbed
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure.unexplained import left_beside
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.jobs.io.diagnosis_json import absorbed_results
 from bayes_aero.model.model import Model
 from bayes_aero.report.text.diagnosis import diagnosis_sentences

@@ -16,28 +16,26 @@ from calling import called
 from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.result import FoundTerm
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.forward_selection import forward_selection
 from bayes_aero.diagnosis.terms.flown import flown_forms
 from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, Term, library
-from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.dynamics.filtering.innovations import filter_segments
 from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.disturbed import disturbed
-from bayes_aero.jobs.catalogue.effect_file import effect_file, write_effects
+from bayes_aero.inference.likelihood.output_error import disturbed
 from bayes_aero.jobs.io.diagnosis_json import term_results
+from bayes_aero.jobs.io.effect_file import effect_file, write_effects
 from bayes_aero.model.joined_channels import join
-from bayes_aero.model.model import Model
-from bayes_aero.model.own_effects import own_effects
+from bayes_aero.model.model import Model, own_effects
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
-from bayes_aero.residuals.added_coefficients import AddedCoefficients
-from bayes_aero.residuals.added_to_filter import AddedToFilter
+from bayes_aero.residuals.added_coefficients import AddedCoefficients, AddedToFilter
 from bayes_aero.residuals.filter_error import FilterError
 from bayes_aero.residuals.output_error import OutputError
 

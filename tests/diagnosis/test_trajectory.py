@@ -8,28 +8,32 @@ import pytest
 from parts import fitted_to_stalls
 from scipy.stats import norm
 
-from bayes_aero.diagnosis import result as finding
+from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested
 from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
-from bayes_aero.diagnosis.search import search_trajectories
-from bayes_aero.diagnosis.search.search_trajectories import in_windows
+from bayes_aero.diagnosis.search import searches
+from bayes_aero.diagnosis.search.searches import in_windows
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import confirmed, with_lag
-from bayes_aero.diagnosis.trajectories.log_score import HoldoutScore
-from bayes_aero.diagnosis.trajectories.noise_check import beyond_noise
-from bayes_aero.diagnosis.trajectories.results import LagTest, Path
-from bayes_aero.diagnosis.trajectories.time_histories import fly_given
-from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
+from bayes_aero.diagnosis.trajectories.histories import fly_given
+from bayes_aero.diagnosis.trajectories.holdout import (
+    CandidateFit,
+    HoldoutScore,
+    confirmed,
+    holdout_fits,
+    left_out,
+    with_lag,
+)
+from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectories.trajectories import beyond_noise, compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.jobs.io import diagnosis_json as diagnosis_results
+from bayes_aero.jobs.io import diagnosis_json
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Prior
@@ -200,8 +204,8 @@ def test_errors_beyond_the_noise_decide_the_verdict():
     assert OutputMiss(0.0, 1e-9, NAN).beyond
     assert OutputMiss(1.0, NAN, NAN).beyond
     assert OutputMiss(1.0, np.inf, NAN).beyond
-    noise, more = (finding.Tested({"alpha": OutputMiss(1.0, x, x)}) for x in (1.0, 3.0))
-    never = finding.Tested({})
+    noise, more = (result.Tested({"alpha": OutputMiss(1.0, x, x)}) for x in (1.0, 3.0))
+    never = result.Tested({})
     assert [as_tested(Verdict.EXPLAINED, t) for t in (noise, more, never)] == [
         Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED, Verdict.PARTLY_EXPLAINED,
     ]  # fmt: skip
@@ -209,9 +213,11 @@ def test_errors_beyond_the_noise_decide_the_verdict():
         Verdict.NO_EFFECT, Verdict.UNDECIDED, Verdict.NO_EFFECT,
     ]  # fmt: skip
     assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
-    assert [
-        diagnosis_results.tested_results(t, finding.TRAJECTORIES)["within_noise"] for t in (noise, more, never)
-    ] == [True, False, None]
+    assert [diagnosis_json.tested_results(t, result.TRAJECTORIES)["within_noise"] for t in (noise, more, never)] == [
+        True,
+        False,
+        None,
+    ]
 
 
 def test_errors_are_judged_by_the_noise_that_the_card_states(card):
@@ -237,7 +243,9 @@ def test_log_scores_and_figures_of_segments_of_different_length():
     rng = np.random.default_rng(1)
     missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
     paths = [
-        Path("run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))})
+        SimulatedManoeuvre(
+            "run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))}
+        )
         for x in missed
     ]
     expected = np.concatenate(missed)[:, 0] / 2.0
@@ -281,8 +289,8 @@ def asked(card, hidden, seed):
 
 @pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
 def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, broken):
-    monkeypatch.setattr(search_trajectories, "lag_of", broken)
-    lagged, failures = search_trajectories._asked_of_a_lag(Mock(spec=CandidateModel), Mock(spec=Extension), 0, None)
+    monkeypatch.setattr(searches, "lag_of", broken)
+    lagged, failures = searches._asked_of_a_lag(Mock(spec=CandidateModel), Mock(spec=Extension), 0, None)
     assert lagged is None
     assert [told.split(":")[0] for told in failures] == ["Whether the separation point lags was not tested"]
 
@@ -307,7 +315,9 @@ def test_a_lag_is_not_wanted_where_the_hysteresis_is_quasi_steady(card):
 def path(errors, name="a"):
     n = len(next(iter(errors.values())))
     zero = {key: np.zeros(n) for key in errors}
-    return Path(name, "extended", "hold_out", True, {}, np.arange(n) * 0.04, zero, {k: -x for k, x in errors.items()})
+    return SimulatedManoeuvre(
+        name, "extended", "hold_out", True, {}, np.arange(n) * 0.04, zero, {k: -x for k, x in errors.items()}
+    )
 
 
 def test_the_gain_on_unseen_flight_is_that_of_normal_densities():

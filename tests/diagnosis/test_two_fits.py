@@ -10,18 +10,16 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.in_band.fit import band_of, causes_in_band, with_sensor_errors_held
-from bayes_aero.diagnosis.trajectories.fit_agreement import fit_disagreements, still_apart
-from bayes_aero.diagnosis.trajectories.motion.flown_modes import flown_mode, flown_modes
-from bayes_aero.diagnosis.trajectories.motion.motion import motion_of
+from bayes_aero.diagnosis.in_band import band_of, causes_in_band, with_sensor_errors_held
+from bayes_aero.diagnosis.trajectories.motion import flown_mode, flown_modes, motion_of
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, still_apart
 from bayes_aero.dynamics.modes import Steady
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs.fly import fly
-from bayes_aero.report.design.in_band import in_band_sentences
-from bayes_aero.report.text.fly import disagreement_sentences
-from bayes_aero.report.text.process_noise import settled_sentences
+from bayes_aero.report.design import in_band_sentences
+from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences
 from bayes_aero.simulate.injection import flyable
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import scipy.io
 
-from bayes_aero.dynamics.path.flight_path import PathDynamics, path_states
+from bayes_aero.dynamics.path import PathDynamics, path_states
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.flight.axes import Axis
 from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.model.joined_channels import join

@@ -11,17 +11,17 @@ from gusty_flight import TRUTH
 from jax.scipy.linalg import expm
 from scipy.linalg import solve_continuous_lyapunov
 
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
-from bayes_aero.dynamics.filtering.innovations import neighbour_correlation
-from bayes_aero.dynamics.filtering.kalman import discrete_noise
+from bayes_aero.dynamics.aircraft import Longitudinal
 from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.innovations import neighbour_correlation
+from bayes_aero.dynamics.kalman import discrete_noise
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.simulated.in_gusts import through_gusts
+from bayes_aero.dynamics.simulated.simulate import through_gusts
 from bayes_aero.dynamics.system import System, advance
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.disturbed import disturbed
+from bayes_aero.inference.likelihood.output_error import disturbed
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model

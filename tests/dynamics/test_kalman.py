@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.filtering.kalman import (
+from bayes_aero.dynamics.innovations import Disturbances, Linearised, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.kalman import (
     InitialState,
     Measured,
     Sampling,
@@ -17,8 +18,6 @@ from bayes_aero.dynamics.filtering.kalman import (
     log_likelihood,
     smooth,
 )
-from bayes_aero.dynamics.filtering.linear_innovations import Disturbances, linear_innovations, noise_derivatives
-from bayes_aero.dynamics.filtering.linearised import Linearised
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate
 

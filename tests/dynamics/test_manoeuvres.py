@@ -6,12 +6,13 @@ import pytest
 from bayes_aero.dynamics.simulated.manoeuvres import (
     SECONDS,
     multisine_inputs,
+    multisines,
+    peak_factor,
     pulses,
     rounded,
     steps,
     three_two_one_one,
 )
-from bayes_aero.dynamics.simulated.multisines import multisines, peak_factor
 from bayes_aero.errors import InputError
 
 # Shapes of inputs: what a 3-2-1-1, a later pulse and a rounded step are by definition

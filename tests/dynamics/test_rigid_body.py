@@ -13,16 +13,14 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from stranger_six import G, Plane, Strips
 
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
-from bayes_aero.dynamics.aircraft.rigid_body import HELD, RigidBody
+from bayes_aero.dynamics.aircraft import HELD, Longitudinal, RigidBody
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.dynamics.simulated.rigid_pilot import fly_rigid
-from bayes_aero.dynamics.simulated.rigid_trim import Condition, rigid_trim
-from bayes_aero.dynamics.simulated.simulate import Pilot
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly_rigid
+from bayes_aero.dynamics.simulated.trim import Condition, rigid_trim
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import join
 from bayes_aero.physics.coefficients import coefficients

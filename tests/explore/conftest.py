@@ -19,7 +19,8 @@ from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.page import page_of
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
-from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.writers import write_record
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.simulate.demo import simulate_stall
 

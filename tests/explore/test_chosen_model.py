@@ -10,16 +10,12 @@ import pytest
 from scipy.stats import norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.explore.asked import Asked, read_asked
-from bayes_aero.explore.choice import Choice, flown_model
-from bayes_aero.explore.hand_on import chosen_model, export_chosen
-from bayes_aero.explore.opened import open_result
-from bayes_aero.explore.scores import gain, scores
+from bayes_aero.explore.opened import Choice, chosen_model, export_chosen, flown_model, groups_of, open_result
+from bayes_aero.explore.page import Asked, gain, read_asked, scores
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
-from bayes_aero.explore.sliders import groups_of
-from bayes_aero.export.python_source import python_source
-from bayes_aero.jobs.handover.export import FORMS
+from bayes_aero.export.identified import python_source
+from bayes_aero.jobs.export import FORMS
 
 CHOICES = {
     "moved": Choice({"CLa": 3.9}),

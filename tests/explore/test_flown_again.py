@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_aero.diagnosis.trajectories.time_histories import fly_given
+from bayes_aero.diagnosis.trajectories.histories import fly_given
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
-from bayes_aero.explore.choice import Choice, addable, shown_effects
-from bayes_aero.explore.opened import open_result
+from bayes_aero.explore.opened import Choice, addable, open_result, shown_effects
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle

@@ -8,7 +8,7 @@ import pytest
 from exported_models import stall
 from jsbsim_flights import simulated
 
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
+from bayes_aero.dynamics.aircraft import Longitudinal
 from bayes_aero.export.fmu import write_fmu
 from bayes_aero.simulate.demo import simulate_stall
 

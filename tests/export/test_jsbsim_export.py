@@ -8,11 +8,10 @@ import pytest
 from exported_models import BOTH, everything, modelled, six, stall
 from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 
-from bayes_aero.dynamics.aircraft.longitudinal import Longitudinal
-from bayes_aero.dynamics.aircraft.rigid_body import RigidBody
+from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.jsbsim_aircraft import PROPERTIES, jsbsim_files
+from bayes_aero.export.jsbsim import PROPERTIES, jsbsim_files
 from bayes_aero.simulate.demo import simulate_stall
 
 pytest.importorskip("jsbsim")

@@ -14,11 +14,8 @@ from bayes_aero.effect import Disturbance, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.fmu import _slave
-from bayes_aero.export.identified import Identified
-from bayes_aero.export.program import Builder, terms
-from bayes_aero.export.python_source import python_source
-from bayes_aero.export.text import about
-from bayes_aero.export.translate import translated
+from bayes_aero.export.identified import Identified, about, python_source
+from bayes_aero.export.program import Builder, terms, translated
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.model import Model
 

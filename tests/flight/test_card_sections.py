@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
-from bayes_aero.diagnosis.consistency.check_result import CheckReport, SensorCheck
-from bayes_aero.dynamics.linear import channel_units
+from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card.aircraft_table import parse_aircraft, refuse_no_body
-from bayes_aero.flight.card.card import parse_card, shipped_cards
-from bayes_aero.flight.card.envelope_table import parse_envelope
-from bayes_aero.flight.envelope import DEFAULT_RANGES
+from bayes_aero.flight.aircraft import DEFAULT_RANGES
+from bayes_aero.flight.card.card import channel_units, parse_card, shipped_cards
+from bayes_aero.flight.card.tables import parse_aircraft, parse_envelope, refuse_no_body
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
 from bayes_aero.model.derived_channels import with_sums

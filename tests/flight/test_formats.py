@@ -16,11 +16,8 @@ from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import excel
 from bayes_aero.flight.readers.base import located
 from bayes_aero.flight.readers.excel import open_excel
-from bayes_aero.flight.readers.isolated import extras
-from bayes_aero.flight.readers.isolated import process as apart
-from bayes_aero.flight.readers.isolated.dataflash import open_dataflash
-from bayes_aero.flight.readers.isolated.mdf import open_mdf
-from bayes_aero.flight.readers.isolated.ulog import open_ulog
+from bayes_aero.flight.readers.isolated import process
+from bayes_aero.flight.readers.isolated.process import open_dataflash, open_mdf, open_ulog
 
 openpyxl = pytest.importorskip("openpyxl")
 asammdf = pytest.importorskip("asammdf")
@@ -323,7 +320,7 @@ def test_dataflash_with_units_multipliers_instances_and_several_rates():
 
 @pytest.mark.parametrize("suffix", OPENERS)
 def test_a_missing_library_is_said(suffix, monkeypatch):
-    monkeypatch.setattr(extras, "find_spec", lambda _: None)
+    monkeypatch.setattr(process, "find_spec", lambda _: None)
     with pytest.raises(InputError) as caught:
         OPENERS[suffix](b"anything")
     assert str(caught.value) == (
@@ -358,9 +355,9 @@ def test_damaged_files_are_read_in_part_or_refused_soon(suffix, how):
 def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
     parser = tmp_path / "endless.py"
     parser.write_text("def groups(data):\n    while True:\n        pass\n")
-    monkeypatch.setattr(apart, "TIME_LIMIT", 2.0)
+    monkeypatch.setattr(process, "TIME_LIMIT", 2.0)
     with pytest.raises(InputError, match="did not finish in 2 s"):
-        apart.parsed_apart(b"", str(parser), "log")
+        process.parsed_apart(b"", str(parser), "log")
 
 
 def test_the_libraries_are_not_loaded_before_they_are_needed():

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import WRITERS
+from bayes_aero.flight.writers import WRITERS, write_record
 from bayes_aero.units import to_si
 
 # .nc starts a process for each file, so it gets fewer examples; its time limit stands in for the deadline.

@@ -8,14 +8,12 @@ import pytest
 from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aliases import ALIASES, plain_heading, split_heading, symbol_of
-from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers.clock import seconds
-from bayes_aero.flight.readers.layout import laid_out, separator_of
-from bayes_aero.flight.readers.numbers import Marks, marks_of, number_of
-from bayes_aero.flight.reading.raw import read_raw
-from bayes_aero.flight.reading.read_record import read_record, write_record
-from bayes_aero.jobs.card.column_inference import guessed
+from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.readers.base import Marks, marks_of, number_of, seconds
+from bayes_aero.flight.readers.text import laid_out, separator_of
+from bayes_aero.flight.reading.read_record import read_raw, read_record
+from bayes_aero.flight.writers import write_record
+from bayes_aero.jobs.column_inference import guessed
 
 # Text files as loggers write them: every layout is read as the same record, or refused in words that help
 LABELS = [channel.heading for channel in CHANNELS]

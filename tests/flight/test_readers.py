@@ -17,9 +17,9 @@ from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.raw import read_raw
-from bayes_aero.flight.reading.read_record import read_record, write_record
+from bayes_aero.flight.reading.read_record import read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
 
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
 TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))

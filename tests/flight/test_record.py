@@ -12,13 +12,12 @@ import bayes_aero as ba
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import parse_card
 from bayes_aero.flight.reading.checks import check_record
-from bayes_aero.flight.reading.common_rate import at_common_rate, rate_notes
-from bayes_aero.flight.reading.inspection import inspect_record
-from bayes_aero.flight.reading.proposals import proposals
-from bayes_aero.flight.reading.read_record import manoeuvres, read_record, read_records, write_record
+from bayes_aero.flight.reading.inspection import inspect_record, proposals
+from bayes_aero.flight.reading.read_record import at_common_rate, manoeuvres, rate_notes, read_record, read_records
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import parts_of, segment_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
 
 
 # FlightRecord: immutable, named, in SI; and its resampling

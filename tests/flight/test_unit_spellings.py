@@ -11,13 +11,12 @@ from bayes_aero.flight.card.card import parse_card
 from bayes_aero.flight.card.toml_tables import parse_table
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.reading.checks import implausible
 from bayes_aero.flight.reading.inspection import inspect_record
-from bayes_aero.flight.reading.plausible import implausible
-from bayes_aero.flight.reading.raw import read_raw
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.reading.read_record import read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.card.card_template import starter_card
-from bayes_aero.jobs.card.column_inference import guessed
+from bayes_aero.jobs.card_template import starter_card
+from bayes_aero.jobs.column_inference import guessed
 
 # What `card` guesses from a file's own units, the reader accepts: one table serves both
 N = 60

@@ -16,10 +16,10 @@ from bayes_aero.errors import LONGEST, InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import text
-from bayes_aero.flight.reading.raw import read_raw
-from bayes_aero.flight.reading.read_record import read_record, write_record
-from bayes_aero.jobs.provenance import environment
-from bayes_aero.model.own_effects import own_effects
+from bayes_aero.flight.reading.read_record import read_raw, read_record
+from bayes_aero.flight.writers import write_record
+from bayes_aero.jobs import provenance
+from bayes_aero.model.model import own_effects
 from bayes_aero.study import case as unit
 from bayes_aero.study.study import read_study
 
@@ -166,7 +166,7 @@ def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
     calls = []
     read = text.TextTable.read
     monkeypatch.setattr(text.TextTable, "read", lambda table, some: calls.append(1) or read(table, some))
-    monkeypatch.setattr("bayes_aero.flight.reading.raw.PATIENCE", 3.0)
+    monkeypatch.setattr("bayes_aero.flight.reading.read_record.PATIENCE", 3.0)
     rows = [
         ",".join(f"c{i}" for i in range(1000)) + ",t",
         *(",".join(["1"] * 500 + ["word"] * 500) + f",{0.1 * k}" for k in range(9)),
@@ -185,7 +185,7 @@ def test_damaged_json_in_a_results_folder(tmp_path, content):
     folder = tmp_path / "environment"
     folder.mkdir()
     (folder / "environment.json").write_text(content)
-    assert environment.write_environment(tmp_path).name.startswith("environment-")
+    assert provenance.write_environment(tmp_path).name.startswith("environment-")
     (tmp_path / unit.MANIFEST).write_text(content)
     one = unit.Unit("u", "identify", (), (), "attas", "attas", 0, None, None, ())
     assert unit.state_of(one, tmp_path).word == "damaged"

@@ -20,11 +20,10 @@ from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import parse_card, shipped_cards
-from bayes_aero.inference.likelihood.output_error import fit_output_error, trajectories
-from bayes_aero.inference.variance.noise_growth import MAX_GROWTH, SeparatedFlow
+from bayes_aero.inference.likelihood.output_error import MAX_GROWTH, SeparatedFlow, fit_output_error, trajectories
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
-from bayes_aero.jobs.provenance.provenance import as_json
+from bayes_aero.jobs.provenance import as_json
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate

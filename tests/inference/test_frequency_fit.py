@@ -19,18 +19,22 @@ from linear_cards import (
 )
 
 from bayes_aero.diagnosis.trajectories.results import Setting
-from bayes_aero.diagnosis.trajectories.trajectory_fit import fit_trajectories
-from bayes_aero.dynamics.linear import channel_units, linear_dynamics
-from bayes_aero.dynamics.simulated.multisines import multisines
+from bayes_aero.diagnosis.trajectories.trajectories import fit_trajectories
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.simulated.manoeuvres import multisines
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.frequency.bands import linear_in_band
-from bayes_aero.inference.frequency.fit import cramer_rao, fit_in_band, solve
+from bayes_aero.inference.frequency import cramer_rao, fit_in_band, linear_in_band, solve
 from bayes_aero.model.joined_channels import join
-from bayes_aero.residuals.frequency_error import LinearFrequencyError, lines_in, transform_rows, without_trend
-from bayes_aero.residuals.frequency_output_error import LinearFrequencyOutputError
+from bayes_aero.residuals.frequency_error import (
+    LinearFrequencyError,
+    LinearFrequencyOutputError,
+    lines_in,
+    transform_rows,
+    without_trend,
+)
 
 DT, BAND = 0.04, (0.1, 1.5)
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15, "p": 0.004, "r": 0.003, "p_dot": 0.03}

@@ -8,12 +8,17 @@ import pytest
 from scipy.stats import halfnorm, multivariate_normal, norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.mle import data_of, evaluate, fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.likelihood.sensitivity import data_of, evaluate
-from bayes_aero.inference.posterior.pooled.hierarchy import SCATTER, Hierarchy, given_scatter, pool
-from bayes_aero.inference.posterior.pooled.next_flight import check_manoeuvres, next_flight
-from bayes_aero.inference.posterior.pooled.normal_estimates import normal_estimates
+from bayes_aero.inference.pooled import (
+    SCATTER,
+    Hierarchy,
+    check_manoeuvres,
+    given_scatter,
+    next_flight,
+    normal_estimates,
+    pool,
+)
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.simulate.demo import TRUTH
 

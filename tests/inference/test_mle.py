@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import bayes_aero as ba
-from bayes_aero.inference.likelihood.mle import descend, fit_mle
+from bayes_aero.inference.covariance import corrected_covariance
+from bayes_aero.inference.likelihood.mle import descend, fit_mle, without_noise_bias
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.likelihood.noise_bias import without_noise_bias
-from bayes_aero.inference.variance.coloured_bounds import corrected_covariance
 from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise

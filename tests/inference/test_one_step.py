@@ -21,15 +21,15 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import binom, kstest, norm
 
-from bayes_aero.dynamics.filtering.innovations import filter_segments, prediction_errors
-from bayes_aero.dynamics.filtering.kalman import Filtered
+from bayes_aero.dynamics.innovations import filter_segments, prediction_errors
+from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.identification import Histogram
 from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
-from bayes_aero.inference.posterior.pit import BAND, histogram, neighbours, pit
+from bayes_aero.inference.posterior.calibration import BAND, histogram, neighbours, pit
 from bayes_aero.inference.scores import Calibration, ScoreStatus, interval_coverage, score
 from bayes_aero.model.density import Density
 from bayes_aero.model.joined_channels import join

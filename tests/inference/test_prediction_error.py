@@ -12,10 +12,9 @@ import pytest
 from linear_cards import FIRST_ORDER, card_of, disturbed_first_order
 from scipy import stats
 
-from bayes_aero.dynamics.filtering.density import NoisePoint, innovations_density
-from bayes_aero.dynamics.filtering.innovations import filter_segments
-from bayes_aero.dynamics.filtering.kalman import log_likelihood
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
+from bayes_aero.dynamics.innovations import filter_segments
+from bayes_aero.dynamics.kalman import NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments, simulate
@@ -24,23 +23,25 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood import prediction_error
-from bayes_aero.inference.likelihood.fisher_scoring import (
+from bayes_aero.inference.likelihood.prediction_error import (
     MAX_ITERATIONS,
     Evaluation,
+    PredictionErrorStatus,
     bfgs_update,
     bounded_step,
     covariance_of,
+    fit_prediction_error,
     minimise,
 )
-from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.inference.posterior.ensemble import EnsembleLength
-from bayes_aero.inference.posterior.innovations import (
+from bayes_aero.inference.posterior.nuts import (
     SPREAD,
+    NutsLength,
     PosteriorLength,
+    WarmUp,
     innovations_posterior,
     sample_innovations,
 )
-from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model

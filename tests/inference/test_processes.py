@@ -11,14 +11,13 @@ import psutil
 import pytest
 
 from bayes_aero.inference import compiled_programs
-from bayes_aero.inference import parent_watchdog as orphan
 from bayes_aero.inference.compiled_programs import MAPPINGS, full_of_programs, give_back_memory
 
 # Processes that train for a parent that was killed do not outlive it
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.parent_watchdog import exit_with
+from bayes_aero.inference.compiled_programs import exit_with
 
 def work(parent):
     exit_with(parent)
@@ -42,11 +41,11 @@ def test_processes_end_with_a_parent_that_is_killed():
 
 
 def test_nothing_watches_in_the_process_itself(monkeypatch):
-    monkeypatch.setattr(orphan.os, "_exit", lambda code: pytest.fail(f"left with {code}"))
-    monkeypatch.setattr(orphan, "POLL_SECONDS", 0.01)
-    orphan.exit_with(os.getpid())
+    monkeypatch.setattr(compiled_programs.os, "_exit", lambda code: pytest.fail(f"left with {code}"))
+    monkeypatch.setattr(compiled_programs, "POLL_SECONDS", 0.01)
+    compiled_programs.exit_with(os.getpid())
     time.sleep(0.1)
-    assert orphan._watched == set()
+    assert compiled_programs._watched == set()
 
 
 # Compiled programs take memory mappings, of which Linux allows a process so many

@@ -5,11 +5,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_aero.inference.likelihood.restraints import active_bounds, prior_conflicts
-from bayes_aero.inference.posterior.assembly import Drawn, assemble
-from bayes_aero.inference.posterior.prior_sensitivity import Dependence, prior_sensitivity
-from bayes_aero.inference.variance.inseparable import inseparable
-from bayes_aero.model.log_density import LogDensity
+from bayes_aero.inference.likelihood.mle_result import active_bounds, inseparable, prior_conflicts
+from bayes_aero.inference.posterior.calibration import Dependence, prior_sensitivity
+from bayes_aero.inference.posterior.ensemble import Drawn, assemble
+from bayes_aero.model.density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.text.restraints import (
     bound_sentences,

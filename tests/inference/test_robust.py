@@ -8,10 +8,13 @@ from scipy.stats import norm, t
 from statsmodels.tsa.arima_process import ArmaProcess
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.splits import BLOCK_SECONDS, make_splits
-from bayes_aero.inference.variance.autoregression import stationary_series
-from bayes_aero.inference.variance.block_jackknife import cluster_covariance, jackknife_covariance
-from bayes_aero.inference.variance.robust_bounds import robust_covariance
+from bayes_aero.inference.covariance import (
+    cluster_covariance,
+    jackknife_covariance,
+    robust_covariance,
+    stationary_series,
+)
+from bayes_aero.inference.validation import BLOCK_SECONDS, make_splits
 
 # Corrected bounds against variances that are known in closed form
 BLOCK = 0.2

@@ -8,8 +8,7 @@ import stranger_six
 from stranger_six import Plane
 
 from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
-from bayes_aero.dynamics.simulated.rigid_trim import Condition, rigid_trim
-from bayes_aero.dynamics.simulated.trim import lead, level_speed, trimmed
+from bayes_aero.dynamics.simulated.trim import Condition, lead, level_speed, rigid_trim, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model

@@ -13,15 +13,16 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import (
+    body_from_lift_drag,
     coefficient_noise,
     coefficients,
     condition_joined,
+    lift_drag_from_body,
     stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
-from bayes_aero.physics.frames import body_from_lift_drag, lift_drag_from_body
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.flightpath import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayes_aero.diagnosis.design.information import Information
+from bayes_aero.diagnosis.design import Information
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
-from bayes_aero.flight.envelope import Envelope
+from bayes_aero.flight.aircraft import Envelope
 from bayes_aero.model.joined_channels import join
-from bayes_aero.qualification.further_flights import OpenTest, _Linear, _precision, _shrunk, further_flights
+from bayes_aero.qualification.flights import OpenTest, _Linear, _precision, _shrunk, further_flights
 from bayes_aero.qualification.result import Kind
-from bayes_aero.report.qualification.further import further_sentences
+from bayes_aero.report.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 DRAWS, SAMPLES = 20000, 3

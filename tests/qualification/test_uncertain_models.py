@@ -13,9 +13,8 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join
-from bayes_aero.qualification.qualify import Uncertain, qualify
-from bayes_aero.qualification.refits import HoldOut
-from bayes_aero.qualification.region import Region, nearest
+from bayes_aero.qualification.flights import HoldOut
+from bayes_aero.qualification.qualify import Region, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, Kind, Qualification, Recorded, Test, Verdict
 from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
 

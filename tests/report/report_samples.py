@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
-from bayes_aero.diagnosis.selection.residuals import theil_parts
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, Path, TrajectoryFit
+from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
+from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, SimulatedManoeuvre, TrajectoryFit
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.report.pages.study import StudyContext
@@ -45,7 +45,9 @@ def with_offsets(flown: TrajectoryFit, samples: Mapping[str, int], off: Mapping[
         for model, times in ((START, 2.0), (FITTED, 1.0)):
             y, size = z + times * off[name], times * abs(off[name])
             error = Error(size, size, theil_parts(z, y), band, float(size <= band * (1.0 + 1e-9)), None)
-            paths.append(Path(name, model, model, True, {"alpha": error}, time, {"alpha": z}, {"alpha": y}))
+            paths.append(
+                SimulatedManoeuvre(name, model, model, True, {"alpha": error}, time, {"alpha": z}, {"alpha": y})
+            )
     return replace(flown, paths=tuple(paths), outputs=("alpha",))
 
 

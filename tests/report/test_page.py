@@ -16,16 +16,16 @@ from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html.page import Fold, Page, Picture, Plot, Table, Text, put_page, render, section
-from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.html.page import Fold, HtmlTable, Page, Picture, Plot, Text, put_page, render, section
+from bayes_aero.report.html.parts import page_table
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
 from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.pages.captions import stall_table
 from bayes_aero.report.pages.diagnosis import diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
-from bayes_aero.report.pages.stall import stall_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
 
@@ -69,7 +69,7 @@ def html(full):
 
 
 def test_whatever_comes_from_a_run_is_escaped():
-    table = Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
+    table = HtmlTable(HOSTILE, (HOSTILE, "b"), ((HOSTILE, HOSTILE),), ((HOSTILE, 2),), note=HOSTILE)
     picture = Picture("data:,", HOSTILE, HOSTILE, 3, 2, 2)
     panel = Panel("CL [-]", (Line("measured", "#000000", np.arange(3.0)),))
     item = {**linked(np.arange(3.0), [panel], "time"), "more": HOSTILE}
@@ -110,7 +110,7 @@ def test_the_identified_model_is_flown_on_the_page(full, simulated):
     off = [path for path in simulated.paths if (path.model, path.split) == ("card", "fitted")]
     page = identification_page(full, {}, {}, off)
     (part,) = [s for s in page.sections if s.key == "simulated"]
-    (table,) = [b for b in part.blocks if isinstance(b, Table)]
+    (table,) = [b for b in part.blocks if isinstance(b, HtmlTable)]
     row = dict(zip(table.head, table.rows[0], strict=True))
     assert row["flight"] == "a, first half"
     assert table.rows[0][-2:] == ("1.0", "100%")  # alpha is off by a degree, inside two hundredths of a radian
@@ -226,7 +226,7 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         assert cause.claim in text
     holds(text, "a or b: expected to be decided, 6.2 standard errors", "thrust steps", "4 to 12", "0.71 to 1.52")
     holds(text, "Hidden was x.", "Trajectories, before and after", "Share of the time", "CLmax")
-    table = next(b for b in page.sections[2].blocks if isinstance(b, Table))
+    table = next(b for b in page.sections[2].blocks if isinstance(b, HtmlTable))
     assert [row[0] for row in table.rows] == ["CL", "CD", "Cm"]
     assert "manoeuvre by manoeuvre" not in text  # there is one
     only = diagnosis_page(by_trajectories(flown), told)
@@ -281,7 +281,7 @@ def test_figures_with_a_panel_for_each_manoeuvre_are_left_out_where_there_are_ma
 
 def test_a_table_is_as_broad_as_its_longest_lines():
     row = ("name", "1.234\n1.2 to 1.3", "a text that is longer than the column in which it is folded")
-    table = Table("t", ("a", "b", "c"), (row, row), words=(2,))
+    table = HtmlTable("t", ("a", "b", "c"), (row, row), words=(2,))
     assert table.across == 4 + 10 + 25 + 3 * 2
     assert not table.broad
     assert not table.slim  # beside another one its text would be folded
@@ -289,7 +289,7 @@ def test_a_table_is_as_broad_as_its_longest_lines():
     assert short.slim
     assert not replace(short, rows=short.rows * 2).slim  # two lines a row: more than a sheet has
     assert replace(short, rows=(row[:2] * 10,), head=("a", "b") * 10).broad
-    assert not Table("t", ("a",), ()).broad
+    assert not HtmlTable("t", ("a",), ()).broad
 
 
 def test_panels_are_lower_on_paper_but_not_than_their_labels():

@@ -10,18 +10,17 @@ from linear_cards import SHORT_PERIOD_TRUTH
 from PIL import Image
 from report_samples import CARD, N, flight, records, study_told, with_offsets
 
-from bayes_aero.diagnosis.selection.residuals import TheilParts
-from bayes_aero.diagnosis.trajectories.motion.results import FlownMode, Motion
+from bayes_aero.diagnosis.selection.block_jackknife import TheilParts
+from bayes_aero.diagnosis.trajectories.results import FlownMode, Motion
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import RESULTS
-from bayes_aero.jobs.provenance.provenance import provenance
-from bayes_aero.report.figures.trajectories import stem_of
-from bayes_aero.report.html.page import Fold, Picture, Plot, Table, put_page, render
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import at_a_glance
+from bayes_aero.jobs.provenance import provenance
+from bayes_aero.report.figures.time_histories import stem_of
+from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, put_page, render
+from bayes_aero.report.html.parts import page_table
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
-from bayes_aero.report.motion.text import motion_sentences
+from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.pages.study import MOST_UNITS, study_headline, study_page
 from bayes_aero.report.tables.across_cases import estimates
@@ -133,7 +132,7 @@ def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels()
     assert float(rows["q [deg/s]"][0]) * DEGREE == pytest.approx(0.0, abs=0.003)
     measured = flight().flown.path("one", "start").simulated["alpha"][0]
     assert float(rows["α [deg]"][1]) * DEGREE == pytest.approx(float(rows["α [deg]"][0]) * DEGREE - measured, abs=1e-4)
-    (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, Table))
+    (table,) = (b for b in at_a_glance(records(), CARD) if isinstance(b, HtmlTable))
     heads = [head.replace("\n", " ") for head in table.head[5:]]
     assert heads == ["alpha α [deg]", "pitch rate q [deg/s]", "az [m/s²]", "elevator [deg]"]
 

@@ -21,26 +21,25 @@ from browsing import (
 from report_samples import CARD, flight, records, study_told
 
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.jobs.catalogue.catalogue_page import write_effects
-from bayes_aero.jobs.catalogue.known_effects import effect_facts, known_effects
-from bayes_aero.jobs.provenance.provenance import provenance
+from bayes_aero.jobs.catalogue import effect_facts, known_effects
+from bayes_aero.jobs.catalogue_page import write_effects_page
+from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures import comparison as figures_comparison
-from bayes_aero.report.figures import stall as figures_stall
+from bayes_aero.report.figures import prior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.html.page import section, write_page
-from bayes_aero.report.pages.card import Rest, StarterView, Taken, card_page
-from bayes_aero.report.pages.fly import FlyContext, fly_page
+from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
+from bayes_aero.report.pages.fly import FlyContext, fly_page, trajectories
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.pages.study import study_page
-from bayes_aero.report.pages.trajectories import trajectories
 
 pytestmark = needed
 
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
-    "stall": figures_stall.stall,
-    "stall_narrow": figures_stall.stall_narrow,
-    "separation": figures_stall.separation,
+    "stall": prior.stall,
+    "stall_narrow": prior.stall_narrow,
+    "separation": prior.separation,
     "forest": figures_comparison.forest,
     "crb_vs_credible": figures_comparison.crb_vs_credible,
 }
@@ -222,7 +221,7 @@ def catalogue(tmp_path_factory):
     card = read_card("attas")
     found = [effect_facts(effect, card) for effect in known_effects(card).values()]
     out = tmp_path_factory.mktemp("catalogue")
-    assert write_effects(found, "effects", card, out) == ()
+    assert write_effects_page(found, "effects", card, out) == ()
     return out / "report.html"
 
 

@@ -12,22 +12,21 @@ from matplotlib.image import imread
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
 from bayes_aero.diagnosis.screening.accuracy import sizes
 from bayes_aero.diagnosis.view.models import with_stalls
-from bayes_aero.inference.posterior.pit import pit_of
+from bayes_aero.inference.posterior.calibration import pit_of
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Colour
-from bayes_aero.physics.coefficients import NAMES
+from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.report.figures import every_figure as figures
-from bayes_aero.report.figures.diagnosis import autocorrelation
+from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all, write_figures
-from bayes_aero.report.figures.found import telling
-from bayes_aero.report.figures.pit import pit_histogram, pit_words
+from bayes_aero.report.figures.posterior import pit_histogram, pit_words
 from bayes_aero.report.html.page import Fold, Picture
-from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.html.parts import page_table
 from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, close, save
+from bayes_aero.report.tables.across_cases import broken, predicted
 from bayes_aero.report.tables.diagnosis_tables import causes_table, probability, screen_table
-from bayes_aero.report.tables.predictions import broken, predicted
 from bayes_aero.report.text.diagnosis import revealed, sentences
 from bayes_aero.report.text.phrases import size_text
 

@@ -18,23 +18,23 @@ from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
+from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.comparison import next_flight
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.pooled.next_flight import next_flight_sentences, next_flight_table
+from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.pooled import next_flight_sentences, next_flight_table
 from bayes_aero.report.style import NotDrawn
+from bayes_aero.report.tables.across_cases import holdout_table
 from bayes_aero.report.tables.comparison import ordered, scatter
-from bayes_aero.report.tables.filtered import gust_table
-from bayes_aero.report.tables.fly import error_table
-from bayes_aero.report.tables.models import holdout_table
+from bayes_aero.report.tables.fly import error_table, gust_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
-from bayes_aero.report.text.phrases import concise, number, plus_minus, size_text
+from bayes_aero.report.text.phrases import concise, plus_minus, size_text
+from bayes_aero.units import number
 
 
 def printed(two_rows: Table, width: int = 80) -> str:

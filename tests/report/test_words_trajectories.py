@@ -8,19 +8,25 @@ from calling import holds
 from report_samples import flight, with_offsets
 from rich.console import Console
 
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
+from bayes_aero.diagnosis.selection.holdout import Confirmation
 from bayes_aero.diagnosis.trajectories.results import Disagreement, LagTest, ProcessNoise
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.inference.scores import Calibration, OneStep, Predicted, Share
-from bayes_aero.report.figures.pit import one_step_quantiles
-from bayes_aero.report.html.page_table import page_table
+from bayes_aero.report.figures.posterior import one_step_quantiles
+from bayes_aero.report.html.parts import page_table
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.filtered import one_step_table
-from bayes_aero.report.tables.fly import parameter_table
-from bayes_aero.report.text.fly import disagreement_sentences, fly_sentences, outside
+from bayes_aero.report.tables.fly import one_step_table, parameter_table
+from bayes_aero.report.text.fly import (
+    cause_sentences,
+    disagreement_sentences,
+    fly_sentences,
+    lag_sentences,
+    outside,
+    prediction_sentences,
+    process_noise_sentences,
+    simulation_gain,
+)
 from bayes_aero.report.text.phrases import nats_text
-from bayes_aero.report.text.process_noise import prediction_sentences, process_noise_sentences
-from bayes_aero.report.text.trajectories import cause_sentences, lag_sentences, simulation_gain
 
 
 def test_the_gain_is_that_of_unseen_flights_and_else_nothing_is_said(simulated):

@@ -15,7 +15,7 @@ from calling import page_of, validated
 from simulated_halves import halves
 
 from bayes_aero.diagnosis import candidate_set
-from bayes_aero.diagnosis.diagnose import NO_GAIN
+from bayes_aero.diagnosis.selection.gains import NO_GAIN
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.record import FlightRecord
@@ -26,10 +26,9 @@ from bayes_aero.jobs.io import result_store as kept
 from bayes_aero.jobs.io import time_histories as histories
 from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance.provenance import provenance, write_json
-from bayes_aero.jobs.steps import post_diagnosis as outlook
-from bayes_aero.jobs.steps import post_processing as follow
-from bayes_aero.report.figures import diagnosis as figures_diagnosis
+from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.steps import post_processing
+from bayes_aero.report.figures import diagnosis
 from bayes_aero.simulate.injection import hidden_records
 
 
@@ -50,7 +49,7 @@ def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
 def run(records, card, *, out, hidden=None, points=None, fly=None, **options):
     """The job with these in place of what chooses test points and simulates trajectories; without one, not done."""
     stages = {"test_points": points is not None, "trajectories": fly is not None}
-    with patch.object(follow, "proposed_points", points), patch.object(job, "simulations", fly):
+    with patch.object(post_processing, "proposed_points", points), patch.object(job, "simulations", fly):
         return diagnose_records(records, card, DiagnoseOptions(**stages, **options), out=out, hidden=hidden)
 
 
@@ -95,7 +94,7 @@ def test_numbers_that_do_not_exist_are_null(repeated, card, tmp_path):
     assert one["gain"] == {"elpd": None, "elpd_se": None, "split": "not measured", "by_coefficient": {}, "degraded": {}}
 
 
-FIGURES = {"bad": bad, "colour": figures_diagnosis.residual_colour}
+FIGURES = {"bad": bad, "colour": diagnosis.residual_colour}
 
 
 @pytest.mark.parametrize(
@@ -103,7 +102,7 @@ FIGURES = {"bad": bad, "colour": figures_diagnosis.residual_colour}
     [
         (job, "DIAGNOSIS_FIGURES", FIGURES, "Figure bad"),
         (kept, "diagnosis_page", bad, "report.html"),
-        (follow, "with_stalls", bad, "Stall"),
+        (post_processing, "with_stalls", bad, "Stall"),
     ],
 )
 def test_a_figure_a_page_or_a_stall_that_fails_loses_nothing_else(
@@ -118,7 +117,7 @@ def test_a_figure_a_page_or_a_stall_that_fails_loses_nothing_else(
     assert (tmp_path / "report.html").exists() == (place is not kept)
     if place is job:
         assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
-    if place is follow:
+    if place is post_processing:
         assert "Stall left out: ValueError: no such luck." in page_of(tmp_path)
 
 
@@ -196,14 +195,14 @@ def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatc
     def refused(*_, **__):
         raise InputError("level flight needs no angle of attack in range")
 
-    monkeypatch.setattr(outlook, "next_test_points", refused)
+    monkeypatch.setattr(post_processing, "next_test_points", refused)
     found = diagnosed.view.diagnosis
     known = found.aerodynamics.state.full.candidates
     rival = next(e.name for e in known if e.name != found.causes[0].name and e.parameters)
     cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
     with pytest.raises(InputError, match="level flight needs"):  # which the job notes
-        outlook.proposed_points(replace(found, causes=(cause,)))
-    assert outlook.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
+        post_processing.proposed_points(replace(found, causes=(cause,)))
+    assert post_processing.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from out_of_catalogue import unknown
 
-from bayes_aero.dynamics.simulated.plant import can_simulate
+from bayes_aero.dynamics.simulated.trim import can_simulate
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -17,9 +17,8 @@ from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, marks, observe
-from bayes_aero.simulate.demo import TRUTH
+from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records
-from bayes_aero.simulate.request import Request
 from bayes_aero.simulate.synthetic_record import synthetic
 from bayes_aero.study.study import read_study
 

@@ -14,13 +14,13 @@ import pytest
 
 from bayes_aero import atomic_write as durable
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
-from bayes_aero.errors import InputError, no_space
-from bayes_aero.inference.threads import cores
-from bayes_aero.jobs.steps.background import in_background
+from bayes_aero.errors import ERROR, InputError, no_space
+from bayes_aero.inference.compiled_programs import cores
+from bayes_aero.jobs.steps.post_processing import in_background
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study import worker
-from bayes_aero.study.case import ERROR, MANIFEST, fail_unit, run_unit
+from bayes_aero.study.case import MANIFEST, fail_unit, run_unit
 from bayes_aero.study.jit_cache import cache_folder
 from bayes_aero.study.worker import Driver, work
 

@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.folds import blocks_of, folds_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, blocks_of, folds_of
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.parameter import departure

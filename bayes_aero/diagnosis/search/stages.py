@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.consistency.sensor_errors import check_sensors
+from bayes_aero.diagnosis.consistency import check_sensors
+from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, refitted
 from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
 from bayes_aero.diagnosis.selection.block_jackknife import widened
 from bayes_aero.diagnosis.selection.forward_selection import Extension, nats_gained, plausible_selection, removed
-from bayes_aero.diagnosis.selection.plausibility import without_hold
-from bayes_aero.diagnosis.structure.components import offsets_left
-from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.diagnosis.selection.gains import without_hold
+from bayes_aero.diagnosis.structure.changes import offsets_left
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.covariance import nats
 from bayes_aero.parameter import Prior
+from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
@@ -153,3 +158,52 @@ def _deviance(card: SelectionState, without: Sequence[str]) -> float:
     columns = state.columns()
     best, folds = optimum(state, range(len(state.folds))), range(len(state.folds))
     return local_fit(state, best, columns[columns < len(best)], folds)[1]
+
+
+# --- What a search for missing effects has found, whichever way the model meets the record.
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Extensions by stage, the model's own last; structure without a name; noise.
+
+    `testable_now`: whether hold-out data can be asked at once; trajectories ask them when they are compared.
+    """
+
+    full: CandidateModel
+    stages: tuple[tuple[str, Extension], ...]
+    unknown: tuple[UnexplainedStructure, ...]
+    noise: NoiseReport
+    notes: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+    testable_now: bool = True
+    changes: tuple[ParameterChange, ...] = ()
+    terms: tuple[FoundTerm, ...] = ()
+    forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
+
+    @property
+    def model(self) -> Extension:
+        """The extension of the model itself."""
+        return self.stages[-1][1]
+
+    @property
+    def sensors(self) -> Extension | None:
+        """The extension of the flight path, by errors of sensors."""
+        return self.stages[0][1] if len(self.stages) > 1 else None
+
+    @property
+    def not_testable(self) -> Mapping[str, str]:
+        """Why effects could not be tested: a lag is tested where the search has tried it and added it."""
+        added = {name for _, one in self.stages for name in one.state.active}
+        return {name: why for name, why in self.full.not_testable.items() if name not in added}
+
+    @property
+    def by_stage(self) -> Mapping[str, Extension]:
+        """The extensions by name of the stage."""
+        return dict(self.stages)
+
+
+def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
+    """Channels that coefficients need and some record does not have: trajectories are compared then."""
+    given = {*card.sums, *card.constants, *card.derived, *card.tables}
+    return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))

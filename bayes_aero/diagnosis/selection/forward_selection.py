@@ -11,13 +11,16 @@ import numpy as np
 
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible, largest_noise_bias, sizes
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
-from bayes_aero.diagnosis.screening.noise_growth import noise_growth_of
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, largest_p_value
-from bayes_aero.diagnosis.screening.refit_screening import RefitScore
+from bayes_aero.diagnosis.screening.parameter_fit import (
+    PartialledRegression,
+    largest_p_value,
+    noise_growth_of,
+    refitted,
+)
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import (
     CandidateScore,
+    RefitScore,
     ScreeningResult,
     block_jackknife_covariance,
     columns_of,
@@ -27,9 +30,9 @@ from bayes_aero.diagnosis.screening.screening import (
     uncertainty,
 )
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, constant_of, moved
-from bayes_aero.diagnosis.selection.cross_validation import addition_gain, truncated
+from bayes_aero.diagnosis.selection.holdout import addition_gain, truncated
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.variance.variance_inflation import median_inflation, nats
+from bayes_aero.inference.covariance import median_inflation, nats
 from bayes_aero.parameter import Parameter
 from bayes_aero.progress import Progress
 

@@ -21,22 +21,25 @@ from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, auto
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
+from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.change_result import told
-from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable
-from bayes_aero.diagnosis.structure.components import (
+from bayes_aero.diagnosis.structure.changes import (
+    Sought,
     chance_of,
     families,
+    holdout_gain_of,
     in_batches,
     null_shares,
     parts_of,
     share_of,
+    sought_change,
+    testable,
+    told,
     with_components,
 )
 from bayes_aero.diagnosis.terms.columns import term_of
-from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.inference.covariance import nats
 
 
 @dataclass(frozen=True)

@@ -14,23 +14,18 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import UnexplainedStructure
 from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
-from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, largest_p_value
+from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression, largest_p_value
 from bayes_aero.diagnosis.screening.regression import Fit
-from bayes_aero.diagnosis.screening.screening import (
-    CandidateScore,
-    ScreeningResult,
-    block_jackknife_covariance,
-    screen,
-)
+from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult, block_jackknife_covariance, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import share_of, with_components
+from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
+from bayes_aero.diagnosis.structure.changes import share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.forms import Forms, contest, described
 from bayes_aero.diagnosis.terms.search import NEAR, Found, reconsidered, sized, weights_of
-from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.inference.covariance import nats
 from bayes_aero.progress import Progress
 
 

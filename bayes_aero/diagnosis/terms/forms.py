@@ -11,25 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import UnexplainedStructure
+from bayes_aero.diagnosis.result import FoundTerm, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.parameter_fit import optimum, refitted
-from bayes_aero.diagnosis.screening.partialled_regression import inflation_along
+from bayes_aero.diagnosis.screening.parameter_fit import inflation_along, optimum, refitted
 from bayes_aero.diagnosis.screening.regression import Fit, Products
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
-from bayes_aero.diagnosis.selection.cross_validation import LeftOut, holdout_gain, truncated
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.structure.components import is_periodic, share_of, with_components
+from bayes_aero.diagnosis.selection.holdout import LeftOut, holdout_gain, truncated
+from bayes_aero.diagnosis.structure.changes import is_periodic, share_of, with_components
 from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous, taken_out
 from bayes_aero.diagnosis.terms.columns import SAME, columns_of, likeness, polynomials, term_of
 from bayes_aero.diagnosis.terms.library import SEPARATED, Term
-from bayes_aero.diagnosis.terms.result import FoundTerm
 from bayes_aero.diagnosis.terms.search import SWING, Found, forms, gain_of, leader, sized
 from bayes_aero.effect import Kind
-from bayes_aero.inference.variance.block_jackknife import cluster_covariance
-from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.inference.covariance import cluster_covariance, nats
 
 
 class Forms(NamedTuple):

@@ -8,22 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.result import FoundTerm
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.partialled_regression import PartialledRegression, inflation_along
+from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression, inflation_along
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
-from bayes_aero.diagnosis.selection.cross_validation import holdout_deviance_gain
-from bayes_aero.diagnosis.structure.components import (
-    chance_of,
-    null_shares,
-    share_of,
-    with_components,
-)
+from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
+from bayes_aero.diagnosis.structure.changes import chance_of, null_shares, share_of, with_components
 from bayes_aero.diagnosis.terms.columns import Column, columns_of
 from bayes_aero.diagnosis.terms.library import Term
-from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.inference.variance.variance_inflation import nats
+from bayes_aero.inference.covariance import nats
 
 NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
 AS_GOOD = 0.1  # of what the function gains, what terms may gain less: it bends as it likes; our choice

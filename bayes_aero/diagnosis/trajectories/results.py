@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
@@ -9,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import NOT_NOISE
-from bayes_aero.diagnosis.selection.backward_elimination import Confirmation
-from bayes_aero.diagnosis.selection.residuals import TheilParts
+from bayes_aero.diagnosis.selection.block_jackknife import TheilParts
+from bayes_aero.diagnosis.selection.holdout import Confirmation
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
-from bayes_aero.dynamics.path.flight_path import PathDynamics
-from bayes_aero.inference.frequency.result import FrequencyFit, FrequencyResponse
+from bayes_aero.dynamics.path import PathDynamics
+from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.scores import OneStep
@@ -39,7 +40,7 @@ class Error:
 
 
 @dataclass(frozen=True)
-class Path:
+class SimulatedManoeuvre:
     """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
 
     A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name; parameters from
@@ -101,7 +102,7 @@ class Estimates:
 class Trajectories:
     """What simulations say of the card's model and of the extended one."""
 
-    paths: tuple[Path, ...]
+    paths: tuple[SimulatedManoeuvre, ...]
     card: Estimates
     extended: Estimates
     deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
@@ -120,7 +121,7 @@ class Trajectories:
         """Causes that flight does not miss: the extended model flies without them."""
         return tuple(e for e in self.asked.missed if e not in self.asked.kept)
 
-    def path(self, manoeuvre: str, model: str, split: str) -> Path | None:
+    def path(self, manoeuvre: str, model: str, split: str) -> SimulatedManoeuvre | None:
         """One of the paths."""
         return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
 
@@ -163,7 +164,7 @@ class TrajectoryFit:
 
     fit: OutputErrorResult
     start: Float[np.ndarray, " k"]
-    paths: tuple[Path, ...]
+    paths: tuple[SimulatedManoeuvre, ...]
     initial: Mapping[str, Mapping[str, tuple[float, float]]]
     variance_inflation: float
     outputs: tuple[str, ...]
@@ -203,7 +204,7 @@ class TrajectoryFit:
         """Names of the manoeuvres."""
         return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
 
-    def path(self, manoeuvre: str, model: str) -> Path:
+    def path(self, manoeuvre: str, model: str) -> SimulatedManoeuvre:
         """The path of one manoeuvre and model (`start` or `fitted`)."""
         return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
 
@@ -288,3 +289,41 @@ class ProcessNoise:
     def preferred(self) -> bool:
         """Whether it describes the record better than output error does."""
         return self.converged and self.gain > 0.0
+
+
+# --- Modes of motion of a fitted model.
+
+HALF = math.log(2.0)
+
+
+@dataclass(frozen=True)
+class FlownMode:
+    """A mode with its uncertainty.
+
+    Attributes:
+        name: short period, phugoid, Dutch roll, roll, spiral; other where no name fits.
+        eigenvalue: 1/s; of a pair the one of positive imaginary part.
+        sd: standard errors of its real and imaginary part, 1/s.
+        quantities: period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard
+            error. What the data do not tell apart from none is left out.
+    """
+
+    name: str
+    eigenvalue: complex
+    sd: tuple[float, float]
+    quantities: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Modes about straight level flight (airspeed m/s, altitude m; NaN of linear cards).
+
+    `filtered`: the modes are of the estimates with process noise, not of output error. `why_not` says why there are no
+    modes.
+    """
+
+    airspeed: float
+    altitude: float
+    modes: tuple[FlownMode, ...] = ()
+    why_not: str = ""
+    filtered: bool = False

@@ -6,25 +6,49 @@ extended model misses grows as the flow separates, and counts for less there (se
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.trajectories.elimination import eliminate
-from bayes_aero.diagnosis.trajectories.holdout_fits import CandidateFit, Noise, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.lag_test import confirmed, open_lag, with_lag
-from bayes_aero.diagnosis.trajectories.results import Estimates, Path, Trajectories
-from bayes_aero.diagnosis.trajectories.time_histories import label, paths_of, posterior_covariance
-from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_biases import biased_dynamics
+from bayes_aero.diagnosis.flight_path_check import sensor_noise
+from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
+from bayes_aero.diagnosis.trajectories.histories import label, paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.holdout import (
+    CandidateFit,
+    Noise,
+    confirmed,
+    eliminate,
+    holdout_fits,
+    left_out,
+    open_lag,
+    with_lag,
+)
+from bayes_aero.diagnosis.trajectories.results import (
+    FITTED,
+    START,
+    Disagreement,
+    Estimates,
+    ProcessNoise,
+    Setting,
+    SimulatedManoeuvre,
+    Trajectories,
+    TrajectoryFit,
+)
+from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics
+from bayes_aero.dynamics.output_biases import biased_dynamics, unbiased
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
-from bayes_aero.inference.threads import blas_threads
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.signals import channels_of
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.compiled_programs import blas_threads
+from bayes_aero.inference.likelihood.mle_result import CONFLICT_LIMIT, MleResult, MleStatus
+from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior
@@ -128,7 +152,7 @@ def _paths(
     noise: Noise,
     tolerances: Mapping[str, float],
     seed: int,
-) -> list[Path]:
+) -> list[SimulatedManoeuvre]:
     """What is shown of every model: fitted to all, then by each of its fits `without` a segment, on that segment."""
     paths = []
     for name, c in models.items():
@@ -197,3 +221,159 @@ def _extended(whole: Model, effects: Sequence) -> Model:
 
 def _half(flights: Flights) -> float:
     return 0.5 * flights.lengths[0] * float(flights.channels["dt"][0])
+
+
+# --- One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight.
+
+
+@blas_threads(0)
+def fit_trajectories(
+    flights: Flights,
+    dynamics: Dynamics,
+    units: Mapping[str, str],
+    *,
+    starts: Sequence[Float[np.ndarray, " k"]] = (),
+    window: float = WINDOW,
+    tolerances: Mapping[str, float] | None = None,
+    biases: Mapping[str, Prior] | None = None,
+    setting: Setting | None = None,
+    progress: Progress | None = None,
+) -> TrajectoryFit:
+    """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
+
+    Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
+    by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
+    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
+    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
+    """
+    setting = setting or Setting()
+
+    def tell(text: str, share: float) -> None:
+        if progress:
+            progress(text, share)
+
+    left = LEFT if isinstance(dynamics, AircraftDynamics) else ()
+    dynamics = biased_dynamics(dynamics, flights, biases or {})
+    first = np.array([p.start for p in dynamics.free])
+    starts = [np.append(s, first[len(s) :]) for s in starts]
+    shown = tuple(name for name in dynamics.outputs if name in flights.channels)
+    compared = tuple(n for n in shown if n not in left) if setting.outputs is None else setting.outputs
+    options = {"outputs": compared, "substeps": dynamics.substeps(first, flights), "held": setting.held}
+    short = segments(flights, dynamics, window=window, **options)
+    whole = segments(flights, dynamics, fixed=setting.initial, **options)
+    stages = [whole] if len(short.index) == len(whole.index) else [short, whole]
+    tell("windows, then whole manoeuvres", 0.0)
+    without = () if setting.priors else unbiased(dynamics).names
+    fit = fit_cascade(stages, [first, *starts], prior_weight=FIRST_INFLATION, without=without)
+    if len(stages) == 1 and fit.status is OutputErrorStatus.NOT_CONVERGED:  # a first stage stops early
+        again = {"departure": fit.departure, "prior_weight": FIRST_INFLATION, "without": without}
+        fit = fit_output_error(whole, start=fit.estimate, **again)
+    inflation, noise_growth = math.nan, {}
+    if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+        tell("autocorrelation of the residuals", 0.7)
+        noise = Noise.of(fit)
+        inflation, whole, noise_growth = noise.variance_inflation, noise.on(whole), noise.told(whole.outputs)
+        weight = inflation if setting.priors else 0.0
+        fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
+    tell("errors of the trajectories", 0.9)
+    bands, still = tolerances or {}, np.zeros_like(fit.departure)
+    with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
+        paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
+        paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
+    return TrajectoryFit(
+        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting
+    )
+
+
+def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:
+    wide, theta = replace(fit.flown, outputs=shown), jnp.asarray(fit.estimate)
+    initial = {}
+    for row, departure in enumerate(fit.departure):  # one by one as the paths, for which it is compiled already
+        alone = trajectories(wide.part([row]), theta, jnp.asarray(departure[None]))
+        begin = np.asarray(alone.begin)[0]
+        named = zip(fit.flown.dynamics.start, begin, departure, strict=True)
+        initial[label(fit.flown, row)] = {name: (float(at), float(away)) for name, at, away in named}
+    return initial
+
+
+# --- What a diagnosis by trajectories alone has tested: does the simulation miss more than measurement noise?
+# Of structure without a name only terms of the library are sought along trajectories. Causes that improve the fit
+# explain what the card's model gets wrong only as far as nothing is left beside the noise of the sensors, an
+# absolute scale.
+
+
+def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
+    """The diagnosis with what the simulation still misses, and a verdict that claims no more than that.
+
+    Args:
+        found: by trajectories alone, its causes judged on hold-out flights.
+        flown: its extended model, flown; None where that was not done.
+        records: what it rests on.
+        card: states the sensors' noise; a usual installation's where it does not.
+    """
+    tested = Tested({} if flown is None else beyond_noise(flown, records, card))
+    return replace(found, tested=tested, verdict=verdict_of(found.causes, found.left, tested))
+
+
+def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
+    """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
+    noises = [sensor_noise(channels_of(record, card), card).white for record in records]
+    lengths = [record.n for record in records]
+    return {
+        name: OutputMiss(
+            noise=float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths))),
+            fitted=_rms(flown, name, "fitted"),
+            unseen=_rms(flown, name, "hold_out"),
+        )
+        for name in flown.fitted
+    }
+
+
+def _rms(flown: Trajectories, output: str, split: str) -> float:
+    """Root mean square error of the extended model over all its flights of one split."""
+    paths = [p for p in flown.paths if (p.model, p.split) == ("extended", split)]
+    if not paths:
+        return float("nan")
+    squares = [p.errors[output].rms ** 2 for p in paths]
+    return float(np.sqrt(np.average(squares, weights=[len(p.time) for p in paths])))
+
+
+# --- The same parameters from the coefficients and from trajectories: where the two fits of one record disagree.
+
+WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
+
+
+def still_apart(found: Sequence[Disagreement], fit: ProcessNoise | None) -> tuple[str, ...]:
+    """Parameters of `found` of which the fit with process noise disagrees with the coefficients as well."""
+    other = {} if fit is None else fit.estimates
+    return tuple(d.name for d in found if d.name in other and not _agree(d.coefficients, other[d.name]))
+
+
+def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
+    """Parameters about which the fits differ beyond chance and by more than `WORTH`, the furthest first.
+
+    Those at a bound are left out.
+    """
+    if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
+        return ()
+    fit, found = flown.fit, []
+    bound = {*coefficients.at_bound, *fit.at_bound, *fit.held_by_prior}
+    one = dict(
+        zip(coefficients.names, zip(coefficients.estimate, coefficients.crb_corrected, strict=True), strict=True)
+    )
+    for parameter, x, sd in zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True):
+        if parameter.name in bound or parameter.name not in one:
+            continue
+        other, its = one[parameter.name]
+        both = float(np.hypot(sd, its))
+        pairs = (float(other), float(its)), (float(x), float(sd))
+        if np.isfinite(both) and both > 0.0 and not _agree(*pairs):
+            apart = float(abs(x - other) / both)
+            found.append(Disagreement(parameter.name, parameter.unit, *pairs, apart))
+    return tuple(sorted(found, key=lambda d: -d.apart))
+
+
+def _agree(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two estimates, each with its standard error, differ by no more than chance or `WORTH`."""
+    (x, sd), (y, its) = one, other
+    return abs(x - y) <= max(CONFLICT_LIMIT * float(np.hypot(sd, its)), WORTH * max(abs(x), abs(y)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,17 +11,30 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
-from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.result import FLIGHT_PATH, Cause, Diagnosis
+from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.screening import ScreeningResult, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.diagnosis.selection.cross_validation import truncated
-from bayes_aero.diagnosis.selection.residuals import Profile, details, profiles, theil_parts
-from bayes_aero.diagnosis.view.covariance import covariance_of, joint_covariance
-from bayes_aero.diagnosis.view.rankings import rankings_of
-from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, Fitted, ParameterMove, View
+from bayes_aero.diagnosis.selection.block_jackknife import Profile, details, profiles, theil_parts
+from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
+from bayes_aero.diagnosis.selection.holdout import LeftOut, measured_blocks, truncated
+from bayes_aero.diagnosis.view.results import (
+    LEVELS,
+    Compared,
+    DiagnosisView,
+    Fitted,
+    HoldoutScores,
+    JointCovariance,
+    ParameterMove,
+    RankedCandidate,
+    Ranking,
+    View,
+)
+from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.identification import Stall
-from bayes_aero.inference.scores import score
+from bayes_aero.inference.scores import Scores, score
 from bayes_aero.inference.stall import stall_of
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
@@ -198,3 +211,121 @@ def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -
     """Correlation of neighbouring samples, within manoeuvres."""
     parts = [residual[manoeuvre == k] - residual[manoeuvre == k].mean() for k in range(int(manoeuvre[-1]) + 1)]
     return float(sum(np.sum(p[1:] * p[:-1]) for p in parts) / sum(np.sum(p**2) for p in parts))
+
+
+# --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
+
+
+def covariance_of(state: SelectionState, fit: Fit) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
+    own = np.flatnonzero(fit.columns < len(state.theta))
+    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
+    return fit.columns[own], covariance[np.ix_(own, own)]
+
+
+def joint_covariance(
+    state: SelectionState, fit: Fit, deviations: Mapping[str, float], causes: Sequence[Cause]
+) -> JointCovariance:
+    """Of all parameters of the extended model, as its standard errors are reported.
+
+    A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors and
+    the scatter between stretches count, too. What is beyond is independent of the other parameters.
+
+    Args:
+        state: the extended model at its optimum.
+        fit: there.
+        deviations: reported standard errors of the card's parameters, SI.
+        causes: those of the diagnosis, with the reported standard errors of their parameters.
+    """
+    columns, covariance = covariance_of(state, fit)
+    names = tuple(state.full.model.names[c] for c in columns)
+    reported = dict(deviations) | {name: size.sd for cause in causes for name, size in cause.parameters.items()}
+    variance = np.diag(covariance)
+    beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
+    return JointCovariance(names, 0.5 * (covariance + covariance.T) + np.diag(beyond))  # symmetric but for rounding
+
+
+# --- Both models of a diagnosis on each manoeuvre, in the fit and on hold-out data.
+
+
+def holdout_scores(view: View) -> HoldoutScores:
+    """Fit both models again without each fold, and score each manoeuvre by these fits and by those to all data."""
+    models = {"card": view.card, "extended": view.extended}
+    left = {name: LeftOut.refitted(fitted.state) for name, fitted in models.items()}
+    state = view.extended.state
+    measured, scores, gains = measured_blocks(state), {}, {}
+    for k, manoeuvre in enumerate(view.names):
+        here = (state.responses.manoeuvre == k) & left["extended"].inside
+        for model, fitted in models.items():
+            scores[model, "fitted", k] = _scores(state.outputs, measured[here], fitted.state.residual[here])
+            scores[model, "hold_out", k] = _scores(state.outputs, measured[here], left[model].residual[here])
+        found = compared(left["card"], left["extended"], state, measured, k)
+        gains |= {(manoeuvre, name): gain for name, gain in found.items()}
+    return HoldoutScores(view.names, scores, gains, state.settings.hold_out)
+
+
+def with_holdout_scores(view: View) -> View:
+    """The same with both models on each manoeuvre, where there are several and something was added."""
+    if len(view.names) == 1 or not view.extended.state.active:
+        return view
+    return replace(view, holdout=holdout_scores(view))
+
+
+def compared(
+    before: LeftOut, after: LeftOut, state: SelectionState, measured: Float[np.ndarray, "m c"], manoeuvre: int
+) -> dict[str, Compared]:
+    """`after` against `before` on one manoeuvre, by coefficient; its blocks' order and colour are kept."""
+    here = (state.responses.manoeuvre == manoeuvre) & before.inside
+    density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
+    total = np.sum((measured[here] - measured[here].mean(axis=0)) ** 2, axis=0)
+    squares = (before.residual[here] ** 2 - after.residual[here] ** 2) / total
+    n = len(density)
+    return {
+        name: Compared(
+            float(density[:, c].sum()),
+            standard_error_of_sum(density[:, c], [n]),
+            float(squares[:, c].sum()),
+            standard_error_of_sum(squares[:, c], [n]),
+        )
+        for c, name in enumerate(state.outputs)
+    }
+
+
+def _scores(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
+    """Of measured coefficients with these residuals."""
+    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}
+
+
+# --- The candidates of every stage in the order of their scores, as tables and figures show them.
+
+
+def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
+    """Stages of the diagnosis by the names that its causes carry."""
+    found = [(FLIGHT_PATH, diagnosis.sensors)] if diagnosis.sensors is not None else []
+    return [*found, (diagnosis.compared, diagnosis.aerodynamics)]
+
+
+def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:
+    """Candidates of every stage."""
+    found = []
+    for stage, extension in stages(diagnosis):
+        if extension.steps:
+            screening = extension.steps[0].screening
+            level = extension.state.settings.false_alarm_rate
+            standings = tuple(_standings(extension, screening))
+            found.append(Ranking(stage, standings, screening.threshold(level), level))
+    return found
+
+
+def _standings(extension: Extension, screening: ScreeningResult) -> list[RankedCandidate]:
+    full, found = extension.base.full, {}
+    for s in screening.candidate_scores:
+        if s.effect in found:
+            continue
+        effect = next(e for e in full.model.effects if e.name == s.effect)
+        at = [extension.base.theta[i] for i in full.columns(full.parameters_of(s.effect))]
+        sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
+        found[s.effect] = RankedCandidate(
+            s.effect, effect.kind.value, s.score, screening.p_value(s.score), explained(extension.base, s), sizes
+        )
+    return sorted(found.values(), key=lambda s: -s.score)

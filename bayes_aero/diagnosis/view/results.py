@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.regression import Fit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.residuals import Profile
+from bayes_aero.diagnosis.selection.block_jackknife import Profile
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.inference.identification import Stall
 from bayes_aero.inference.scores import Scores

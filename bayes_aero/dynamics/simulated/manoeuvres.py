@@ -13,13 +13,22 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq
 
-from bayes_aero.dynamics.simulated.multisines import multisines
-from bayes_aero.dynamics.simulated.plant import SIDE_FORCE, FlightState
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly_together
-from bayes_aero.dynamics.simulated.trim import Trim, trimmed
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.envelope import DEFAULT_RANGES, Envelope, excursion
+from bayes_aero.dynamics.simulated.simulate import Pilot, fly_rigid, fly_together
+from bayes_aero.dynamics.simulated.trim import (
+    SIDE_FORCE,
+    SIGNALS,
+    Condition,
+    FlightState,
+    RigidTrim,
+    Trim,
+    refuse_unsimulated,
+    rigid_trim,
+    trimmed,
+)
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import DEFAULT_RANGES, Aircraft, Envelope, excursion
 from bayes_aero.model.model import Model
 from bayes_aero.physics.atmosphere import GRAVITY, air
 
@@ -194,3 +203,156 @@ def until(pilot: Pilot, time: Series) -> float:
     moving = [np.flatnonzero(np.abs(np.diff(x)) > 1e-9 * np.max(np.abs(x) + 1e-30)) for x in signals]
     last = max((int(at[-1]) for at in moving if len(at)), default=0)
     return float(min(WHOLE * np.ceil((max(time[last], 0.0) + SETTLE) / WHOLE), SECONDS))
+
+
+# --- Orthogonal multisines on several controls at once, with a small peak for their power.
+# Source: Morelli, "Multiple input design for real-time parameter estimation in the frequency domain", IFAC SYSID
+# 2003; first phases: Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85; their improvement: Van der Ouderaa, Schoukens
+# and Renneboog, IEEE Trans. Instrum. Meas. 37 (1988) 145.
+
+CLIP, ROUNDS = 0.9, 300  # of the peak that a round leaves, and rounds of clipping
+GRID = 16  # points for each period of the highest frequency on which the peak is sought
+
+
+def multisines(
+    time: Float[np.ndarray, " n"], period: float, band: tuple[float, float], controls: int
+) -> Float[np.ndarray, "c n"]:
+    """Multisines with a peak of 1, zero where `time` is, that share no frequency; periodic in `period`.
+
+    The multiples of 1/`period` in `band` are dealt to the controls in turn, so that each covers the band. Over a whole
+    period the inputs are uncorrelated, and so are their derivatives and integrals.
+
+    Args:
+        time: s; every signal is zero at time 0.
+        period: s.
+        band: lowest and highest frequency, Hz.
+        controls: number of signals.
+
+    Raises:
+        InputError: the band has fewer than two frequencies for each control.
+    """
+    k = np.arange(np.ceil(band[0] * period - 1e-9), np.floor(band[1] * period + 1e-9) + 1)
+    if len(k) < 2 * controls or k[0] < 1:
+        raise InputError(
+            f"the band {band[0]:g} to {band[1]:g} Hz has {len(k)} multiples of 1/{period:g} s, and {controls} "
+            f"multisines need {2 * controls} above zero; widen the band or lengthen the period"
+        )
+    signals = []
+    for own in (k[number::controls] for number in range(controls)):
+        phase, at = _phases(own), 2.0 * np.pi * time[:, None] / period
+        fine = np.linspace(0.0, 2.0 * np.pi, GRID * int(own[-1]) * 4)
+        whole = np.sum(np.cos(fine[:, None] * own + phase), axis=1)
+        crossing = int(np.argmax(np.diff(np.sign(whole)) != 0.0))
+        zero: Any = brentq(_value, *fine[crossing : crossing + 2], args=(own, phase))
+        signals.append(np.sum(np.cos((at + zero) * own + phase), axis=1) / np.max(np.abs(whole)))
+    return np.stack(signals)
+
+
+def _value(angle: float, k: Float[np.ndarray, " m"], phase: Float[np.ndarray, " m"]) -> float:
+    return float(np.sum(np.cos(angle * k + phase)))
+
+
+def peak_factor(signal: Float[np.ndarray, " n"]) -> float:
+    """Relative peak factor: half the range over that of a sine of the same root mean square; 1 for a sine."""
+    return float(np.ptp(signal) / (2.0 * np.sqrt(2.0) * np.sqrt(np.mean(np.square(signal)))))
+
+
+def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Phases with a small peak: Schroeder's, then the phases of the clipped signal, again and again."""
+    order = np.arange(len(k))
+    phase = -np.pi * order * (order + 1) / len(k)
+    angle = np.linspace(0.0, 2.0 * np.pi, GRID * int(k[-1]), endpoint=False)
+    basis = np.exp(1j * np.outer(k, angle))
+    best, least = phase, np.inf
+    for _ in range(ROUNDS):
+        signal = np.real(np.exp(1j * phase) @ basis)
+        peak = np.max(np.abs(signal))
+        if peak < least:
+            best, least = phase, peak
+        phase = np.angle(basis.conj() @ np.clip(signal, -CLIP * peak, CLIP * peak))
+    return best
+
+
+# --- The standard inputs in six degrees of freedom, and those of the lateral axis, from straight level flight.
+
+LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
+REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the bank per sideslip
+AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
+BANK, UNEVEN = np.deg2rad(15.0), 0.3  # in the stall; of the left engine's thrust less the right one's over their sum
+LATERAL_EXCITED_CHANNELS = {
+    "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
+}  # fmt: skip
+"""Channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`."""
+
+
+def rigid_pilots(
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    time: Series,
+    airspeed: float,
+    altitude: float,
+    amplitude: float = 1.0,
+) -> tuple[dict[str, Pilot], RigidTrim]:
+    """The pilot of each manoeuvre, and the level flight in which all start; arguments as `standard_pilots`."""
+    trim = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
+    sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+    bank_per_sideslip = (sideslipping.state["phi"] - trim.state["phi"]) / REFERENCE_SIDESLIP
+    level = Trim(trim.state["alpha"], trim.thrust, 0.0)
+    pilots = commands(time, level, stall_rise(model, values, level.alpha), bank_per_sideslip, amplitude)
+    return pilots | lateral_commands(time, level, pilots["slow_stall"], amplitude), trim
+
+
+def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
+    """Doublets of aileron and rudder, multisines of these and the elevator, a stall in banked flight, unequal
+    engines."""
+    dt = float(time[1] - time[0])
+
+    def doublets(size: float) -> Series:
+        parts = []
+        for begin, unit in ((5.0, 1.0), (20.0, 2.0), (40.0, 1.0)):
+            parts += steps((begin, size), (begin + unit, -size), (begin + 2.0 * unit, 0.0))
+        return rounded(amplitude * pulses(time, parts), 0.4, dt)
+
+    def held(smooth: float, *points: tuple[float, float]) -> Series:
+        return rounded(amplitude * pulses(time, steps(*points)), smooth, dt)
+
+    zeros, (elevator, aileron, rudder) = np.zeros_like(time), amplitude * multisine_inputs(time, 3)
+    level = Pilot(trim.alpha + zeros, trim.thrust + zeros, alpha_gain=0.05, rate_gain=0.0)
+    return {
+        "aileron_doublet": level._replace(aileron=doublets(AILERON)),
+        "rudder_doublet": level._replace(rudder=doublets(RUDDER)),
+        "multisine": level._replace(
+            excitation=np.deg2rad(2.0) * elevator, aileron=AILERON * aileron, rudder=RUDDER * rudder
+        ),
+        "stall_with_bank": stalling._replace(phi=held(4.0, (10.0, BANK), (25.0, -BANK), (41.0, BANK), (52.0, 0.0))),
+        "engine_steps": level._replace(uneven=held(1.5, (5.0, UNEVEN), (20.0, -UNEVEN), (35.0, UNEVEN), (50.0, 0.0))),
+    }
+
+
+def fly_rigid_standard(
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    *,
+    airspeed: float,
+    altitude: float,
+    dt: float,
+    amplitude: float = 1.0,
+    envelope: Envelope = ANYWHERE,
+) -> StandardFlights:
+    """As `fly_standard`, in six degrees of freedom: a model of both axes, and the manoeuvres of `LATERAL` as well."""
+    for effect in model.acting:
+        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+    n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
+    time = (np.arange(n + before) - before) * dt
+    pilots, trim = rigid_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+    flown, refused = {}, {}
+    for name, pilot in pilots.items():
+        flight = fly_rigid(model, values, aircraft, pilot, trim, dt)
+        channels = {key: x[before:] for key, x in flight.items() if np.ndim(x) == 1}
+        if left := envelope.left_by(excursion(channels)):
+            refused[name] = f"it leaves its envelope: {left}"
+        else:
+            flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
+    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)

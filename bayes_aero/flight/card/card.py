@@ -9,27 +9,37 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
-from bayes_aero.flight.axes import Axis
-from bayes_aero.flight.card.aircraft_table import parse_aircraft, refuse_no_body
-from bayes_aero.flight.card.channel_table import (
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft, Envelope
+from bayes_aero.flight.card.lookup import Lookup, parse_tables
+from bayes_aero.flight.card.tables import (
+    ONE,
+    FlyCard,
+    LinearCard,
+    parse_aircraft,
     parse_channel,
     parse_constants,
     parse_derived,
+    parse_envelope,
+    parse_fly,
+    parse_linear,
     parse_quantity,
     parse_sums,
+    refuse_no_body,
 )
-from bayes_aero.flight.card.envelope_table import parse_envelope
-from bayes_aero.flight.card.fly_table import FlyCard, parse_fly
-from bayes_aero.flight.card.linear_table import LinearCard, parse_linear
-from bayes_aero.flight.card.lookup import Lookup, parse_tables
-from bayes_aero.flight.card.table_checks import known_keys, number, numbers, refuse_unfilled, section
-from bayes_aero.flight.card.toml_tables import is_file, read_table
-from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.envelope import Envelope
+from bayes_aero.flight.card.toml_tables import (
+    is_file,
+    known_keys,
+    number,
+    numbers,
+    read_table,
+    refuse_unfilled,
+    section,
+)
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis, Channel
 from bayes_aero.flight.reading.segments import segment_of
-from bayes_aero.flight.tolerances import TOLERANCES, Tolerance
+from bayes_aero.flight.record import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
+from bayes_aero.units import si_unit
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
@@ -285,3 +295,18 @@ def _gp_inputs(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
     if not (isinstance(inputs, list) and inputs and all(isinstance(name, str) for name in inputs)):
         raise InputError(f"card {where}: [gp] inputs must be a list of signal names")
     return tuple(inputs)
+
+
+# --- The SI unit of whatever a card names.
+
+
+def channel_units(card: Card) -> dict[str, str]:
+    """SI unit of every channel of the card, and of its sums, which are in the unit of their first part."""
+    known = {
+        name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS
+    }
+    for channel in card.channels:
+        standard = STANDARD_CHANNELS.get(channel.name)
+        known[channel.name] = standard.unit if standard else si_unit(channel.unit, f"channel {channel.name}")
+    known = {name: table.si for name, table in card.tables.items()} | known
+    return {ONE: "1", "thrust": "N"} | {name: known[next(iter(parts))] for name, parts in card.sums.items()} | known

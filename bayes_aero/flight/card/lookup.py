@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.table_checks import known_keys, like
+from bayes_aero.flight.card.toml_tables import known_keys, like
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.units import from_si, instant, si_unit, to_si
 

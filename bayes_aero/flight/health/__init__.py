@@ -5,24 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.across.air import air_data
-from bayes_aero.flight.health.across.channels_agree import across
-from bayes_aero.flight.health.across.controls import control_responses, feedback
-from bayes_aero.flight.health.across.derivatives import derivatives
-from bayes_aero.flight.health.across.ground import in_flight, on_ground
-from bayes_aero.flight.health.across.refuted import refuted
-from bayes_aero.flight.health.channel.dropout import dropouts
-from bayes_aero.flight.health.channel.frozen import frozen
-from bayes_aero.flight.health.channel.held import held
-from bayes_aero.flight.health.channel.idle import idle
-from bayes_aero.flight.health.channel.quantised import quantised
-from bayes_aero.flight.health.channel.saturated import saturated
-from bayes_aero.flight.health.channel.wrapped import wrapped
-from bayes_aero.flight.health.dropped import dropped_channels, read_remarks
-from bayes_aero.flight.health.finding import HealthFinding
-from bayes_aero.flight.health.rates import different_rates
+from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.channel import dropouts, frozen, held, idle, quantised, saturated, wrapped
+from bayes_aero.flight.health.channels_agree import across
+from bayes_aero.flight.health.controls import control_responses, feedback
+from bayes_aero.flight.health.finding import HealthFinding, dropped_channels, read_remarks, short
+from bayes_aero.flight.health.refuted import refuted
 from bayes_aero.flight.health.same_record import same_records
-from bayes_aero.flight.health.short import short
+from bayes_aero.flight.health.signals import different_rates
 from bayes_aero.flight.record import FlightRecord
 
 __all__ = ["HealthFinding", "channel_health"]

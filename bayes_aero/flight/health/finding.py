@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.record import GRAVITY, FlightRecord
 from bayes_aero.units import from_si, instant
 
 
@@ -84,3 +85,70 @@ def shown(card: Card, name: str, value: float, *, size: bool = False) -> str:
 def span(record: FlightRecord, first: int, last: int) -> str:
     """From when to when, in words."""
     return f"from {instant(record.time[first])} to {instant(record.time[last])} s"
+
+
+# --- The standard atmosphere in numbers, for what recorded air data are held against.
+
+GAS, GAMMA = 287.05287, 1.4  # J/(kg K) and ratio of the specific heats, of dry air
+_T0, _P0, _LAPSE, _TOP, _HIGHEST = 288.15, 101325.0, 0.0065, 11_000.0, 25_000.0
+
+
+def standard_air(altitude: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m), -1 to 25 km.
+
+    Source: ISO 2533:1975, troposphere and isothermal layer (to 20 km; the 5 km above are colder by 5 K than taken).
+    """
+    h = np.clip(altitude, -1000.0, _HIGHEST)
+    T = _T0 - _LAPSE * np.minimum(h, _TOP)
+    pressure = _P0 * (T / _T0) ** (GRAVITY / (_LAPSE * GAS))
+    pressure = pressure * np.exp(-GRAVITY * np.maximum(h - _TOP, 0.0) / (GAS * T))
+    return pressure / (GAS * T), np.sqrt(GAMMA * GAS * T)
+
+
+# --- What was decided when the record was read: optional channels that were left out, text that could mean two
+# things.
+
+
+def dropped_channels(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - one signature
+    """A finding for each channel that the card does not require and that no sound record could have."""
+    return [
+        found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
+        for name, why in record.dropped.items()
+    ]
+
+
+def read_remarks(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - one signature
+    """A finding for each sentence on how the file was understood."""
+    return [found(record, "record", "read", remark, grave=False) for remark in record.remarks]
+
+
+# --- Records too short for the filters and for the motion of the aircraft.
+
+ENDS = 30  # samples at both ends together that the smoother (7) and the differentiator (8) distort
+SHARE = 0.25  # of a record that may be ends
+CHORDS = 120.0  # lengths travelled: two short periods, or a separation and, at 20 to 30 chords, its reattachment
+LEAST = 5.0  # s, where the card states no chord
+
+
+def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
+    """A finding if the record is shorter than a manoeuvre must be to be identified by itself."""
+    lasts = float(record.time[-1] - record.time[0])
+    chord = float(card.aircraft.chord)
+    speed = float(np.median(record["airspeed"])) if record.has("airspeed") else np.nan
+    motion = CHORDS * chord / speed if np.isfinite(chord) and chord > 0.0 and speed > 5.0 else LEAST
+    ends = 0.0 if card.linear is not None else ENDS / SHARE * record.dt  # a linear model is flown, nothing is filtered
+    motion = min(motion, LEAST) if card.linear is not None else motion
+    needed = max(motion, ends)
+    if lasts >= needed:
+        return []
+    why = (
+        f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come and gone"
+        if motion >= ends
+        else f"{ENDS} samples at the ends, which the filters distort, must not be more than a quarter of it"
+    )
+    least, has = np.ceil(10.0 * needed) / 10.0, np.floor(10.0 * lasts) / 10.0  # never the same number
+    sentence = (
+        f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by "
+        "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
+    )
+    return [found(record, "record", "short", sentence, at=(0, record.n - 1))]

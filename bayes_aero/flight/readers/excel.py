@@ -11,11 +11,9 @@ from datetime import date, datetime, time, timedelta
 from typing import Any
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import MOST_HEADINGS, foreign
-from bayes_aero.flight.readers.isolated.extras import require
-from bayes_aero.flight.readers.layout import CELL, MOST_HEADER_ROWS, Lines, laid_out
-from bayes_aero.flight.readers.numbers import is_blank, is_value
-from bayes_aero.flight.readers.text import TextTable
+from bayes_aero.flight.readers.base import MOST_HEADINGS, foreign, is_blank, is_value
+from bayes_aero.flight.readers.isolated.process import require
+from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, Lines, TextTable, laid_out
 from bayes_aero.units import same_unit
 
 __all__ = ["open_excel", "rows_of"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -21,8 +22,12 @@ from bayes_aero.flight.readers.base import (
     PACKING,
     Column,
     Heading,
+    Opened,
+    foreign,
+    refuse_huge,
     stated_unit,
     unpacked,
+    vector,
 )
 
 __all__ = ["HDF5", "HDF5File", "open_hdf5"]
@@ -128,3 +133,49 @@ def _ask(data: bytes, wanted: Sequence[tuple[str, int | None]], kind: str) -> tu
     if "error" in reply:
         raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
     return reply, payload
+
+
+# --- NetCDF, one variable a channel: classic files by scipy, NetCDF-4 by h5py.
+
+__all___netcdf = ["open_netcdf"]
+
+
+def open_netcdf(data: bytes) -> Opened:
+    """A NetCDF file of either kind."""
+    if data.startswith(HDF5):
+        return open_hdf5(data, "NetCDF file")
+    if not data.startswith(b"CDF"):
+        raise InputError("it is neither a NetCDF-4 nor a classic NetCDF file; is it misnamed? Write it again")
+    from scipy.io import netcdf_file
+
+    with foreign("NetCDF file"):
+        file = netcdf_file(io.BytesIO(data), "r", mmap=False)
+        headings = [
+            Heading((str(name),), None, stated_unit(getattr(v, "units", None))) for name, v in file.variables.items()
+        ]
+    return ClassicNetCDF(file, headings)
+
+
+READS = {".nc": open_netcdf}
+
+
+@dataclass(frozen=True)
+class ClassicNetCDF:
+    """A classic NetCDF file whose variables have been listed."""
+
+    file: Any
+    headings: Sequence[Heading]
+    kind: str = "variable"
+    remarks: Sequence[str] = ()
+
+    def read(self, wanted: Mapping[str, Heading]) -> dict[str, Column]:
+        """See `Opened.read`."""
+        columns = {}
+        for name, heading in wanted.items():
+            variable = self.file.variables[heading.names[0]]
+            with foreign("NetCDF file"):
+                raw = np.asarray(variable.data)
+                refuse_huge(name, heading.names[0], raw.size, len(wanted))
+                vector(raw, name)  # its type and shape
+                columns[name] = Column(unpacked(raw, vars(variable)["_attributes"], name), heading.unit)
+        return columns

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import (
+from bayes_aero.flight.readers.base import (  # fmt: skip
     MAX_VALUES,
     MOST_HEADINGS,
     MOST_VALUES_IN_ALL,
@@ -23,7 +23,7 @@ from bayes_aero.flight.readers.base import (
     foreign,
     refuse_huge,
     vector,
-)  # fmt: skip
+)
 from bayes_aero.flight.readers.hdf5 import HDF5, OBJECT, open_hdf5
 
 __all__ = ["open_mat"]

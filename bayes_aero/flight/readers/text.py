@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import Column, Heading
-from bayes_aero.flight.readers.clock import looks_like_clock, seconds
-from bayes_aero.flight.readers.layout import Layout, Lines, laid_out, separator_of
-from bayes_aero.flight.readers.numbers import Marks, is_blank, marks_of, number_of, thousands
+from bayes_aero.flight.channel import ALIASES, split_heading
+from bayes_aero.flight.readers.base import (
+    Column,
+    Heading,
+    Marks,
+    foreign,
+    is_blank,
+    is_value,
+    looks_like_clock,
+    marks_of,
+    number_of,
+    seconds,
+    thousands,
+)
+from bayes_aero.units import spellings
 
 __all__ = ["TextTable", "open_text"]
 
@@ -143,3 +158,255 @@ def _no_number(body: Lines, name: str, cell: str, sample: int, heading: Heading,
         f"channel {name} has the text {cell[:30]!r} where {what} should be, in line {body[sample][0]}, column "
         f"{heading.column} (sample {sample}, counted from 0); correct or delete that line"
     )
+
+
+# --- Where a text table keeps its header, its units and its samples, and what stands between its cells.
+# Loggers write a preamble above the header, one or two rows of names, a row of units, or none of these. The samples
+# are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
+# them.
+
+__all___layout = ["CELL", "Layout", "Lines", "laid_out", "separator_of", "split"]
+
+T = TypeVar("T")
+
+CELL = "\x1f"
+"""Between the cells of lines that were quoted: ASCII's own separator, which no text holds."""
+
+SEPARATORS = (";", "\t", "|", CELL, ",", None)  # None: blanks; of two that fit alike the first is taken
+LOOKED_AT = 40  # lines, spread over the lower part of the file
+MOST_HEADER_ROWS = 4
+UNIT_SHARE = 1.0 / 3.0  # of the cells of a row below the names that are known units: more, and it is a row of units
+_SEP_LINE = re.compile(r'"?sep=.?"?[;,\t]*', re.IGNORECASE)
+_COMMENT = "#%"
+
+Lines = list[tuple[int, str]]
+"""Lines of a file, each with its number, counted from 1."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A text table: one heading a column, and its samples as lines of cells.
+
+    Attributes:
+        headings: of all columns.
+        body: the samples.
+        separator: between cells of `body`; None for blanks.
+        remarks: what was skipped, one sentence each.
+    """
+
+    headings: tuple[Heading, ...]
+    body: Lines
+    separator: str | None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> bool:
+        """Whether there is a header."""
+        return any(heading.names for heading in self.headings)
+
+
+def separator_of(lines: Lines) -> str | None:
+    """The separator that cuts the file into the most regular table of numbers."""
+    some = _lower_part([line for _, line in lines if line[0] not in _COMMENT] or [line for _, line in lines])
+    best, most = None, 0.0
+    for separator in SEPARATORS:
+        rows = [split(line, separator) for line in some]
+        width, count = Counter(len(row) for row in rows).most_common(1)[0]
+        if width < 2 and separator is not None:
+            continue
+        cells = [cell for row in rows if len(row) == width for cell in row if not is_blank(cell)]
+        values = sum(map(is_value, cells)) / max(len(cells), 1)
+        score = count / len(rows) * values * (0.99 if separator is None else 1.0)
+        if score > most + 1e-9:
+            best, most = separator, score
+    if most > 0.0:
+        return best
+    header = re.sub(r'"[^"]*"', "", lines[0][1])  # no numbers at all: by the first line alone
+    return max((s for s in (";", "\t", "|", ",") if s in header), key=header.count, default=None)
+
+
+def split(line: str, separator: str | None, number: int | None = None) -> list[str]:
+    """The cells of a line without the blanks around them; `number` is the line's, for errors.
+
+    Raises:
+        InputError: a quote is not closed.
+    """
+    if separator is None:
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    with foreign(f"text file, line {number}"):
+        reader = csv.reader([line, ""], delimiter=separator, skipinitialspace=True)
+        cells = [cell.strip() for cell in next(reader)]
+        if reader.line_num > 1 and number is not None:  # it went on, to look for the end of a cell
+            raise InputError(
+                f"line {number} has a quote that is not closed; close it (no cell goes on in the next line), or write "
+                "the record without quotes"
+            )
+    return cells
+
+
+def laid_out(lines: Lines, separator: str | None) -> Layout:
+    """Find header, units and samples.
+
+    Raises:
+        InputError: no samples, or lines of different length among them.
+    """
+    lines = [(at, line) for at, line in lines if not _SEP_LINE.fullmatch(line)]
+    while lines and not lines[-1][1].strip(" \t,;|\x1f"):
+        lines = lines[:-1]  # rows of separators at the end
+    if not lines:
+        raise InputError("it holds no data, only blank lines or separators; write the record again")
+    rows = _lower_part([split(line, separator) for _, line in lines if line[0] not in _COMMENT])
+    width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+    valued = [k for k in range(width) if _holds_values([row[k] for row in rows if len(row) == width])]
+    first = next((i for i, (_, line) in enumerate(lines) if _is_sample(line, separator, valued, width)), None)
+    if first is None:
+        return _without_numbers(lines, separator)
+    _refuse_damaged(lines[:first], separator, width)
+    header, begin = _header(lines, first, separator, width)
+    body = [(at, line) for at, line in lines[first:] if line[0] not in _COMMENT]
+    if separator is not None and any('"' in line for _, line in body):
+        body, separator = [(at, CELL.join(split(line, separator, at))) for at, line in body], CELL
+    _refuse_ragged(body, separator, width)
+    names, units = _names_and_units(header, width)
+    headings = tuple(Heading(tuple(dict.fromkeys(n for n in names[k] if n)), k + 1, units[k]) for k in range(width))
+    return Layout(headings, body, separator, _preamble(lines, begin))
+
+
+def _lower_part(rows: Sequence[T]) -> list[T]:
+    """Some of them, spread from a third of the way to the end, and the last."""
+    n = len(rows)
+    picked = np.unique(np.linspace(min(n // 3, n - 1), n - 1, LOOKED_AT).astype(int)) if n else ()
+    return [rows[i] for i in picked]
+
+
+def _holds_values(cells: Sequence[str]) -> bool:
+    told = [cell for cell in cells if not is_blank(cell)]
+    return bool(told) and sum(map(is_value, told)) > 0.5 * len(told)
+
+
+def _is_sample(line: str, separator: str | None, valued: Sequence[int], width: int) -> bool:
+    """Whether a line has as many cells as the samples, and values where they have values."""
+    if not line or line[0] in _COMMENT:
+        return False
+    cells = split(line, separator)
+    if len(cells) != width:
+        return False
+    told = [cells[k] for k in valued if not is_blank(cells[k])]
+    return bool(told) and sum(map(is_value, told)) >= 0.5 * len(told)
+
+
+def _without_numbers(lines: Lines, separator: str | None) -> Layout:
+    """A header alone, or a table of text: the first line names the columns."""
+    number, header = lines[0]
+    if len(lines) == 1:
+        raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
+    names = split(header, separator, number)
+    _refuse_ragged(lines[1:], separator, len(names))
+    headings = tuple(Heading((name,) if name else (), k, None) for k, name in enumerate(names, 1))
+    return Layout(headings, lines[1:], separator)
+
+
+def _header(lines: Lines, first: int, separator: str | None, width: int) -> tuple[list[list[str]], int]:
+    """The rows of names and units above the first sample, from top to bottom, and the index of the first of them."""
+    begin, rows = first, []
+    for i in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
+        number, line = lines[i]
+        if line[0] in _COMMENT:
+            continue
+        cells = _header_cells(line, separator, width, number)
+        if cells is None:
+            break
+        begin, rows = i, [cells, *rows]
+    if rows:
+        return rows, begin
+    for i in range(first - 1, -1, -1):  # NumPy and MATLAB users write the names as a comment
+        number, line = lines[i]
+        if line[0] not in _COMMENT:
+            break
+        cells = _header_cells(line.lstrip("#% \t"), separator, width, number)
+        if cells is not None:
+            return [cells], i
+    _refuse_short_header(lines[:first], separator, width)
+    return [], first
+
+
+def _header_cells(line: str, separator: str | None, width: int, number: int) -> list[str] | None:
+    """One name a column; None where the line is no header of so many columns."""
+    cells = split(line, separator, number)
+    if separator is None and len(cells) != width:
+        cells = re.split(r"\s{2,}|\t", line.strip())  # names of several words stand two blanks apart
+    if len(cells) == width - 1 and separator is not None:
+        cells = [*cells, ""]  # one separator too many at the end of every sample is a habit of loggers
+    told = [cell for cell in cells if cell]
+    if len(cells) != width or not told or sum(map(is_value, told)) > 0.5 * len(told):
+        return None
+    return cells
+
+
+def _refuse_short_header(above: Lines, separator: str | None, width: int) -> None:
+    """A row of names that does not name every column would shift them all: it is no preamble."""
+    if separator is None:
+        return
+    for number, line in reversed(above):
+        if line.count(separator) + 1 < max(width // 2, 3):
+            continue
+        cells = [cell for cell in split(line, separator, number) if cell]
+        if len(cells) >= max(width // 2, 3) and not any(map(is_value, cells)):
+            raise InputError(
+                f"the header in line {number} names {len(cells)} columns, and the samples below it have {width}; "
+                "complete the header"
+            )
+
+
+def _refuse_damaged(above: Lines, separator: str | None, width: int) -> None:
+    """What stands just above the first whole sample must not be a damaged one."""
+    for number, line in reversed(above):
+        if line[0] in _COMMENT:
+            continue
+        told = [cell for cell in split(line, separator) if not is_blank(cell)]
+        if len(told) < max(0.5 * width, 2) or sum(map(is_value, told)) <= 0.5 * len(told):
+            return
+        raise InputError(_ragged(number, 0, len(split(line, separator)), width))
+
+
+def _refuse_ragged(body: Lines, separator: str | None, width: int) -> None:
+    for sample, (number, line) in enumerate(body):
+        found = len(line.split()) if separator is None else line.count(separator) + 1
+        if found != width:
+            raise InputError(_ragged(number, sample, found, width))
+
+
+def _ragged(number: int, sample: int, found: int, width: int) -> str:
+    return (
+        f"line {number} (sample {sample}, counted from 0) has {found} columns where {width} are expected, as in the "
+        "other lines; complete or delete that line"
+    )
+
+
+def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[list[str]], list[str | None]]:
+    """Names by column, as many as there are rows of names, and units."""
+    names: list[list[str]] = [[] for _ in range(width)]
+    units: list[str | None] = [None] * width
+    for place, row in enumerate(header):
+        if place > 0 and _are_units(row):
+            units = [cell.strip("[]() ") or None for cell in row]
+        else:
+            for k, cell in enumerate(row):
+                names[k].append(cell)
+    return names, units
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether cells are units rather than a second row of names."""
+    told = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
+    units, names = sum(map(bool, map(spellings, told))), sum(split_heading(cell)[0] in ALIASES for cell in told)
+    return bool(told) and units >= max(UNIT_SHARE * len(told), names)
+
+
+def _preamble(lines: Lines, begin: int) -> tuple[str, ...]:
+    above = [number for number, line in lines[:begin] if line[0] not in _COMMENT]
+    if not above or begin >= len(lines):
+        return ()
+    return (f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped",)

@@ -9,22 +9,22 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aliases import split_heading
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.readers.base import Column, Heading, Opened, located
-from bayes_aero.flight.reading.checks import check_record
-from bayes_aero.flight.reading.plausible import without_bad_options
-from bayes_aero.flight.reading.repeats import without_repeats
+from bayes_aero.flight.readers.base import Column, Heading, Lookup, Opened, located
+from bayes_aero.flight.reading.checks import check_record, without_bad_options
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import cut, expanded, segment_of
 from bayes_aero.flight.record import FlightRecord
@@ -250,3 +250,158 @@ def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | No
         if unit is not None and same_kind(unit, channel.unit):
             return unit
     return None
+
+
+# --- Everything that a file holds, before any card says what it means.
+
+__all___raw = ["RawColumn", "RawFile", "read_raw"]
+
+MOST = 20_000
+"""Columns beyond this are not looked at."""
+
+PATIENCE = 20.0  # seconds
+
+
+@dataclass(frozen=True)
+class RawColumn:
+    """One column: its name (None in files without a header), place counted from 1, (n,) values, unit if the file says.
+
+    Values are None where they are no numbers.
+    """
+
+    label: str | None
+    number: int
+    values: np.ndarray | None
+    unit: str | None = None
+    heading: Heading = field(default_factory=Heading)
+
+    @property
+    def place(self) -> str:
+        """How a person finds it in the file."""
+        return f"column {self.number}" if self.label is None else repr(self.label)
+
+
+@dataclass(frozen=True)
+class RawFile:
+    """A file's columns in its order; names that occur twice are left out and listed."""
+
+    columns: tuple[RawColumn, ...]
+    repeated: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def find(self, channel: Channel) -> RawColumn | None:
+        """The column that a card's channel names."""
+        there = Lookup([column.heading for column in self.columns]).candidates(channel)
+        return next((column for column in self.columns if column.heading in there[:1]), None)
+
+
+def read_raw(path: str | os.PathLike[str]) -> RawFile:
+    """Every column of a file, numeric or not; raises `InputError` with the file's name."""
+    try:
+        file = segment_of(path).file
+        opened = format_of(file)(bytes_of(file))
+        headings = dict(enumerate(opened.headings[:MOST], 1))
+        often = Counter(name for h in headings.values() for name in h.names)
+        repeated = tuple(sorted(name for name, count in often.items() if count > 1))
+        places = {
+            str(number): heading
+            for number, heading in headings.items()
+            if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
+        }
+        found = _read(opened, places)
+    except InputError as reason:
+        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+    columns = []
+    for number, heading in places.items():
+        column = found.get(number)
+        if column is not None and not heading.names and not np.isfinite(column.values).any():
+            continue  # what follows a separator too many
+        at = heading.column if heading.column is not None else int(number)
+        values, unit = (column.values, column.unit) if column else (None, None)
+        columns.append(
+            RawColumn(heading.names[0] if heading.names and not heading.formed else None, at, values, unit, heading)
+        )
+    return RawFile(tuple(columns), repeated, tuple(opened.remarks))
+
+
+def _read(opened: Opened, places: Mapping[str, Heading]) -> dict[str, Column]:
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
+
+    When `PATIENCE` is over, whatever has not been read is taken for no numbers.
+    """
+    found: dict[str, Column] = {}
+    failure = InputError("it holds no column of numbers; is it the right file?")
+    left = deque([list(places.items())])
+    began = time.monotonic()
+    while left and time.monotonic() - began < PATIENCE:
+        some = left.popleft()
+        try:
+            found |= opened.read(dict(some))
+        except InputError as reason:
+            failure, half = reason, len(some) // 2
+            left.extend([some[:half], some[half:]] if half else [])
+    if not found:
+        raise failure from None
+    return found
+
+
+# --- Samples that a recorder wrote twice.
+
+__all___repeat = ["repeats", "without_repeats"]
+
+
+def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray, " n"]:
+    """True where a sample is the one before it once more, in time and in every channel; all are (n,)."""
+    again = np.r_[False, np.diff(time) == 0.0]
+    for x in channels if again.any() else ():
+        again[1:] &= (x[1:] == x[:-1]) | (np.isnan(x[1:]) & np.isnan(x[:-1]))
+    return again
+
+
+def without_repeats(record: FlightRecord) -> FlightRecord:
+    """The record without such samples, which say nothing new, and a remark.
+
+    Samples of one time that differ stay, for nobody knows which of them is right.
+    """
+    again = repeats(record.time, record.channels.values())
+    if not again.any():
+        return record
+    count = int(again.sum())
+    what = "1 sample repeats" if count == 1 else f"{count} samples repeat"
+    remark = f"{what} the one before in time and in every channel of the card, and {_are(count)} left out"
+    channels = {name: x[~again] for name, x in record.channels.items()}
+    return replace(record, time=record.time[~again], channels=channels, remarks=(*record.remarks, remark))
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+# --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.
+
+RATE = 25.0  # samples a second; that of the records for which the smoothing filters were published
+SPARE = 1.25  # times that, up to which a record is taken as it is
+SAME = 0.01  # relative difference of intervals that count as one
+
+
+def common_interval(records: Sequence[FlightRecord]) -> float:
+    """Sampling interval, s, that suits all records: the longest of theirs, or that of `RATE` where they are faster."""
+    longest = max(record.dt for record in records)
+    return 1.0 / RATE if longest * RATE * SPARE < 1.0 else longest
+
+
+def at_common_rate(records: Sequence[FlightRecord]) -> list[FlightRecord]:
+    """The records at `common_interval`, filtered against aliasing; those that have it, unchanged."""
+    dt = common_interval(records) if records else 0.0
+    return [record if abs(record.dt - dt) <= SAME * dt else resample_record(record, dt) for record in records]
+
+
+def rate_notes(records: Sequence[FlightRecord]) -> tuple[str, ...]:
+    """A sentence where records were brought to another rate; none where they were not."""
+    changed = [old for old, new in zip(records, at_common_rate(records), strict=True) if new is not old]
+    if not changed:
+        return ()
+    rates = ", ".join(f"{record.name} ({1.0 / record.dt:.4g} Hz)" for record in changed)
+    return (
+        f"Brought to the common rate of {1.0 / common_interval(records):.4g} Hz, filtered against aliasing: {rates}.",
+    )

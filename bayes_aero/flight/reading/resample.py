@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.health.channel.held import held_period
+from bayes_aero.flight.health.channel import held_period
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
 

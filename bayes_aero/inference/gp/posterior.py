@@ -1,20 +1,32 @@
 """Posterior of the hyperparameters: train a stand-in, sample it, check it, remove its error."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+import jax
 import numpy as np
-from jaxtyping import Float
+import xarray as xr
+from arviz_base import from_dict
+from jaxtyping import Float, Int
 
-from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, fit_emulator
-from bayes_aero.inference.gp.kernel import noise_to_signal
+from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, ReducedData, fit_emulator, stats_and_gradient
+from bayes_aero.inference.gp.kernel import Priors, Scaling, hyper_names, noise_to_signal
 from bayes_aero.inference.gp.optimum import Optimum, Profile, curvature
-from bayes_aero.inference.gp.priors import Priors
-from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
-from bayes_aero.inference.gp.sampling.density import compiled_posterior
-from bayes_aero.inference.gp.sampling.reweight import SampleStatus, Weighted, reweight, thin
-from bayes_aero.inference.gp.sampling.sample import TEMPER, Chains, Settings, join, sample_emulated
+from bayes_aero.inference.gp.sampling import (
+    TEMPER,
+    Chains,
+    SampleStatus,
+    Settings,
+    Weighted,
+    compiled_posterior,
+    join,
+    reweight,
+    sample_emulated,
+    thin,
+)
 
 __all__ = ["Budget", "Sampled", "sample_posterior"]
 
@@ -139,3 +151,79 @@ def _points(weighted: Weighted) -> list[ExactPoint]:
     """The exact evaluations behind refused weights, values without derivatives, to train the next stand-in."""
     flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
     return [ExactPoint(noise_to_signal(t), s, None) for t, s in zip(flat, weighted.stats, strict=False)]
+
+
+# --- The sampled hyperparameters as an ArviZ DataTree, in physical units.
+
+__all___group = ["posterior_tree", "systematic_resample"]
+
+PRIOR_DRAWS = 2000
+
+
+def systematic_resample(log_weight: Float[np.ndarray, "chains draws"], seed: int) -> Int[np.ndarray, " total"]:
+    """Flat indices of as many equally weighted draws as there are weights, in order (systematic resampling)."""
+    edges = np.cumsum(np.exp(log_weight.ravel()))
+    positions = (np.random.default_rng(seed).uniform() + np.arange(edges.size)) / edges.size
+    return np.minimum(np.searchsorted(edges / edges[-1], positions), edges.size - 1)
+
+
+def posterior_tree(
+    sampled: Sampled,
+    at: Int[np.ndarray, " total"],
+    scaling: Scaling,
+    priors: Priors,
+    names: tuple[str, ...],
+    output_name: str,
+    seed: int,
+) -> xr.DataTree:
+    """Groups: `posterior`, draws of the exact posterior with equal weights (the indices `at` of the weighted
+    ones) and `sample_stats` of these; `prior`; `proposal`, the weighted draws before resampling, with their exact
+    and stand-in log densities and PSIS log weights; `stand_in`, the full NUTS chains of theta, drawn
+    from the stand-in to the power `variance_inflation`. Hyperparameters in
+    physical units (`Scaling.physical`), save theta, which is log scaled.
+    """
+    weighted, chains = sampled.weighted, sampled.chains
+    if weighted is None:
+        raise ValueError("nothing was weighted")
+    shape = weighted.exact.shape
+    drawn = weighted.theta.reshape(-1, weighted.theta.shape[-1])[at].reshape(weighted.theta.shape)
+    prior = np.asarray(priors.sample(jax.random.PRNGKey(seed), len(names), PRIOR_DRAWS))[None]
+    groups = {
+        "posterior": scaling.physical(drawn),
+        "sample_stats": {
+            "lp": weighted.exact.ravel()[at].reshape(shape),
+            "proposal_index": at.reshape(shape),
+        },
+        "prior": scaling.physical(prior),
+        "proposal": {
+            **scaling.physical(weighted.theta),
+            "lp": weighted.exact,
+            "lp_stand_in": weighted.stand_in / TEMPER,
+            "log_weight": weighted.log_weight,
+        },
+        "stand_in": {"theta": chains.theta, "lp": chains.log_density / TEMPER},
+    }
+    per_input = {"linear": ["input"], "length_scale": ["input"], "theta": ["hyperparameter"]}
+    coords = {"input": list(names), "hyperparameter": hyper_names(names)}
+    tree = from_dict(groups, dims=per_input, coords=coords)
+    tree["stand_in"] = (
+        tree["stand_in"]
+        .to_dataset()
+        .assign(rhat=("hyperparameter", chains.rhat), ess_bulk=("hyperparameter", chains.ess))
+    )
+    facts = {
+        "k_hat": weighted.k_hat,
+        "k_limit": weighted.k_limit,
+        "weight_ess": weighted.ess,
+        "rounds": sampled.rounds,
+        "divergences": chains.divergences,
+        "variance_inflation": TEMPER,
+        "status": sampled.status.name,
+        "output_name": output_name,
+        "output_rms": scaling.rms,
+        "input_mean": scaling.mean,
+        "input_sd": scaling.sd,
+    }
+    tree.attrs.update(facts)
+    tree["sample_stats"].attrs.update({"pareto_k": weighted.k_hat, "status": sampled.status.name})
+    return tree

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from bayes_aero.inference.likelihood.restraints import ActiveBound, PriorConflict
 from bayes_aero.inference.scores import Scores
-from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter, Role
 from bayes_aero.units import number
 
@@ -138,3 +137,190 @@ class MleResult:
                 )
         sentences += [f"{a} and {b} are correlated by {value:+.3f}." for a, b, value in self.strong_correlations()]
         return sentences
+
+
+# --- Restraints on estimates: priors that the data contradict, and active bounds.
+
+CONFLICT_LIMIT = 3.0  # combined standard errors between prior and likelihood, beyond which a conflict is named
+SENSITIVITY_LIMIT = 0.05  # distance per log2 of the power from which a posterior depends on the scaled part (the paper)
+MIN_SHIFT = 1.0  # corrected standard errors; smaller changes of other estimates by a bound are not reported
+
+
+@dataclass(frozen=True)
+class PriorConflict:
+    """A prior (mean, standard deviation), the estimate by likelihood alone, and their distance in combined standard
+    errors."""
+
+    name: str
+    unit: str
+    prior: tuple[float, float]
+    likelihood: tuple[float, float]
+    distance: float
+    source: str
+
+
+@dataclass(frozen=True)
+class ActiveBound:
+    """A parameter at its bound.
+
+    `unbounded` is the estimate without the bound, `shifts` are the changes of the other estimates without it in
+    corrected standard errors; both to first order.
+    """
+
+    name: str
+    unit: str
+    bound: float
+    lower: bool
+    unbounded: float
+    shifts: Mapping[str, float]
+
+
+def prior_conflicts(
+    parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
+) -> tuple[PriorConflict, ...]:
+    """Priors that the data contradict, the strongest conflict first.
+
+    Args:
+        parameters: the free ones.
+        estimate: by likelihood alone.
+        deviation: its standard error, corrected for the residuals' autocorrelation.
+    """
+    found = []
+    for p, x, sd in zip(parameters, estimate, deviation, strict=True):
+        if p.prior.family == "uniform" or not np.isfinite(sd):
+            continue
+        mean, wide = p.prior.normal
+        difference, scatter = x - mean, sd
+        if p.prior.family == "lognormal" and x > 0.0:  # on the scale on which it is normal
+            difference = p.prior.location * np.log(x / p.prior.location)
+            scatter = sd * p.prior.location / x
+        distance = abs(difference) / np.hypot(scatter, wide)
+        if distance > CONFLICT_LIMIT:
+            found.append(
+                PriorConflict(p.name, p.unit, (mean, wide), (float(x), float(sd)), float(distance), p.prior.source)
+            )
+    return tuple(sorted(found, key=lambda c: -c.distance))
+
+
+def active_bounds(
+    parameters: Sequence[Parameter],
+    estimate: Float[np.ndarray, " k"],
+    gradient: Float[np.ndarray, " k"],
+    inverse: Float[np.ndarray, "k k"],
+    deviation: Float[np.ndarray, " k"],
+    active: Sequence[bool] | np.ndarray,
+) -> tuple[ActiveBound, ...]:
+    """Effect of each active bound on the estimates.
+
+    Args:
+        parameters: the free ones.
+        estimate: with the bounds.
+        gradient: of the log-likelihood; zero except for the active parameters.
+        inverse: of the information, active parameters included.
+        deviation: corrected standard errors.
+        active: whether a parameter is at its bound.
+    """
+    found = []
+    for i in map(int, np.flatnonzero(active)):
+        step = inverse[:, i] * gradient[i]
+        if not np.isfinite(step).all():
+            step = np.zeros_like(step)
+        moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
+        shifts = {name: x for name, x in moves.items() if abs(x) > MIN_SHIFT}
+        p, lower = parameters[i], bool(gradient[i] < 0.0)
+        ordered = dict(sorted(shifts.items(), key=lambda item: -abs(item[1])))
+        found.append(
+            ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, float(estimate[i] + step[i]), ordered)
+        )
+    return tuple(found)
+
+
+# --- Parameters that a record cannot separate: it determines a combination of them, but none by itself.
+# Source: Belsley, Kuh and Welsch, Regression Diagnostics (1980), ch. 3 (condition indices and proportions of
+# variance); so Klein and Morelli, Aircraft System Identification (2006), sec. 5.2.
+
+INDEX = 10.0  # condition index from which a near dependency counts (there: 5 to 10 weak, beyond 30 strong)
+VARIANCE_SHARE = 0.5  # share of a parameter's variance due to near dependencies from which it belongs to one
+MIN_WIDENING = 3.0  # factor by which the unknown others widen an interval from which it is reported; our choice
+MIN_PARTIAL = 0.5  # partial correlation of two estimates from which they share a dependency; our choice
+MAX_RELATIVE_ERROR = 0.2  # standard error over estimate from which an estimate is of little use; our choice
+
+
+@dataclass(frozen=True)
+class Inseparable:
+    """Parameters in one near dependency.
+
+    Attributes:
+        names: the parameters, the one with the largest variance inflation first.
+        units: of each.
+        estimates: of each, with its corrected standard error.
+        wider: factor by which the unknown others widen each interval.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimates: tuple[tuple[float, float], ...]
+    wider: tuple[float, ...]
+
+
+def inseparable(
+    names: Sequence[str],
+    units: Sequence[str],
+    estimate: Float[np.ndarray, " k"],
+    covariance: Float[np.ndarray, "k k"],
+    deviation: Float[np.ndarray, " k"],
+) -> tuple[Inseparable, ...]:
+    """Sets of parameters that the record cannot separate, at least one of them with a large relative error.
+
+    Args:
+        names: of the parameters.
+        units: of the parameters.
+        estimate: of each.
+        covariance: of Cramer and Rao, (k, k); a parameter without variance is known.
+        deviation: standard errors corrected for autocorrelated residuals, (k,).
+
+    Returns:
+        The sets, the one with the largest variance inflation first.
+    """
+    if not np.isfinite(covariance).all():
+        return ()
+    white = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    free = np.flatnonzero((white > 0.0) & np.isfinite(deviation))
+    if len(free) < 2:
+        return ()
+    correlation = covariance[np.ix_(free, free)] / np.outer(white[free], white[free])
+    information = np.linalg.pinv(correlation, rcond=1e-13, hermitian=True)
+    inflation = np.maximum(np.diag(information), 1.0)
+    partial = information / np.sqrt(np.outer(inflation, inflation))  # of unit diagonal: but for signs, correlations
+    values, vectors = np.linalg.eigh(partial)
+    parts = vectors**2 / np.maximum(values, 1e-13)
+    shares = parts / parts.sum(axis=1, keepdims=True)
+    vague = deviation > MAX_RELATIVE_ERROR * np.abs(estimate)
+    near = np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX
+    inside = (shares[:, near].sum(axis=1) > VARIANCE_SHARE) & (np.sqrt(inflation) > MIN_WIDENING)
+    found = []
+    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL):
+        at = [int(free[i]) for i in own]
+        if any(vague[at]):
+            found.append(
+                Inseparable(
+                    tuple(names[i] for i in at),
+                    tuple(units[i] for i in at),
+                    tuple((float(estimate[i]), float(deviation[i])) for i in at),
+                    tuple(float(np.sqrt(inflation[i])) for i in own),
+                )
+            )
+    return tuple(found)
+
+
+def _dependencies(members: Sequence[int], linked: Bool[np.ndarray, "k k"]) -> list[list[int]]:
+    """Members connected by their partial correlations.
+
+    Within a dependency of any size partial correlations are near one; the eigenvectors of equally near dependencies are
+    arbitrary mixtures.
+    """
+    parts: list[list[int]] = []
+    for i in members:
+        mine = [part for part in parts if any(linked[i, j] for j in part)]
+        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
+    return [sorted(part, key=members.index) for part in parts if len(part) > 1]

@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.aircraft.effect_system import POINTS
+from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, simulate
-from bayes_aero.inference.threads import cores
+from bayes_aero.inference.compiled_programs import cores
 
 INITIAL_STATE_SD = {"airspeed": 1.0, "alpha": 0.01, "theta": 0.01, "q": 0.01, "altitude": 3.0} | dict.fromkeys(
     POINTS, 0.1

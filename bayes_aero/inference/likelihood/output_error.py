@@ -8,17 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
+from scipy.optimize import minimize_scalar
 
+from bayes_aero.dynamics.flight import Dynamics, EffectDynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
 from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import TINY, NormalEquations, Priors, reduced_equations
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus, result_at
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 from bayes_aero.parameter import Prior
 
 MAX_ITERATIONS, MAX_EARLY_ITERATIONS = 60, 12  # of the last stage of a cascade, and of those before
@@ -149,3 +154,145 @@ def fit_cascade(
         max_iterations = MAX_ITERATIONS if number == len(stages) else MAX_EARLY_ITERATIONS
         best = fit_output_error(stage, start=best.estimate, max_iterations=max_iterations, **options)
     return best
+
+
+# --- A fit with all disturbances of a flight: gusts, and process noise of the states for what gusts do not explain.
+
+GUSTS = ("vertical_gust", "longitudinal_gust")
+FIRST_F = 0.3  # process noise at the start of a fit, in standard deviations of output error's residuals a second
+FIRST_F_GUSTS = 0.03  # the same in gusts: from a larger value, process noise of the states takes the place of a gust
+FIRST_R = 0.1  # measurement noise at the start, as a share of the variance of output error's residuals
+MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
+
+
+def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
+    """The same segments in gusts; linear systems have no gusts.
+
+    Where the model has buffet, the noise of the sensors does not grow as the flow separates.
+    """
+    dynamics = flown.dynamics
+    if not isinstance(dynamics, EffectDynamics):
+        return flown
+    dynamics = dynamics.for_filter()
+    if not dynamics.meets_gusts:
+        return replace(flown, dynamics=dynamics)
+    gusts = (*GUSTS, *(("lateral_gust",) if "beta" in dynamics.states and "beta" in flown.outputs else ()))
+    absent = [name for name in gusts if name not in {e.name for e in dynamics.model.acting}]
+    model = dynamics.model.extended(*absent)
+    steady = np.ones_like(flown.noise_growth) if model.has_buffet else flown.noise_growth
+    return replace(flown, dynamics=replace(dynamics, model=model), noise_growth=steady)
+
+
+def fit_disturbed(
+    flown: SegmentTrajectories,
+    estimate: Float[np.ndarray, " k"],
+    R: Float[np.ndarray, " c"],
+    *,
+    priors: bool = True,
+    exact: bool = True,
+    similar: PredictionErrorResult | None = None,
+) -> tuple[SegmentTrajectories, PredictionErrorResult]:
+    """Fit with process noise, from the estimates of output error.
+
+    States that a sensor measures have process noise of their own; gusts have theirs; other states have none.
+
+    Args:
+        flown: segments of flights.
+        estimate: parameters of output error, (k,).
+        R: variances of its residuals, (c,), SI.
+        priors: whether the parameters' priors count.
+        exact: as of `fit_prediction_error`.
+        similar: a fit of a model that differs by one effect; gusts and noise start from its estimates.
+
+    Returns:
+        The segments in gusts, and the fit.
+    """
+    gusty, outputs = disturbed(flown), flown.outputs
+    known = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
+    sd = np.sqrt(R)
+    first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else FIRST_F_GUSTS
+    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
+    R = FIRST_R * R
+    if similar is not None:
+        start, F, R = _start_from(similar, gusty.dynamics, start, F)
+    return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
+
+
+def _start_from(
+    similar: PredictionErrorResult, dynamics: Dynamics, start: Float[np.ndarray, " k"], F: Float[np.ndarray, " s"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], Float[np.ndarray, " c"]]:
+    """Gusts, process noise and measurement noise of a similar fit, none so small that the likelihood is flat."""
+    known = {
+        n: float(x)
+        for n, x in zip(similar.names, similar.estimate, strict=True)
+        if n in dynamics.disturbance_parameters
+    }
+    noise = dict(zip(similar.states, similar.F, strict=True))
+    start = np.array(
+        [max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(dynamics.names, start, strict=True)]
+    )
+    F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(dynamics.states, F, strict=True)])
+    return start, F, similar.R
+
+
+# --- Growth of the residuals of simulated outputs with flow separation, by buffet and by errors of the stall model.
+# With constant noise the small residuals of minutes of attached flow would give a few seconds of stall the largest
+# weight.
+
+MAX_GROWTH = 30.0  # noise added at full separation, in units of the noise of attached flow; our choice
+MIN_X_RANGE = 0.05  # range of X over a record below which the growth is not estimated
+
+
+@dataclass(frozen=True)
+class SeparatedFlow:
+    """Residuals of each output, and the separated share of the flow, 1 - X, between 0 and 1."""
+
+    residual: Float[np.ndarray, "w n c"]
+    separated: Float[np.ndarray, "w n"]
+    inside: Bool[np.ndarray, "w n"]
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult) -> SeparatedFlow | None:
+        """Of a fit; None where the flow does not separate, or the simulation leaves the envelope."""
+        if fit.status is OutputErrorStatus.LEFT_ENVELOPE or not np.isfinite(fit.cost):
+            return None
+        flown = fit.flown
+        shown, found = one_by_one(flown, jnp.asarray(fit.estimate), jnp.asarray(fit.departure))
+        if not all("X" in one.trajectory.outputs for one in found.values()):
+            return None
+        residual, separated = np.zeros((*flown.inside.shape, len(flown.outputs))), np.zeros(flown.inside.shape)
+        at = [shown.index(name) for name in flown.outputs]
+        for row, one in found.items():
+            residual[row] = np.asarray(one.residual[0])[:, at]
+            separated[row] = np.clip(1.0 - np.asarray(one.trajectory.outputs["X"][0]), 0.0, 1.0)
+        if np.ptp(separated[flown.inside]) < MIN_X_RANGE:
+            return None
+        return cls(residual, separated, flown.inside)
+
+    def growths(self, without: int | None = None) -> Float[np.ndarray, " c"]:
+        """b of every output, (c,), from all segments or from all but one."""
+        used = self.inside.copy()
+        if without is not None:
+            used[without] = False
+        return np.array([_growth(self.residual[used, c], self.separated[used]) for c in range(self.residual.shape[2])])
+
+    def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
+        """1 + b (1 - X), (w, n, c)."""
+        return 1.0 + self.growths(without) * self.separated[:, :, None]
+
+
+def _growth(residual: Float[np.ndarray, " m"], separated: Float[np.ndarray, " m"]) -> float:
+    """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X).
+
+    Autocorrelation of the residuals increases the error of b, but does not bias it.
+    """
+
+    def cost(b: float) -> float:
+        size = 1.0 + b * separated
+        return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
+
+    if not residual.any():  # no error, or no output
+        return 0.0
+    found: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")  # it has no types of its own
+    return float(found.x) if found.fun < cost(0.0) else 0.0

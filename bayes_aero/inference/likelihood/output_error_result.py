@@ -11,15 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, means
+from bayes_aero.inference.likelihood.mle_result import Inseparable, inseparable
 from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced_equations
-from bayes_aero.inference.variance.coloured_bounds import (
-    BLOCK,
-    LinearFit,
-    calibration,
-    corrected_covariance,
-    means,
-)
-from bayes_aero.inference.variance.inseparable import Inseparable, inseparable
 from bayes_aero.parameter import Parameter
 
 THINNING = 5  # samples averaged for the autocorrelation of the residuals

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.flight.agreement import Consistency, OpenError, PathCheck
+from bayes_aero.flight.health import HealthFinding
 
 
 def consistency_results(found: Consistency) -> dict[str, Any]:
@@ -40,3 +41,11 @@ def _checks(checks: Sequence[PathCheck]) -> dict[str, Any]:
         }
         for check in checks
     }
+
+
+# --- The health of the records as plain data, the same in every JSON file.
+
+
+def health_results(findings: Sequence[HealthFinding]) -> list[dict[str, Any]]:
+    """Record, channel, fault, begin, end (s), sentence, grave of each finding."""
+    return [asdict(finding) for finding in findings]

@@ -8,28 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.in_band.result import CausesInBand
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
+    Cause,
+    CausesInBand,
     Diagnosis,
+    FoundTerm,
+    Gain,
     ParameterChange,
     Tested,
     UnexplainedStructure,
 )
-from bayes_aero.diagnosis.selection.noise import NoiseReport
-from bayes_aero.diagnosis.terms.result import FoundTerm
-from bayes_aero.diagnosis.view.results import DiagnosisView, View
+from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
+from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.findings.causes_json import cause_results, screen
-from bayes_aero.jobs.io.health_json import health_results
+from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
 from bayes_aero.jobs.io.trajectories_json import trajectory_results
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
+from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
 SCHEMA = "bayes_aero/diagnosis/5"
@@ -241,3 +242,77 @@ def _channels(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     if "alpha" in found and "alpha_dot" not in found:
         found["alpha_dot"] = np.asarray(differentiate(smooth(found["alpha"]), record.dt))
     return found
+
+
+# --- Causes of diagnosis.json, and the candidates of the first screening.
+
+SCORES = ("r2", "rmse", "r", "theil")
+
+
+def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
+    """Every candidate in the first election of each stage, the highest score first."""
+    causes = {(c.stage, c.name) for c in d.causes}
+    found = [(ranking, s) for ranking in rankings for s in ranking.candidate_scores]
+    return [
+        row
+        | {
+            "threshold": ranking.threshold,
+            "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
+            "cause": (ranking.stage, s.effect) in causes,
+        }
+        for row, (ranking, s) in zip(screen_table(rankings, d).records(), found, strict=True)
+    ]
+
+
+def cause_results(cause: Cause) -> dict[str, Any]:
+    """One named cause."""
+    return {
+        "name": cause.name,
+        "kind": cause.kind,
+        "claim": cause.claim,
+        "stage": cause.stage,
+        "probability": cause.probability,
+        "p_value": cause.p_value,
+        "excited": cause.excited,
+        "confirmed": cause.confirmed,
+        "loss_without": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
+        "sure": cause.sure,
+        "implausible": dict(cause.implausible),
+        "own_share": cause.own_share,
+        "ambiguous_with": list(cause.ambiguous_with),
+        "rival_gains": _gains(cause.rival_gains),
+        "joint": dict(cause.joint),
+        "parameters": {
+            name: {
+                "mean": size.mean,
+                "sd": size.sd,
+                "ci95": list(size.ci95),
+                "unit": size.unit,
+                "at_bound": size.at_bound,
+            }
+            for name, size in cause.parameters.items()
+        },
+        "gain": _gain(cause.gain),
+    }
+
+
+def _gains(gains: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"elpd": elpd, "elpd_se": se} for name, (elpd, se) in gains.items()}
+
+
+def _gain(gain: Gain) -> dict[str, Any]:
+    return {
+        "elpd": gain.elpd,
+        "elpd_se": gain.elpd_se,
+        "split": gain.split,
+        "degraded": _gains(gain.degraded),
+        "by_coefficient": {
+            name: {
+                f"{key}_{when}": getattr(scores[name], key)
+                for key in SCORES
+                for when, scores in (("before", gain.before), ("after", gain.after))
+            }
+            for name in gain.before
+            if name in gain.after
+        },
+    }

@@ -8,20 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.motion.results import Motion
-from bayes_aero.diagnosis.trajectories.results import Disagreement, ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import Disagreement, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import OneStep, Predicted
-from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
 from bayes_aero.jobs.io.diagnosis_json import record_results
-from bayes_aero.jobs.io.health_json import health_results
 from bayes_aero.jobs.io.identification_json import frequency_results, inseparable_results, posterior_results
-from bayes_aero.jobs.io.motion_json import motion_results
-from bayes_aero.jobs.io.trajectories_json import open_loop
+from bayes_aero.jobs.io.trajectories_json import motion_results, open_loop
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.report.tables.fly import parameter_rows
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from bayes_aero.diagnosis.in_band.result import CausesInBand
-from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.result import CausesInBand, Diagnosis
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import View
 from bayes_aero.errors import InputError, attempted
@@ -17,8 +16,8 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
-from bayes_aero.jobs.provenance.provenance import write_json
-from bayes_aero.report.design.points import points_table
+from bayes_aero.jobs.provenance import write_json
+from bayes_aero.report.design import points_table
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.diagnosis import diagnosis_page

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_aero.diagnosis.trajectories.results import Error, LagTest, Path, Trajectories
+from bayes_aero.diagnosis.trajectories.results import (
+    Error,
+    FlownMode,
+    LagTest,
+    Motion,
+    SimulatedManoeuvre,
+    Trajectories,
+)
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 
@@ -47,7 +54,7 @@ def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
     }
 
 
-def path_results(path: Path, units: Mapping[str, str] | None = None) -> dict[str, Any]:
+def path_results(path: SimulatedManoeuvre, units: Mapping[str, str] | None = None) -> dict[str, Any]:
     """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
     known = units or {name: STANDARD_CHANNELS[name].unit for name in path.errors}
     return {
@@ -59,7 +66,7 @@ def path_results(path: Path, units: Mapping[str, str] | None = None) -> dict[str
     }
 
 
-def open_loop(path: Path, units: Mapping[str, str] | None = None) -> dict[str, Any]:
+def open_loop(path: SimulatedManoeuvre, units: Mapping[str, str] | None = None) -> dict[str, Any]:
     """The same of a flight that has no other beside it: neither a split nor a chance to stay inside."""
     told = path_results(path, units)
     del told["split"]
@@ -85,3 +92,26 @@ def _lag(lag: LagTest) -> dict[str, Any]:
     unseen = {"elpd": elpd, "elpd_se": elpd_se}
     told = {"effect": lag.effect, "gain": lag.gain, "hold_out": unseen, "kept": lag.kept}
     return told | {"instead_of": list(lag.instead), "slight": lag.slight}
+
+
+# --- The part of trajectories.json that tells of modes of motion.
+
+
+def motion_results(found: Motion) -> dict[str, Any]:
+    """Plain numbers and text, SI and radians."""
+    return {
+        "airspeed": found.airspeed,
+        "altitude": found.altitude,
+        "estimates": "process noise" if found.filtered else "output error",
+        "modes": [_mode(mode) for mode in found.modes],
+        "why_no_modes": found.why_not,
+    }
+
+
+def _mode(mode: FlownMode) -> dict[str, Any]:
+    return {
+        "name": mode.name,
+        "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+        "eigenvalue_sd": list(mode.sd),
+        **{name: {"value": value, "sd": sd} for name, (value, sd) in mode.quantities.items()},
+    }

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.pooled.next_flight_result import NextFlight
+from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Marginal
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import MOST_MANOEUVRES, NotDrawn, grid_of, housed, panels

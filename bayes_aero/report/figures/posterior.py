@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import arviz_base as azb
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.inference.identification import Identification
+from bayes_aero.diagnosis.trajectories.results import ProcessNoise
+from bayes_aero.inference.identification import Identification, PitResult
 from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.scores import score
+from bayes_aero.model.noise import Colour
+from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import NotDrawn, arviz_plots, close, housed, quiet_pyplot
+from bayes_aero.report.figures.time_histories import of_coefficient
+from bayes_aero.report.style import (
+    NotDrawn,
+    arviz_plots,
+    close,
+    column_width,
+    grid_of,
+    housed,
+    panels,
+    quiet_pyplot,
+    refuse_many,
+)
+from bayes_aero.report.tables.across_cases import predicted, what_is_shown
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
-from bayes_aero.report.text.phrases import bracket
+from bayes_aero.report.tables.fly import CALIBRATION
+from bayes_aero.report.text.phrases import GREEK, bracket, several
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
@@ -192,4 +210,176 @@ FIGURES = {
     "rank_emcee": rank_emcee,
     "rank_nuts": rank_nuts,
     "pair": pair,
+}
+
+
+# --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
+
+SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
+CHANCE = 3.0  # deviations of the correlation of independent neighbours
+
+
+@housed
+def pit_histogram(identification: Identification) -> Figure:
+    """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
+    t = identification.pit
+    if t is None:
+        raise NotDrawn("no posterior was sampled")
+    names = identification.observations.coefficients
+    figure, axes = grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
+    for ax, name, bars, r in zip(axes, names, t.bars, t.correlation, strict=True):
+        ax.axhspan(bars.lower, bars.upper, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="band of uniform values")
+        ax.axhline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
+        ax.stairs(bars.height, bars.edges, color=COLOURS["mle"], fill=True, alpha=0.45, label="measured samples")
+        ax.stairs(bars.height, bars.edges, color=COLOURS["mle"])
+        ax.set(title=f"{name}: neighbours correlate {r:+.2f}", xlim=(0.0, 1.0))
+        ax.set_xlabel("probability of less than measured [-]")
+    axes[0].set_ylim(bottom=0.0)
+    axes[0].set_ylabel("density, 1 if calibrated [-]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
+    return figure
+
+
+@housed
+def one_step_quantiles(found: ProcessNoise) -> Figure:
+    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones.
+
+    Raises:
+        NotDrawn: the fit did not converge.
+    """
+    if found.one_step is None:
+        raise NotDrawn("the fit with process noise did not converge")
+    shown = dict(found.one_step.outputs)
+    shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
+    figure, axes = grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
+    for ax, (name, one) in zip(axes, shown.items(), strict=True):
+        score, value, low, high = one.quantiles.T
+        ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
+        ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
+        ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
+        ax.set_title(f"{GREEK.get(name, name)}: {CALIBRATION[one.calibration]}")
+    for ax in axes[-4:]:
+        ax.set_xlabel("standard normal [-]")
+        ax.tick_params(labelbottom=True)
+    for ax in axes[::4]:
+        ax.set_ylabel("innovation / predicted sd [-]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.suptitle("Quantiles of innovations, predicted one step ahead")
+    return figure
+
+
+def what_predicts(identification: Identification) -> str:
+    """The predictive distribution, in a few words."""
+    return "posterior predictive" if identification.noise is Colour.WHITE else "one-step-ahead posterior predictive"
+
+
+def pit_words(identification: Identification) -> tuple[str, str]:
+    """Caption and alternative text of `pit_histogram`."""
+    t = identification.pit
+    assert t is not None, "the figure was drawn"
+    names = identification.observations.coefficients
+    listed = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
+    if identification.noise is Colour.WHITE:
+        how = "White noise predicts each sample by itself"
+    else:
+        how = "Each sample is predicted from those before it, so its error is an innovation of the noise model"
+    outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(names, t.bars, strict=True))
+    return (
+        "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
+        "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
+        "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
+        f"{how}; neighbours correlate by {listed}. {_independence(t, names)}",
+        f"Histograms of the probability integral transform for {several(names)} under the "
+        f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
+        f"Lag-1 correlation of neighbours: {listed}.",
+    )
+
+
+def _independence(t: PitResult, names: Sequence[str]) -> str:
+    """Whether neighbours are independent, as the band assumes."""
+    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
+    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
+    if not coloured:
+        return "That is near enough to independence for the band."
+    return (
+        f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
+        "narrow there if neighbours resemble each other, and bars outside it prove little."
+    )
+
+
+FIGURES |= {"pit": pit_histogram}
+
+
+# --- The seed paper's figures without time: measured against predicted, and the stall hysteresis.
+
+
+def _correlation(identification: Identification, name: str) -> Figure:
+    """Measured against predicted on the same points: maximum likelihood and GPR side by side, on one scale."""
+    points = predicted(identification, name)
+    pairs = [("Maximum likelihood", COLOURS["mle"], points.mle)]
+    if points.gp is not None:
+        pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
+    size = (4.9 * len(pairs) + 0.2, 5.75)
+    figure, axes = panels(1, len(pairs), size, sharex=True, sharey=True)
+    both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
+    ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
+    for ax, (title, colour, values) in zip(axes[0], pairs, strict=True):
+        found = score(points.measured, values)
+        ax.plot(ends, ends, color="#555555", lw=0.9, zorder=1)
+        ax.scatter(points.measured, values, s=7, color=colour, alpha=0.45, linewidths=0, zorder=2)
+        ax.set(xlim=ends, ylim=ends, box_aspect=1.0, xlabel=f"measured {name} [-]", title=title)
+        text = f"r = {found.r:.4f}\nRMSE = {found.rmse:.5f}\nn = {len(values)}"
+        ax.text(0.04, 0.96, text, transform=ax.transAxes, va="top", linespacing=1.4)
+    axes[0, 0].set_ylabel(f"predicted {name} [-]")
+    figure.suptitle(f"{name}, measured against predicted:\n{what_is_shown(identification)}")
+    return figure
+
+
+@housed
+def hysteresis(identification: Identification) -> Figure:
+    """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
+    o = identification.observations
+    if "CL" not in o.coefficients:
+        raise NotDrawn("the model has no CL")
+    points = predicted(identification, "CL")
+    everything = np.arange(o.n)
+    sources = [("measured", everything, np.asarray(o.measured)[:, o.coefficients.index("CL")])]
+    sources.append(("maximum likelihood", points.index, points.mle))
+    if points.gp is not None:
+        sources.append(("GPR", points.index, points.gp))
+    rows = len(o.names)
+    refuse_many(rows)
+    size = (4.4 * len(sources), min(3.6, 0.8 * column_width(rows)) * rows + 0.9)
+    figure, axes = panels(rows, len(sources), size, sharex=True, sharey=True)
+    for number, row in enumerate(axes):
+        for ax, (title, index, values) in zip(row, sources, strict=True):
+            mine = o.manoeuvre[index] == number
+            _loop(ax, identification, index[mine], values[mine])
+            ax.set_title(f"{o.names[number]}, {title}")
+        row[0].set_ylabel("CL [-]")
+    for ax in axes[-1]:
+        ax.set_xlabel("α [deg]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4)
+    figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
+    return figure
+
+
+def _loop(ax: Axes, identification: Identification, index: np.ndarray, values: np.ndarray) -> None:
+    signals = identification.observations.signals
+    alpha = np.rad2deg(np.asarray(signals["alpha"])[index])
+    rising = np.asarray(signals["alpha_dot"])[index] > 0.0
+    for key, mask in (("rising", rising), ("falling", ~rising)):
+        ax.plot(alpha[mask], values[mask], ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
+
+
+FIGURES |= {
+    "fig4_correlation_CL": of_coefficient(_correlation, "CL"),
+    "fig5_stall_hysteresis": hysteresis,
+    "fig7_correlation_CD": of_coefficient(_correlation, "CD"),
+    "fig9_correlation_Cm": of_coefficient(_correlation, "Cm"),
+    **{f"correlation_{name}": of_coefficient(_correlation, name) for name in LATERAL},
 }

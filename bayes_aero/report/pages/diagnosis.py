@@ -12,33 +12,36 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.design.blocks import in_band_blocks, test_point_blocks
+from bayes_aero.report.design import in_band_blocks, test_point_blocks
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
-from bayes_aero.report.html.folded_lists import not_testable_list, open_list
-from bayes_aero.report.html.glossary import WORDS
-from bayes_aero.report.html.page import Block, Fold, Page, Section, Text, filled, section
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import (
+from bayes_aero.report.html.page import (
+    Block,
+    Fold,
+    Page,
+    Section,
+    Text,
     bullets,
     doubts,
+    filled,
     first,
     histories,
     provenance_blocks,
     records_and_faults,
+    section,
     symbols,
 )
+from bayes_aero.report.html.parts import WORDS, not_testable_list, open_list, page_table
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.page_context import PageContext
-from bayes_aero.report.pages.captions import diagnosis_alternatives, gained
-from bayes_aero.report.pages.stall import stall_table
-from bayes_aero.report.pages.trajectories import trajectories
+from bayes_aero.report.pages.captions import diagnosis_alternatives, gained, stall_table
+from bayes_aero.report.pages.fly import trajectories
+from bayes_aero.report.tables.across_cases import gain_table, holdout_table, moves_table, residual_tables
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
-from bayes_aero.report.tables.models import gain_table, holdout_table, moves_table, residual_tables
-from bayes_aero.report.text.consistency import open_sentences
+from bayes_aero.report.text.check import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, sentences
+from bayes_aero.report.text.fly import simulation_gain, trajectory_sentences
 from bayes_aero.report.text.phrases import bracket, several
-from bayes_aero.report.text.trajectories import simulation_gain, trajectory_sentences
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")

@@ -6,10 +6,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bayes_aero.report.figures.effects import needed
-from bayes_aero.report.html.page import Block, Facts, Fold, Page, Picture, Section, Table, filled, section
-from bayes_aero.report.html.parts import provenance_blocks
-from bayes_aero.report.text.effects import facts, shown, worked
+from bayes_aero.report.figures.prior import needed
+from bayes_aero.report.html.page import (
+    Block,
+    Facts,
+    Fold,
+    HtmlTable,
+    Page,
+    Picture,
+    Section,
+    filled,
+    provenance_blocks,
+    section,
+)
+from bayes_aero.report.text.check import facts, shown, worked
 from bayes_aero.report.text.phrases import bracket, plain_unit, several
 
 Described = Mapping[str, Any]
@@ -61,7 +71,7 @@ def _counted(found: Sequence[Described], aircraft: str | None) -> str:
 def _kind(kind: str, found: Sequence[Described]) -> Section:
     rows = tuple((e["name"], e["claim"], _parameters(e), ", ".join(e["needs"]), _remark(e)) for e in found)
     head = ("effect", "claim", "parameters", "channels", "remark")
-    table = Table(f"Effects of {kind}", head, rows, words=(1, 2, 3, 4)).lean()
+    table = HtmlTable(f"Effects of {kind}", head, rows, words=(1, 2, 3, 4)).lean()
     return section(kind, kind.capitalize(), lambda: (table, *(Fold(e["name"], _explained(e)) for e in found)))
 
 
@@ -88,5 +98,5 @@ def _explained(effect: Described) -> tuple[Block, ...]:
         )
         for p in effect["parameters"]
     )
-    table = Table("Parameters, SI and radians", head, rows, words=(1, 4))
+    table = HtmlTable("Parameters, SI and radians", head, rows, words=(1, 4))
     return (Facts(about), *((table,) if rows else ()))

@@ -3,43 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.motion.results import Motion
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import (
+    FITTED,
+    START,
+    Motion,
+    ProcessNoise,
+    SimulatedManoeuvre,
+    Trajectories,
+    TrajectoryFit,
+)
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.trajectories import stem_of
-from bayes_aero.report.frequency.page import frequency_blocks
-from bayes_aero.report.html.glossary import FLOWN, words
-from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import (
+from bayes_aero.report.figures.time_histories import stem_of
+from bayes_aero.report.frequency import frequency_blocks
+from bayes_aero.report.html.page import (
+    Block,
+    Facts,
+    Fold,
+    Page,
+    Plot,
+    Text,
     bullets,
     conventions,
     doubts,
+    filled,
     first,
+    histories,
     provenance_blocks,
     records_and_faults,
+    section,
     symbols,
 )
+from bayes_aero.report.html.parts import FLOWN, page_table, words
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.motion.tables import mode_table
-from bayes_aero.report.pages.trajectories import Curve, axis_label, over_measured, sources
-from bayes_aero.report.tables import fly as tables
-from bayes_aero.report.tables.filtered import one_step_table, posterior_table, process_noise_table
-from bayes_aero.report.text.phrases import SYMBOLS, for_people, several, short
-from bayes_aero.report.text.process_noise import prediction_sentences
-from bayes_aero.report.text.samplers import unfinished
+from bayes_aero.report.motion import mode_table
+from bayes_aero.report.tables import fly
+from bayes_aero.report.tables.fly import (
+    SPLIT_NAMES,
+    hold_out_error_table,
+    hold_out_tolerance_table,
+    one_step_table,
+    posterior_table,
+    process_noise_table,
+)
+from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
+from bayes_aero.report.text.phrases import GREEK, axis_label, for_people, several, short
+from bayes_aero.report.text.restraints import unfinished
+from bayes_aero.units import number
 
 MODELS = (
     (START, "first values", COLOURS["before"], "dashed"),
@@ -102,7 +124,7 @@ def _lead(flown: TrajectoryFit) -> tuple[Block, ...]:
     listed = []
     for output, (before, after) in flown.rms_errors.items():
         unit, factor = for_people(flown.units[output])
-        item = f"{SYMBOLS.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
+        item = f"{GREEK.get(output, output)} {short(factor * before)} → {short(factor * after)} {unit}"
         listed.append(item.replace(" ", "\u00a0"))  # never broken in the middle
     return (Text(f"Root-mean-square error of the simulation, first values → fit: {several(listed)}.", "lead"),)
 
@@ -117,7 +139,7 @@ def _opening(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, 
     worst = max(errors, key=lambda n: errors[n][1] / max(moved[n], 1e-300))
     (before, after), (unit, factor) = errors[worst], for_people(flown.units[worst])
     change = f"{short(factor * before)} {unit} with the first values, {short(factor * after)} {unit} as fitted"
-    caption = f"{SYMBOLS.get(worst, worst)}, which the fit follows least: measured and simulated."
+    caption = f"{GREEK.get(worst, worst)}, which the fit follows least: measured and simulated."
     alt = f"Time histories of {worst}, measured and simulated. Root-mean-square error: {change}."
     return Gallery(figures, {stem_of(worst): (caption, alt)})(stem_of(worst))
 
@@ -160,16 +182,16 @@ def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
 
 
 def _errors(flown: TrajectoryFit, card: Card) -> tuple[Block, ...]:
-    kept = tables.tolerance_table(flown)
+    kept = fly.tolerance_table(flown)
     units = {name: flown.units[name] for name in flown.outputs}
-    errors = page_table(tables.error_table(flown))
+    errors = page_table(fly.error_table(flown))
     return (errors, *(() if kept is None else (page_table(kept), *sources(card, units))))
 
 
 def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
     parameters, found = flown.fit.parameters, context.process_noise
     return (
-        page_table(tables.parameter_table(flown)),
+        page_table(fly.parameter_table(flown)),
         *(
             ()
             if found is None or not found.converged
@@ -177,7 +199,7 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
         ),
         *_gusts(context),
         symbols(parameters, [p.name for p in parameters], conventions(context.card)),
-        page_table(tables.initial_table(flown)),
+        page_table(fly.initial_table(flown)),
     )
 
 
@@ -247,3 +269,103 @@ def _posterior(context: FlyContext) -> tuple[Block, ...]:
 
 def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
     return (Fold("Inputs, versions and the command that repeat the run", provenance_blocks(source)),)
+
+
+# --- Simulated trajectories on the page: errors before and after, and time histories with tolerance bands.
+
+TRAJECTORIES_MODELS = (
+    ("card", "card's model", COLOURS["before"], "dashed"),
+    ("extended", "extended model", COLOURS["after"], "solid"),
+)
+SPLITS = {
+    "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
+    "fitted": "Fitted: parameters and initial states fitted to all flights",
+}
+
+
+class Curve(NamedTuple):
+    """A simulated manoeuvre and how it is drawn."""
+
+    path: SimulatedManoeuvre
+    label: str
+    colour: str
+    style: str
+
+
+def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
+    """Tables, then the hold-out flights, then the fitted ones, folded."""
+    blocks: list[Block] = [
+        Text(
+            "Both models simulated with the recorded inputs, without correction by measurements. “Hold-out” "
+            "flights were "
+            "not used in the fit. The grey band is the tolerance about the measurement. "
+            + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
+        ),
+        page_table(hold_out_error_table(flown)),
+        page_table(hold_out_tolerance_table(flown)),
+    ]
+    unseen, fitted = (_flights_trajectorie(flown, split) for split in ("hold_out", "fitted"))
+    blocks += unseen
+    if fitted:
+        blocks.append(Fold("The same, fitted to all flights", fitted))
+    return (*blocks, *sources(card, {n: STANDARD_CHANNELS[n].unit for n in flown.outputs}))
+
+
+def sources(card: Card, units: Mapping[str, str]) -> tuple[Block, ...]:
+    """Where the tolerances of outputs (by their SI units) come from; nothing where the card has none."""
+    facts = tuple(
+        (f"{GREEK.get(n, n)} ± {number(factor * t.value)} {unit}", t.source)
+        for n, t in card.tolerances.items()
+        if n in units
+        for unit, factor in (for_people(units[n]),)
+    )
+    return (Fold("Origin of the tolerances", (Facts(facts),)),) if facts else ()
+
+
+def _names(flown: Trajectories, split: str) -> list[str]:
+    return list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
+
+
+def _flights_trajectorie(flown: Trajectories, split: str) -> tuple[Block, ...]:
+    shown, remark = first(_names(flown, split))
+    plots: list[Block] = [*remark]
+    units = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}
+    for order, name in enumerate(shown):
+        curves = [
+            Curve(p, *how) for key, *how in TRAJECTORIES_MODELS if (p := flown.path(name, key, split)) is not None
+        ]
+        what = f"{SPLITS[split]}: measured and simulated outputs"
+        plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
+        caption = f"{SPLITS[split]}. {plot.caption}"
+        plots.append(replace(plot, caption=caption, title=f"{name}, {SPLIT_NAMES[split]}"))
+    return tuple(plots)
+
+
+def over_measured(
+    name: str, key: str, curves: Sequence[Curve], units: Mapping[str, str], what: str, context: Sequence[Panel] = ()
+) -> Plot:
+    """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then those of `context`.
+
+    All curves are of the same flight; their tolerances are about what was measured.
+    """
+    path = curves[0].path
+    panels = [_panel(output, unit, curves) for output, unit in units.items() if output in path.measured]
+    legend = [
+        ("measured", COLOURS["measured"], "solid"),
+        *((c.label, c.colour, c.style) for c in curves),
+        (f"error of the {curves[-1].label}", curves[-1].colour, "area"),
+    ]
+    if any(panel.band is not None for panel in panels):
+        legend.append(("tolerance", "#999999", "area"))
+    return histories(name, key, path.time, [*panels, *context], tuple(legend), what)
+
+
+def _panel(output: str, unit: str, curves: Sequence[Curve]) -> Panel:
+    factor = for_people(unit)[1]
+    path = curves[0].path
+    lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
+    with np.errstate(over="ignore"):  # first values of parameters may fly anywhere
+        lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
+    tolerance = path.errors[output].tolerance
+    band = None if tolerance is None else factor * tolerance
+    return Panel(axis_label(output, unit), tuple(lines), shade=((0, len(curves)),), band=band)

@@ -3,40 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import Path as Simulated
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre as Simulated
 from bayes_aero.effect import Stage
-from bayes_aero.flight.axes import Axis
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.pit import pit_words
+from bayes_aero.report.figures.posterior import pit_words
 from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
-from bayes_aero.report.html.glossary import WORDS
-from bayes_aero.report.html.page import Block, Fold, Page, Text, filled, section
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import (
+from bayes_aero.report.html.page import (
+    MOST_SHOWN,
+    Block,
+    Fold,
+    Page,
+    Text,
     bullets,
     doubts,
+    filled,
     first,
     histories,
     provenance_blocks,
     records_and_faults,
+    section,
     symbols,
 )
+from bayes_aero.report.html.parts import WORDS, page_table
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.pages.captions import identification_alternatives
-from bayes_aero.report.pages.simulated_identification import given_flights
-from bayes_aero.report.pages.stall import DEG, interval, stall_table
-from bayes_aero.report.pooled.next_flight import next_flight_table
+from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
+from bayes_aero.report.pages.fly import Curve, over_measured, sources
+from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
+from bayes_aero.report.tables.fly import given_table
 from bayes_aero.report.tables.run_tables import (
     alone_table,
     coverage_table,
@@ -258,3 +266,35 @@ def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     listed = bullets(strong) if strong else (Text("No two parameters are correlated beyond 0.9."),)
     blocks.append(Fold("Identifiability: information matrix, correlated parameters", (Text(rank), *listed)))
     return tuple(blocks)
+
+
+# --- The identified model simulated with the recorded inputs: errors of its trajectories, and time histories.
+
+
+def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> tuple[Block, ...]:
+    """A table of errors, then each manoeuvre with the error shaded; nothing if nothing was simulated."""
+    if not paths:
+        return ()
+    units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
+    _, listed = first([path.manoeuvre for path in paths])
+    text = (
+        "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
+        "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
+        "the coefficients agree. Nothing was fitted to these trajectories: bayes-aero fly fits trajectories, and "
+        "bayes-aero diagnose names missing effects."
+    )
+    if any(error.tolerance is not None for error in paths[0].errors.values()):
+        text += " The grey band is the tolerance about the measurement."
+    what = "Measured outputs, and those simulated with the fitted coefficients,"
+    plots = [
+        over_measured(
+            path.manoeuvre, f"time-given-{order}", [Curve(path, "simulation", COLOURS["mle"], "solid")], units, what
+        )
+        for order, path in enumerate(islice(paths, MOST_SHOWN))
+    ]
+    lost = [
+        Text(f"The simulation of {path.manoeuvre} leaves the flight envelope.", "warning")
+        for path in paths
+        if not path.inside
+    ]
+    return (Text(text), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))

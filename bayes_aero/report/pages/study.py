@@ -11,14 +11,14 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.html.page import Block, Facts, Page, Picture, Text, filled, section
-from bayes_aero.report.html.page_table import page_table
-from bayes_aero.report.html.parts import bullets
+from bayes_aero.report.html.page import Block, Facts, Page, Picture, Text, bullets, filled, section
+from bayes_aero.report.html.parts import page_table
 from bayes_aero.report.html.pictures import embedded
 from bayes_aero.report.style import NotDrawn, save
 from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, Estimates, across, estimates, panels_of
 from bayes_aero.report.tables.table import Table, columns_of
-from bayes_aero.report.text.phrases import number, plain_unit, several
+from bayes_aero.report.text.phrases import plain_unit, several
+from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
 MIN_RATIO = 1.5  # scatter between units over their standard errors from which it is reported

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, Error, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import (
+    FITTED,
+    START,
+    Error,
+    ProcessNoise,
+    SimulatedManoeuvre,
+    Trajectories,
+    TrajectoryFit,
+)
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.inference.posterior.posterior import Marginal, Posterior
+from bayes_aero.inference.scores import Calibration, OneStep
 from bayes_aero.parameter import Prior
-from bayes_aero.report.frequency.tables import band_table, frequency_columns
+from bayes_aero.report.frequency import band_table, frequency_columns
+from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.tables.table import (
     NONE,
     Change,
@@ -20,8 +33,10 @@ from bayes_aero.report.tables.table import (
     or_dash,
     parameter_columns,
 )
-from bayes_aero.report.text.phrases import axis_label, decimals, for_people, number, short
+from bayes_aero.report.text.fly import MODELS, status_sentences
+from bayes_aero.report.text.phrases import axis_label, decimals, for_people, plain_unit, short
 from bayes_aero.report.text.restraints import unparted
+from bayes_aero.units import number
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
 MAX_RELATIVE_ERROR = 100.0  # standard error over value from which digits of the value are not shown
@@ -212,3 +227,237 @@ def _signed(x: float) -> str:
 
 def _label(flown: TrajectoryFit, channel: str) -> str:
     return axis_label(channel, flown.units.get(channel, "1"))
+
+
+# --- Tables of a fit with process noise: parameters, gusts, posterior by both samplers, one-step predictions.
+
+CALIBRATION = {
+    Calibration.CALIBRATED: "calibrated",
+    Calibration.TOO_NARROW: "too narrow",
+    Calibration.TOO_WIDE: "too wide",
+    Calibration.NOT_NORMAL: "not normal",
+    Calibration.COLOURED: "coloured",
+    Calibration.UNDECIDED: "undecided",
+}
+
+
+def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
+    """A row a parameter; of each sampler mean, deviation, 95 % interval, effective sample size and R-hat."""
+    names = list(next(iter(posteriors.values())).names)
+    columns = [Column(names, "parameter", "parameter", "")]
+    for key, posterior in posteriors.items():
+        rows = [posterior.marginals[name] for name in names]
+        label = engine_label(key)
+        parts = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
+        columns += [
+            Column([estimate_of(m) for m in rows], parts, "mean", label, in_brackets, group=label),
+            Column([interval_of(m) for m in rows], page="95 % interval", group=label),
+            Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
+            Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
+        ]
+    note = (
+        "SI units and radians; in brackets the standard deviation in units of the last digit. F: process noise of a "
+        "state, per square root of a second; sigma: standard deviation of the measurement noise. ESS: effective sample "
+        "size, of centre or tails, whichever is less."
+    )
+    return Table(columns, "Posterior with process noise", note, terminal_note=note)
+
+
+def estimate_of(m: Marginal) -> Estimate:
+    """A marginal as a cell of a table."""
+    return Estimate(m.mean, m.sd, *m.ci95)
+
+
+def interval_of(m: Marginal) -> str:
+    """Its 95 % interval in words."""
+    low, high = m.ci95
+    return f"{number(low, 3)} to {number(high, 3)}"
+
+
+def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
+    """A row an output, and one for all together: error, innovations over their predicted standard deviations, and the
+    share of innovations inside central intervals, in per cent; `units` are SI units by output."""
+    rows = [
+        (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
+        for name, one in found.outputs.items()
+    ]
+    rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
+    column = columns_of(rows)
+    levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
+    inside = (
+        column(
+            lambda r, k=k: Estimate(100.0 * r[2].shares[k].share, 100.0 * r[2].shares[k].sd),
+            "",
+            head,
+            head,
+            _per_cent,
+            group="inside the interval, %",
+        )
+        for k, head in enumerate(levels)
+    )
+    note = (
+        "RMS: measured minus predicted from the samples before. e/sd: root mean square of innovations over their "
+        "predicted standard deviations, 1 if calibrated. Then the per cent of innovations inside central predictive "
+        "intervals. In brackets: standard errors, with the autocorrelation counted, in units of the last digit."
+    )
+    return Table(
+        [
+            column(lambda r: r[0], "", "output", ""),
+            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
+            column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
+            *inside,
+            column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
+        ],
+        "Errors, and innovations inside their predictive intervals",
+        note,
+        "One-step predictions",
+        note,
+    )
+
+
+def _per_cent(e: Estimate) -> str:
+    """A share with one digit of its standard error."""
+    return f"{e.centre:.0f}({e.sd:.0f})" if e.sd >= 0.95 else f"{e.centre:.1f}({10.0 * e.sd:.0f})"
+
+
+def _size(x: float) -> str:
+    """Small ones with an exponent: a record without noise is predicted to its last digits."""
+    return short(x) if x >= 1e-4 else number(x, 2)
+
+
+def process_noise_table(
+    found: ProcessNoise, flown: TrajectoryFit, posteriors: Mapping[str, Posterior] | None = None
+) -> Table:
+    """Every parameter by output error and with process noise, and its credible interval where it was sampled."""
+    fit = flown.fit
+    every = zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True)
+    rows = [(p, Estimate(float(x), float(sd))) for p, x, sd in every if p.name in found.estimates]
+    ours, theirs = "output error", "with process noise"
+    return Table(
+        [
+            Column([p.name for p, _ in rows], page="parameter", terminal=""),
+            Column([plain_unit(p.unit) for p, _ in rows], page="unit"),
+            Column([estimate for _, estimate in rows], "", ours, ours, in_brackets),
+            Column([Estimate(*found.estimates[p.name]) for p, _ in rows], "", theirs, theirs, in_brackets),
+            *(
+                Column([interval_of(posterior.marginals[p.name]) for p, _ in rows], "", head, head)
+                for key, posterior in (posteriors or {}).items()
+                for head in [f"95 % {engine_label(key)}"]
+            ),
+        ],
+        "Parameters with and without process noise",
+        "In brackets: the standard error in units of the last digit; for output error with autocorrelated "
+        "residuals, with process noise for white innovations.",
+        terminal_note="SI and radians; standard errors in brackets in units of the last digit, with process noise for "
+        "white innovations.",
+    )
+
+
+def gust_table(found: ProcessNoise) -> Table:
+    """A row for each sample: manoeuvre, time (s), mean and standard deviation of each gust (m/s)."""
+    column = columns_of([(h, k) for h in found.histories for k in range(len(h.time))])
+    names = dict.fromkeys(name for h in found.histories for name in h.gusts)
+    gusts = (
+        column(lambda r, name=name: Estimate(*(x[r[1]] for x in r[0].gusts[name])), (name, f"{name}_sd"))
+        for name in names
+    )
+    return Table(
+        [column(lambda r: r[0].manoeuvre, "manoeuvre"), column(lambda r: r[0].time[r[1]], "time"), *gusts], index=2
+    )
+
+
+# --- Tables of simulated trajectories: errors and time inside the tolerances by flight and output.
+
+TAIL = 6  # characters of a manoeuvre's name on a terminal
+SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
+"""What people read, by the split of a simulated path."""
+BOTH = ("before", "after")
+Flights = list[tuple[str, str]]
+
+
+def hold_out_error_table(flown: Trajectories) -> Table:
+    """Root mean square error of every output, fitted jointly and on hold-out flights: card's model, extended model."""
+    flights, columns = _flights(flown)
+    for output in flown.outputs:
+        label, factor = _label_trajectorie(output), _factor(output)
+        errors = _changes(flown, flights, output, lambda e, factor=factor: factor * e.rms)
+        columns.append(Column(errors, "", BOTH, label, short, group=label))
+    return Table(
+        columns,
+        "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
+        terminal_title="Error of the simulated trajectory (RMS), card's model → extended model",
+        terminal_note=" ".join(
+            [
+                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this flight, "
+                "simulated from its measured initial state.",
+                *status_sentences(flown),
+            ]
+        ),
+    )
+
+
+def hold_out_tolerance_table(flown: Trajectories) -> Table:
+    """Share of the time inside the tolerance, and how probably the extended model stays inside all the time."""
+    flights, columns = _flights(flown)
+    banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
+    for output in banded:
+        inside = _changes(flown, flights, output, lambda e: e.within)
+        columns.append(Column(inside, "", BOTH, form=".0%", group=_label_trajectorie(output)))
+    least = []
+    for split, name in flights:
+        path = flown.path(name, "extended", split)
+        chances = [] if path is None else [path.errors[n].probability for n in banded]
+        least.append(min((chance for chance in chances if chance is not None), default=None))
+    columns.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
+    return Table(
+        columns,
+        "Share of the time inside the tolerance",
+        "The last column is the posterior probability that the whole flight of the extended model stays inside, for "
+        "the output with the lowest probability.",
+    )
+
+
+def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
+    """Errors of one model's simulation by flight and output."""
+    columns = [Column([path.manoeuvre for path in paths], page="flight")]
+    for output in paths[0].errors:
+        errors, factor, label = [path.errors[output] for path in paths], _factor(output), _label_trajectorie(output)
+        columns += [
+            Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
+            Column([error.within for error in errors], page="inside", form=".0%", group=label),
+        ]
+    return Table(
+        columns,
+        "Error of the simulated trajectories",
+        "RMS: root mean square. Inside: share of the time within the tolerance, where the card has one.",
+    )
+
+
+def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
+    """Split and manoeuvre of each flight, and the columns that name them."""
+    found = ((split, p.manoeuvre) for split in SPLIT_NAMES for p in flown.paths if p.split == split)
+    flights = list(dict.fromkeys(found))
+    return flights, [
+        Column([_tail(name) for _, name in flights], terminal="manoeuvre"),
+        Column([SPLIT_NAMES[split] for split, _ in flights], terminal=""),
+        Column([f"{name}, {SPLIT_NAMES[split]}" for split, name in flights], page="flight"),
+    ]
+
+
+def _tail(name: str) -> str:
+    """The end of a record's name, which usually distinguishes records, for the width of a terminal."""
+    return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
+
+
+def _changes(flown: Trajectories, flights: Flights, output: str, get: Callable[[Error], float | None]) -> list[Change]:
+    """A number of each flight by the card's and by the extended model."""
+    paths = ([flown.path(name, model, split) for model in MODELS] for split, name in flights)
+    return [Change(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
+
+
+def _label_trajectorie(output: str) -> str:
+    return axis_label(output, STANDARD_CHANNELS[output].unit)
+
+
+def _factor(output: str) -> float:
+    return for_people(STANDARD_CHANNELS[output].unit)[1]

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.record import TOLERANCES
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.report.text.phrases import SYMBOLS, for_people, plus_minus, several, short
-from bayes_aero.report.text.restraints import inseparable_sentences, sign_sentences, unparted
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Share
+from bayes_aero.report.text.phrases import GREEK, for_people, nats_text, plus_minus, several, short, size_text
+from bayes_aero.report.text.restraints import (
+    agreement_of_engines,
+    inseparable_sentences,
+    sign_sentences,
+    unfinished,
+    unparted,
+)
 
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
@@ -43,7 +55,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         )
     growth = {name: times for name, times in flown.noise_growth.items() if times > MIN_GROWTH}
     if growth:
-        listed = several(f"{SYMBOLS.get(name, name)} {short(times)} times" for name, times in growth.items())
+        listed = several(f"{GREEK.get(name, name)} {short(times)} times" for name, times in growth.items())
         sentences.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     found = {name: (float(value), float(sd)) for name, value, sd in estimates}
@@ -73,7 +85,7 @@ def _worse(flown: TrajectoryFit) -> list[str]:
     for output in flown.worse:
         unit, factor = for_people(flown.units[output])
         before, after = (short(factor * x) for x in flown.rms_errors[output])
-        listed.append(f"{SYMBOLS.get(output, output)} {before} to {after}{'' if unit == '1' else ' ' + unit}")
+        listed.append(f"{GREEK.get(output, output)} {before} to {after}{'' if unit == '1' else ' ' + unit}")
     return [
         f"The fit is worse than the record as it is (RMS {several(listed)}): an error of a sensor that is not among "
         "the parameters is behind it. The estimates are not usable, and no corrected record is written."
@@ -105,7 +117,7 @@ def _settings(flown: TrajectoryFit) -> list[str]:
     """The cost of the published programs, and the settings that differ from the defaults."""
     if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         return []
-    outputs = several(SYMBOLS.get(name, name) for name in flown.fit.flown.outputs)
+    outputs = several(GREEK.get(name, name) for name in flown.fit.flown.outputs)
     sentences = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
     how = [] if flown.setting.priors else ["without priors"]
     how += [] if flown.setting.initial is None else ["with initial states fixed"]
@@ -138,7 +150,7 @@ def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
     shares = {name: share for name, share in outside(flown).items() if share > MAX_OUTSIDE}
     if not (shares and flown.converged):  # a fit that has not converged may still improve
         return []
-    listed = several(f"{SYMBOLS.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
+    listed = several(f"{GREEK.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
     if flown.of_path:
         return [f"The flight path is outside its tolerances ({listed}): an error of a sensor or of the air is missing."]
     looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
@@ -153,5 +165,300 @@ def _off(flown: TrajectoryFit) -> str:
     listed = []
     for output, (_, rms) in flown.rms_errors.items():
         unit, factor = for_people(flown.units[output])
-        listed.append(f"{SYMBOLS.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
+        listed.append(f"{GREEK.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
     return f"; the RMS error of the trajectories is {several(listed)}"
+
+
+# --- Simulated trajectories in sentences.
+
+MODELS = ("card", "extended")
+STOPPED = "stopped before the optimum, so its errors may be too large"
+
+
+def simulation_gain(flown: Trajectories) -> str:
+    """The RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope.
+
+    A fit that did not converge is reported with it.
+    """
+    if not all(p.inside for p in flown.paths if p.split == "hold_out"):
+        return ""
+    listed = []
+    for output in flown.outputs:
+        rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "hold_out")] for m in MODELS}
+        if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
+            return ""
+        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+        before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
+        if before != after:
+            listed.append(f"{GREEK.get(output, output)} from {before} to {after} {unit}")
+    if not listed:
+        return ""
+    besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
+    besides += [f"without {several(flown.out)}"] if flown.out else []
+    model = f" ({several(besides)})" if besides else ""
+    text = f"On hold-out flights the extended model{model} changes the RMS error of the simulation: {several(listed)}."
+    return " ".join([text, *status_sentences(flown)])
+
+
+def trajectory_sentences(flown: Trajectories) -> list[str]:
+    """How the fits ended, what was held, and the share of time within the tolerances."""
+    sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
+    for name, held in flown.held.items():
+        if held:
+            are = (
+                ("is", "it is held at its joint estimate")
+                if len(held) == 1
+                else ("are", "they are held at their joint estimates")
+            )
+            sentences.append(
+                f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}."
+            )
+    if flown.extended.held:
+        sentences.append(
+            f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides."
+        )
+    return sentences + _tolerance_sentences(flown)
+
+
+def _tolerance_sentences(flown: Trajectories) -> list[str]:
+    """The share of time of the hold-out flights within tolerance: one sentence for all, the worst flight named."""
+    unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
+    outside = [p.manoeuvre for p in unseen if not p.inside]
+    leaves = "leaves" if len(outside) == 1 else "leave"
+    sentences = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
+    inside = [p for p in unseen if p.inside]
+    listed = []
+    for output in flown.outputs:
+        shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
+        if not shares:
+            continue
+        worst = min(shares, key=lambda name: shares[name])
+        where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
+        listed.append(f"{GREEK.get(output, output)} {shares[worst]:.0%}{where}")
+    if listed:
+        what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
+        sentences.append(
+            f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
+            f"{', '.join(listed)}. "
+            f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
+        )
+    return sentences
+
+
+def tolerance_origin(bands: Mapping[str, float]) -> str:
+    """The origin of the tolerances; `bands` by output, SI."""
+    if all(name in TOLERANCES and value == TOLERANCES[name].value for name, value in bands.items()):
+        return (
+            "The card states no tolerances; the tolerances for flight simulators of 14 CFR Part 60 are used. "
+            "[tolerances] of the card replaces them."
+        )
+    return "The tolerances are those of the card."
+
+
+def lag_sentences(flown: Trajectories) -> list[str]:
+    """The lag test on trajectories, where the coefficients do not decide."""
+    lag = flown.lag
+    if lag is None:
+        return []
+    elpd, elpd_se = lag.unseen
+    if not lag.kept:
+        asked = f", hold-out {nats_text(elpd, elpd_se, '+')}" if math.isfinite(elpd) else ""
+        gained = f"fit {lag.gain:+.1f} nats{asked}" if math.isfinite(lag.gain) else "its fit did not converge"
+        why = "give a size that is too small to be named" if lag.slight else "do not support it"
+        return [f"The coefficients do not decide on {lag.effect}; the trajectory data {why} ({gained})."]
+    names = [p.name for p in CATALOGUE[lag.effect].parameters]
+    after = flown.extended
+    sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]
+    instead = f" in place of {several(lag.instead)}" if lag.instead else ""
+    return [
+        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on "
+        f"it; it "
+        f"gains {lag.gain:.0f} nats in the trajectory fit and {nats_text(elpd, elpd_se)} on hold-out flights."
+    ]
+
+
+def cause_sentences(flown: Trajectories) -> list[str]:
+    """Which confirmed causes the hold-out trajectories need, and by how much."""
+    missed, kept, sentences = flown.asked.missed, flown.asked.kept, []
+    harmed = flown.asked.harmed
+    for e, worse in harmed.items():
+        gains = [f"{output} by {nats_text(-gain, se)}" for output, (gain, se) in worse.items()]
+        sentences.append(f"With {e} hold-out trajectories are predicted worse in {several(gains)}: it is omitted.")
+    if idle := [e for e in flown.out if e not in harmed]:
+        gains = [f"{e} (by {nats_text(*missed[e], '+')})" for e in idle]
+        them, omits = ("it", "omits it") if len(gains) == 1 else ("them", "omits them")
+        sentences.append(
+            f"Removing {several(gains)} does not significantly degrade the prediction of hold-out trajectories. The "
+            f"search confirms {them}; the simulated model {omits}."
+        )
+    if kept:
+        finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
+        least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
+        least_of = f"least for {least}, " if len(kept) > 1 else ""
+        listed = f" ({least_of}by {nats_text(*missed[least])})" if least else ""
+        sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
+    return sentences
+
+
+def status_sentences(flown: Trajectories) -> list[str]:
+    """How the fits of both models ended, where one did not converge."""
+    sentences = []
+    for who, fit in (("The card's model", flown.card), ("The extended model", flown.extended)):
+        if fit.status is not OutputErrorStatus.CONVERGED:
+            names = f" ({several(fit.at_bound)})" if fit.at_bound else ""
+            how = STOPPED if fit.status is OutputErrorStatus.NOT_CONVERGED else fit.status.value
+            sentences.append(f"{who}, fitted to the trajectories: {how}{names}.")
+    return sentences
+
+
+# --- Sentences on a fit with process noise, compared with output error.
+
+MIN_DIFFERENCE = 3.0  # combined standard errors of two estimates from which a parameter is named; our choice
+LEVEL = 0.95  # of the intervals whose shares a sentence states
+FAULTS = {
+    Calibration.TOO_NARROW: "intervals of {} are too narrow",
+    Calibration.TOO_WIDE: "intervals of {} are too wide",
+    Calibration.NOT_NORMAL: "innovations of {} are not normally distributed",
+    Calibration.COLOURED: "innovations of {} are autocorrelated",
+}
+MIN_INTENSITY = 2.0  # standard errors from which an intensity is distinguishable from zero; our choice
+
+
+def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) -> list[str]:
+    """Records that need process noise by their `gusts` (m/s), and which estimates of trajectories to use."""
+    if not gusts:
+        return []
+    estimated = several(f"{name} {size:.2g} m/s" for name, size in gusts.items())
+    text = (
+        f"The flight path alone, without aerodynamics, shows gusts (standard deviation: {estimated}). Such a record "
+        "needs process noise; --no-process-noise leaves it out."
+    )
+    better = " Use the estimates with process noise: in gusts those of output error are biased."
+    return [text + (better if fit is not None and fit.preferred else "")]
+
+
+def settled_sentences(
+    found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
+) -> list[str]:
+    """Which estimates to prefer where output error and the coefficients disagree.
+
+    `apart`: parameters of which the fit with process noise also disagrees with the coefficients. `asked`: process noise
+    was fitted because output error disagrees.
+    """
+    if not found or fit is None:
+        return []
+    names = several(d.name for d in found)
+    why = (
+        f"The coefficients and output error disagree on {names}. Such a record needs process noise; "
+        "--no-process-noise leaves it out. "
+    )
+    if not fit.preferred:
+        return [why.strip()] if asked else []
+    other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
+    listed = several(f"{name} {plus_minus(x, sd)}" for name, (x, sd) in other.items())
+    if apart:
+        verb = "differs" if len(apart) == 1 else "differ"
+        text = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
+        return [(why if asked else "") + f"{text}: the model lacks an effect, or a sensor is wrong."]
+    text = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
+    return [(why if asked else "") + f"{text}: prefer them to those of output error."]
+
+
+def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
+    """Changes by process noise, and the assumption of its standard errors."""
+    if not found.converged:
+        return [f"The fit with process noise is not usable: {found.status}."]
+    if found.gain <= 0.0:
+        sentences = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
+        return sentences + _predicted(found)
+    sentences = [
+        f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
+        "residuals. Turbulence causes this, and so do errors of the model."
+    ]
+    fit = flown.fit
+    changed = []
+    for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
+        other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
+        if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
+            changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
+    sentences += _estimated_gusts(found)
+    if changed:
+        sentences.append(
+            f"Parameters that process noise changes by more than {MIN_DIFFERENCE:g} standard errors: "
+            f"{several(changed)}."
+        )
+    coloured = [f"{name} ({r:.2f})" for name, r in found.autocorrelation.items() if abs(r) > COLOURED_INNOVATIONS]
+    if coloured:
+        sentences.append(
+            f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
+            "of the model or of a sensor, is not modelled, and these standard errors are too small."
+        )
+    return sentences + _predicted(found)
+
+
+def prediction_sentences(found: OneStep) -> list[str]:
+    """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
+    shares = {name: next(s for s in one.shares if s.level == LEVEL) for name, one in found.outputs.items()}
+    inside = several(f"{GREEK.get(name, name)} {_per_cent(share)}" for name, share in shares.items())
+    level = f"{100.0 * LEVEL:.0f} %"
+    return [f"One-step predictions: share of the samples inside their {level} intervals: {inside}.", _verdict(found)]
+
+
+def _predicted(found: ProcessNoise) -> list[str]:
+    return [] if found.one_step is None else prediction_sentences(found.one_step)
+
+
+def _per_cent(share: Share) -> str:
+    digits = 0 if share.sd >= 0.01 else 1
+    return f"{100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})"
+
+
+def _verdict(found: OneStep) -> str:
+    if found.status == "undecided":
+        return "Whether they are calibrated is not decided: there are too few independent innovations."
+    if found.status == "calibrated":
+        return (
+            "They are calibrated: no share departs from its probability by more than chance, and innovations are not "
+            "autocorrelated. Their noise was fitted to the same record."
+        )
+    every = {GREEK.get(n, n): one.calibration for n, one in found.outputs.items()}
+    every["all outputs together"] = found.together.calibration
+    wrong = []
+    for kind, fault in FAULTS.items():
+        names = [name for name, calibration in every.items() if calibration is kind]
+        wrong += [fault.format(several(names))] if names else []
+    return f"They are not calibrated: {'; '.join(wrong)}."
+
+
+def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
+    """Chains that did not converge, and whether the samplers agree."""
+    return [*unfinished(posteriors), *agreement_of_engines(posteriors)]
+
+
+def _estimated_gusts(found: ProcessNoise) -> list[str]:
+    """Intensities of the gusts, and scale lengths of gusts with an intensity."""
+    estimated, undetected = [], []
+    for name in (n for n in found.gusts if n.endswith("_gust")):
+        (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
+        word = name.removesuffix("_gust").replace("_", " ")
+        if intensity > MIN_INTENSITY * sd:
+            estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
+        else:
+            undetected.append(word)
+    sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
+    if undetected:
+        sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
+    return sentences + _buffet(found)
+
+
+def _buffet(found: ProcessNoise) -> list[str]:
+    """Intensity and correlation length of buffet, where the model has it."""
+    if "buffet" not in found.gusts:
+        return []
+    (intensity, sd), (length, length_sd) = found.gusts["buffet"], found.gusts["buffet_length"]
+    if intensity <= MIN_INTENSITY * sd:
+        return ["No buffet is distinguishable from noise of the states."]
+    return [
+        f"Buffet: the lift coefficient of fully separated flow fluctuates by {plus_minus(intensity, sd)} (standard "
+        f"deviation; correlated over {plus_minus(length, length_sd)} chords)."
+    ]

@@ -8,8 +8,7 @@ from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import Identification
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
-from bayes_aero.report.pooled.between_manoeuvres import between_manoeuvres, left_out
-from bayes_aero.report.pooled.next_flight import next_flight_sentences
+from bayes_aero.report.pooled import between_manoeuvres, left_out, next_flight_sentences
 from bayes_aero.report.tables.comparison import (
     Method,
     chosen_posteriors,
@@ -20,10 +19,16 @@ from bayes_aero.report.tables.comparison import (
     usable,
     white_posterior,
 )
-from bayes_aero.report.tables.splits import split_verdict
+from bayes_aero.report.tables.run_tables import split_verdict
 from bayes_aero.report.text.phrases import several
-from bayes_aero.report.text.restraints import bound_sentences, conflict_sentences, inseparable_sentences, sign_sentences
-from bayes_aero.report.text.samplers import agreement_of_engines, unfinished
+from bayes_aero.report.text.restraints import (
+    agreement_of_engines,
+    bound_sentences,
+    conflict_sentences,
+    inseparable_sentences,
+    sign_sentences,
+    unfinished,
+)
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
 FACTOR = 1.25  # ratio of two standard errors, either way, up to which they agree

@@ -13,15 +13,13 @@ from scipy.ndimage import uniform_filter1d
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import NOISE, UNITS, G, card, changed, flight, put, smooth
 
-from bayes_aero.diagnosis.folds import too_short
+from bayes_aero.diagnosis.candidate_set import too_short
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.dynamics.path.flight_path import path_states
+from bayes_aero.dynamics.path import path_states
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.across.refuted import refuted
-from bayes_aero.flight.health.channel.frozen import frozen
-from bayes_aero.flight.health.channel.held import interpolated_period
-from bayes_aero.flight.health.channel.saturated import saturated
+from bayes_aero.flight.health.channel import frozen, interpolated_period, saturated
+from bayes_aero.flight.health.refuted import refuted
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_channels import despiked, join

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.health.channel.frozen import frozen
-from bayes_aero.flight.health.channel.held import interpolated_period
+from bayes_aero.flight.health.channel import frozen, interpolated_period
 from bayes_aero.flight.record import FlightRecord
 
 

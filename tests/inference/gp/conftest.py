@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.inference.gp.reduced import ReducedData
+from bayes_aero.inference.gp.emulator import ReducedData
 
 
 def draw_from_kernel(rng, n, theta, d):

@@ -7,10 +7,9 @@ import pytest
 import xarray as xr
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit_gp
-from bayes_aero.inference.gp import fit as fitting
-from bayes_aero.inference.gp.predict import mixture
-from bayes_aero.inference.gp.sampling.sample import Settings
+from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit, fit_gp
+from bayes_aero.inference.gp.fit import mixture
+from bayes_aero.inference.gp.sampling import Settings
 
 
 def make(seed, n=100):
@@ -143,7 +142,7 @@ def test_priors_and_records_that_cannot_be_sampled_are_refused(monkeypatch):
     with pytest.raises(InputError, match="improper"):
         fit_gp(*make(0), priors=Priors.flat())
     X, y = make(0)
-    monkeypatch.setattr(fitting, "MAX_SAMPLES", 80)
+    monkeypatch.setattr(fit, "MAX_SAMPLES", 80)
     with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
         fit_gp(X, y, sample=False)
 

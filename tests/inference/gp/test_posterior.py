@@ -9,16 +9,20 @@ from jax.scipy.stats import multivariate_normal
 from numpyro.infer import MCMC, NUTS
 
 from bayes_aero.inference.compiled_programs import give_back_memory
-from bayes_aero.inference.gp import posterior as course
-from bayes_aero.inference.gp.emulator import ExactPoint, fit_emulator, outputs
-from bayes_aero.inference.gp.kernel import noise_to_signal
+from bayes_aero.inference.gp import posterior
+from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, fit_emulator, outputs, stats_and_gradient
+from bayes_aero.inference.gp.kernel import HyperPrior, Priors, noise_to_signal
 from bayes_aero.inference.gp.optimum import MapStatus, assemble, find_map, maximise
 from bayes_aero.inference.gp.posterior import Budget, sample_posterior
-from bayes_aero.inference.gp.priors import HyperPrior, Priors
-from bayes_aero.inference.gp.reduced import ReducedData, stats_and_gradient
-from bayes_aero.inference.gp.sampling.density import log_density
-from bayes_aero.inference.gp.sampling.reweight import SampleStatus, pareto_smooth, reweight, thin
-from bayes_aero.inference.gp.sampling.sample import Settings, laplace_root
+from bayes_aero.inference.gp.sampling import (
+    SampleStatus,
+    Settings,
+    laplace_root,
+    log_density,
+    pareto_smooth,
+    reweight,
+    thin,
+)
 
 # Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
 LENGTH = Settings(250, 500, 4)
@@ -119,13 +123,13 @@ def test_a_stand_in_that_is_too_narrow_or_cannot_learn_is_refused(case, monkeypa
     assert "Refused" in judged.status.value
     # The emulator replaced by one that is wrong about the noise: every round fails, none is used silently.
     data, best, _ = case
-    honest = course.fit_emulator
+    honest = posterior.fit_emulator
 
     def crooked(points, level):
         bent = [p.stats._replace(logdet=p.stats.logdet + 60.0 * p.u[-1]) for p in points]
         return honest([p._replace(stats=s) for p, s in zip(points, bent, strict=True)], level)
 
-    monkeypatch.setattr(course, "fit_emulator", crooked)
+    monkeypatch.setattr(posterior, "fit_emulator", crooked)
     sampled = sample_posterior(
         best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=LENGTH), seed=0
     )

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.readers.base import MOST_VALUES_IN_ALL
-from bayes_aero.flight.readers.rates import Group, Series
+from bayes_aero.flight.readers.rates import Group, Series, SeveralRates, several_rates
 
 __all__ = ["parsed_apart"]
 
@@ -71,3 +72,80 @@ def _unpacked(listed: list[dict], payload: bytes, start: int) -> list[Group]:
         )
         groups.append(Group(group["name"], arrays[0], tuple(series)))
     return groups
+
+
+# --- Libraries that only some file formats need, and that not everybody has.
+
+__all___extra = ["require"]
+
+
+def require(suffix: str, *libraries: str) -> None:
+    """Refuse a file whose format needs a library that is not there.
+
+    Args:
+        suffix: of the file, as in ".mf4".
+        libraries: what is imported to read it.
+    """
+    for library in libraries:
+        if find_spec(library) is None:
+            raise InputError(
+                f"reading {suffix} needs {library}, which is not installed; pip install 'bayes-aero[formats]', or "
+                "write the record as .csv"
+            )
+
+
+# --- ArduPilot DataFlash logs, read by pymavlink: a column is a field of a message, as in "ATT.Roll".
+
+__all___dataflash = ["open_dataflash"]
+
+
+def open_dataflash(data: bytes) -> SeveralRates:
+    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX".
+
+    Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
+    """
+    require(".bin", "pymavlink")
+    if b"\xa3\x95" not in data[:600]:
+        raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
+    groups, remarks = parsed_apart(data, "dataflash_child.py", "DataFlash log")
+    return several_rates("field", groups, remarks, 1e-6)
+
+
+# --- ASAM MDF version 4, read by asammdf: a column is a signal of a channel group.
+
+__all___mdf = ["open_mdf"]
+
+
+def open_mdf(data: bytes) -> SeveralRates:
+    """An MDF file. A signal goes by "group/name" and, where no other group has one of its name, by its name alone.
+
+    Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
+    """
+    require(".mf4", "asammdf")
+    if data[:8] not in (b"MDF     ", b"UnFinMF "):
+        raise InputError("it is not an MDF file (its first bytes differ); is it misnamed?")
+    if not data[8:16].startswith(b"4."):
+        said = data[8:16].decode("latin-1").strip("\0 ")
+        raise InputError(f"it is an MDF file of version {said!r}; convert it to version 4, and save it as .mf4")
+    groups, remarks = parsed_apart(data, "mdf_child.py", "MDF file")
+    return several_rates("signal", groups, remarks, 1e-9)
+
+
+# --- PX4 ULog, read by pyulog: a column is a field of a topic, as in "vehicle_attitude.q[0]".
+
+__all___ulog = ["open_ulog"]
+
+
+def open_ulog(data: bytes) -> SeveralRates:
+    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x".
+
+    Source: PX4 ULog file format, version 1.
+    """
+    require(".ulg", "pyulog")
+    if not data.startswith(b"ULog\x01\x12\x35"):
+        raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")
+    groups, remarks = parsed_apart(data, "ulog_child.py", "ULog file")
+    return several_rates("field", groups, remarks, 1e-6)
+
+
+READS = {".bin": open_dataflash, ".mf4": open_mdf, ".ulg": open_ulog}

@@ -1,1 +1,0 @@
-"""Commands that take up a finished result."""

@@ -1,0 +1,261 @@
+"""Do the sensors agree? An answer in absolute terms, before any aerodynamics, with the known error that explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis.flight_path_check import CALM, gusts_met, path_check
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.screening.accuracy import Size
+from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
+from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained
+from bayes_aero.diagnosis.selection.gains import without_hold
+from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead
+from bayes_aero.effect import Effect, Kind, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.model.joined_records import Joined, joined, repaired
+from bayes_aero.model.model import Model, lengths_of, own_effects
+from bayes_aero.parameter import Prior
+from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
+from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
+
+
+@dataclass(frozen=True)
+class KnownErrors:
+    """Errors of the record that were found: effects on it or on where its sensors are, and plain data of each (see
+    `Consistency`); and those that the flight path cannot decide on."""
+
+    effects: tuple[Effect, ...]
+    errors: Mapping[str, Mapping[str, Any]]
+    open: tuple[OpenError, ...] = ()
+
+
+def consistency(
+    records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
+) -> Consistency:
+    """Check the flight path of each record in absolute terms.
+
+    Args:
+        records: the manoeuvres.
+        card: says the sensors' noise, where the accelerometer is, and which errors of sensors are corrected already.
+        seed: of the records of noise.
+        seek: where sensors disagree, look for the known error that explains it (some seconds).
+        known: the search's result, where it has been done.
+    """
+    found = as_recorded(records, card, seed)
+    if not found.recorded:
+        return found
+    if known is None:
+        if found.agreement is Agreement.AGREE or not seek:
+            return found
+        try:
+            known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
+        except InputError as reason:
+            return replace(found, unsought=str(reason))
+    return with_known_errors(found, records, card, known, seed)
+
+
+def as_recorded(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> Consistency:
+    """The check of the records as they are; nothing is looked for."""
+    if why := no_flight_path(records, card):
+        return Consistency(why)
+    flights = _flights(records, card)
+    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
+    return Consistency("", unchecked, checks(flights, card, seed))
+
+
+def with_known_errors(
+    found: Consistency, records: Sequence[FlightRecord], card: Card, known: KnownErrors, seed: int = 0
+) -> Consistency:
+    """`as_recorded` with the errors that are known; where the sensors disagree, checked again without these."""
+    found = replace(found, errors=known.errors, open=known.open)
+    if found.agreement is Agreement.AGREE or not known.effects:
+        return found
+    model = Model.of(known.effects, axes=tuple(Axis))
+    values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
+    return replace(found, corrected=checks(with_corrections(_flights(records, card), model, values), card, seed))
+
+
+def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
+    """The manoeuvres' channels of the flight path, spikes repaired."""
+    return repaired(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
+
+
+def errors_of_path(known: Extension) -> KnownErrors:
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included.
+
+    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
+    estimated together with such a one is no error by itself, either.
+    """
+    named = {e.name: e for one in (known, *known.larger) for e in one.state.full.candidates}
+    joint, out = correlated(known, known.state.active), without_hold(known)
+    alone = [(one, name, with_) for one in (known, *known.larger) for name, with_ in without_hold(one).items() if with_]
+    unheld = {name for _, name, _ in alone}
+    found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
+    plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
+    pairs = (_unheld(named[name], one.sizes, partners) for one, name, partners in alone)
+    return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))
+
+
+def _unheld(effect: Effect, sizes: Mapping[str, Size], partners: Mapping[str, float]) -> OpenError:
+    p = effect.parameters[0]
+    size = sizes[p.name]
+    return OpenError(effect.name, p.unit, size.mean, size.sd, size.sd, False, tuple(partners), 1.0, dict(partners))
+
+
+def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
+    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients.
+
+    What it names, it does not call undecided, too.
+    """
+    named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
+    causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
+    told = {c.name for c in (*found.causes, *found.beyond)}
+    return KnownErrors(
+        tuple(named[name] for name in causes),
+        {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
+        () if found.sensors is None else tuple(e for e in open_errors(found.sensors) if e.name not in told),
+    )
+
+
+def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
+    parameters = {
+        p.name: {"mean": sizes[p.name].mean, "sd": sizes[p.name].sd, "unit": p.unit} for p in effect.parameters
+    }
+    return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
+
+
+def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
+    """`path_check` of each manoeuvre, with the sensors where `flights` say that they are."""
+    card = replace(card, aircraft=flights.aircraft)
+    return tuple(path_check(name, time, channels, card, seed) for name, time, channels in _manoeuvres(flights))
+
+
+def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
+    """Records in no calm air, and their gusts by the flight path alone (standard deviation, m/s).
+
+    In these a fit without process noise takes gusts for aerodynamics. Where the flight path cannot be checked none are
+    known.
+    """
+    if no_flight_path(records, card):
+        return {}
+    flights = _flights(records, card)
+    found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
+    return {name: gusts for name, gusts in found.items() if gusts > CALM}
+
+
+def _manoeuvres(flights: Joined) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
+    """Name, time, and channels of the flight path of each."""
+    begin = 0
+    for name, length in zip(flights.names, flights.lengths, strict=True):
+        part = slice(begin, begin + length)
+        channels = {n: np.asarray(x)[part] for n, x in flights.channels.items() if n in PATH_NEEDS}
+        yield name, np.asarray(flights.time)[part], channels
+        begin += length
+
+
+# --- Do the sensors agree? The flight path alone, before any aerodynamics.
+
+SENSOR_KINDS = (Kind.MEASUREMENT, Kind.ENVIRONMENT)
+SHORTEST = 4.0  # s of a record that can be checked
+
+
+def check_sensors(
+    full: CandidateModel,
+    responses: FlightPathError,
+    theta: Float[np.ndarray, " k"],
+    *,
+    seed: int,
+    known: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> Extension:
+    """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
+
+    Nothing else is in but where integrals begin. Where one is larger than sensors have, all is selected again without
+    it and what holds only beside it. If that explains the record as well, it had stood in for others. If not, it stays,
+    for the others cannot be judged without it, and corrects nothing (see `without_hold`).
+    """
+
+    def selected(barred: Sequence[str]) -> Extension:
+        candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
+        own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
+        state = linearised(own, responses, responses.outputs, theta)
+        found = forward_selection(state, seed=seed, checked=_checked)
+        return widened(found, found.state, found.fit)
+
+    first = found = selected(())
+    out: tuple[str, ...] = ()
+    while found.implausible:
+        out = (*out, *without_hold(found))
+        found = replace(selected(out), too_large=found)
+    return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
+
+
+def _checked(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+    """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
+    return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
+
+
+def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
+    """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
+
+    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
+    """
+    if why := no_flight_path(records, card):
+        raise InputError(why)
+    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
+    whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
+    sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
+    model = Model(sensors, tuple(p for e in sensors for p in e.parameters), axes=tuple(Axis))
+    full = CandidateModel(model, (), sensors, {})
+    return check_sensors(full, FlightPathError.of(flights, model), full.neutral_vector, seed=seed)
+
+
+def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
+    """Why the flight path cannot be checked at all; empty where it can."""
+    flights = joined(records, card, ())
+    missing = [n for n in PATH_CORE if n not in flights.channels]
+    if missing:
+        return f"the flight path needs {', '.join(missing)}"
+    if not np.isfinite(float(card.aircraft.mass)):
+        return "the card states no [aircraft], so the positions of the sensors are unknown"
+    if rolled_unseen(flights):
+        return (
+            "the flight path needs phi, because the aircraft rolled; map it, or state what did not move under "
+            "[constants]"
+        )
+    short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
+    return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
+
+
+def as_the_card_states(flights: Joined, card: Card) -> Joined:
+    """Flights without the errors of the record that the card states."""
+    if card.linear is not None:
+        return flights
+    model = Model.from_card(card)
+    stated = [e for e in model.effects if e.stage is Stage.CHANNEL]
+    if not stated:
+        return flights
+    fixed = dict(model.fixed)
+    values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
+    return with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
+
+
+def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:
+    """Flights as a model of errors of the record, and of where its sensors are, makes them true."""
+    true = model.corrected(values, flights.channels, flights.aircraft)
+    aircraft = model.actual_aircraft(values, flights.aircraft)
+    return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels}, aircraft=aircraft)

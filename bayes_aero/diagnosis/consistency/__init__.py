@@ -1,1 +1,0 @@
-"""Consistency of the sensors along the flight path."""

@@ -1,0 +1,599 @@
+"""The next test points: manoeuvres that decide what the records leave open, in the least time.
+
+Every standard manoeuvre is flown by the present model with several amplitudes and airspeeds. Of those inside the
+envelope the next is the one that adds most information on all open questions per second. The information on two
+effects is half the square of the standard deviations by which they differ, which is the expected log Bayes factor;
+it counts until a question is decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.screening.regression import inverse
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.settings import ENOUGH
+from bayes_aero.dynamics.simulated.manoeuvres import (
+    ANYWHERE,
+    EXCITED_CHANNELS,
+    LATERAL_EXCITED_CHANNELS,
+    fly_rigid_standard,
+    fly_standard,
+)
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Envelope, excursion
+from bayes_aero.flight.channel import Axis
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import marks
+from bayes_aero.physics.atmosphere import altitude_of_density
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.flight_path import flight_path
+
+AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
+MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
+NOT_BY_HAND = ("multisine",)  # manoeuvres that need a computer at the controls
+
+
+@dataclass(frozen=True)
+class Ambiguity:
+    """Which of several effects is there: `signals` as in `Information.deviations`.
+
+    `foreign`: columns of effects that other questions ask for and that the model does not have.
+    """
+
+    effects: tuple[str, ...]
+    signals: Signals
+    foreign: tuple[str, ...] = ()
+    enough: float = ENOUGH
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        return " or ".join(self.effects)
+
+    def pairs(self, told: Information) -> list[float]:
+        """Deviations of each pair, the lesser of both directions."""
+        found = told.without(self.foreign).deviations(self.signals)
+        return [float(min(found[a, b], found[b, a])) for a, b in combinations(self.effects, 2)]
+
+    def deviations(self, told: Information) -> float:
+        """By which the closest pair differs."""
+        return min(self.pairs(told))
+
+    def information(self, told: Information) -> float:
+        """Nats, the mean of all pairs, each until it is decided."""
+        return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(told)]))
+
+
+@dataclass(frozen=True)
+class TestPoint:
+    """A manoeuvre to be flown; `excursion`: least and greatest of the envelope's quantities, SI.
+
+    `expected` by question, from the records, the earlier points and this one: standard deviations by which the closest
+    rivals differ, or the probability to pass a tolerance; `rate`: nats a second.
+    """
+
+    __test__ = False  # no test of pytest's
+
+    manoeuvre: str
+    amplitude: float
+    airspeed: float  # m/s, of the level flight in which it begins
+    altitude: float  # m
+    seconds: float
+    excursion: Mapping[str, tuple[float, float]]
+    expected: tuple[float, ...]
+    rate: float
+
+
+@dataclass(frozen=True)
+class TestPoints:
+    """Test points in the order of flying; `present`: deviations of the records alone, by question.
+
+    `refused`: manoeuvres that no amplitude or airspeed keeps inside the envelope, or whose input was not recorded.
+    """
+
+    __test__ = False
+
+    questions: tuple[Ambiguity, ...]
+    present: tuple[float, ...]
+    points: tuple[TestPoint, ...]
+    refused: Mapping[str, str]
+
+    @property
+    def expected(self) -> tuple[float, ...]:
+        """Deviations by question when all points are flown."""
+        return self.points[-1].expected if self.points else self.present
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One manoeuvre as it could be flown, and what it says; that of several adds up."""
+
+    manoeuvre: str
+    flown: Standard
+    told: Any
+
+    @property
+    def seconds(self) -> float:
+        """Length of its record."""
+        return self.flown.seconds[self.manoeuvre]
+
+
+def next_test_points(
+    state: SelectionState,
+    sets: Mapping[frozenset[str], Mapping[str, float]],
+    envelope: Envelope,
+    theta: np.ndarray | None = None,
+) -> TestPoints:
+    """Choose them for ambiguity sets.
+
+    Args:
+        state: where the diagnosis ended.
+        sets: the effects of each, and the sizes at which they are told apart, by parameter, SI.
+        envelope: inside which manoeuvres are proposed.
+        theta: parameters with which they are flown (default: those of `state`).
+
+    Returns:
+        The points, and what each is expected to say of each question.
+
+    Raises:
+        InputError: the model cannot be flown, or an effect of a set is none that the records can test.
+    """
+    names = sorted(frozenset().union(*sets))
+    chosen = candidates_of(state, names)
+    flown = state if theta is None else replace(state, theta=theta)
+    variants = variants_of(flown, names, envelope)
+    noise = noise_of(state)
+    records = of_records(state, chosen, noise)
+    questions = tuple(_ambiguity(records, members, sizes, state.active) for members, sizes in sets.items())
+    possible = possible_points(state, variants, chosen, noise, envelope)
+    present = records.information()
+    points = best_points(
+        possible,
+        present,
+        nats=lambda told: sum(q.information(told) for q in questions),
+        expected=lambda told: tuple(q.deviations(told) for q in questions),
+        decided=lambda told: all(q.deviations(told) >= q.enough for q in questions),
+    )
+    return TestPoints(
+        questions, tuple(q.deviations(present) for q in questions), points, refused_points(variants, envelope)
+    )
+
+
+def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
+    """The effects of an ambiguity set; `InputError` if it is none."""
+    chosen = [_candidate(state, name) for name in dict.fromkeys(effects)]
+    if len(chosen) < 2:
+        raise InputError("an ambiguity set has at least two effects")
+    return chosen
+
+
+def _candidate(state: SelectionState, name: str) -> Effect:
+    found = next((e for e in state.full.model.effects if e.name == name and e.parameters), None)
+    if found is None:
+        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
+    return found
+
+
+def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, float]:
+    """The size of each parameter at which effects are told apart: the least worth modelling, or that in `sizes`."""
+    return {p: least for e in chosen for p, (least, _) in e.sizes.items()} | dict(sizes)
+
+
+def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
+    """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
+    return [
+        standard(state, effects, amplitude=amplitude, faster=faster, envelope=envelope)
+        for faster in FASTER
+        for amplitude in AMPLITUDES
+    ]
+
+
+def possible_points(
+    state: SelectionState,
+    variants: Sequence[Standard],
+    chosen: Sequence[Effect],
+    noise: Noise,
+    envelope: Envelope,
+) -> list[Variant]:
+    """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
+    found = []
+    for one in variants:
+        for name, flight in one.flown.items():
+            if envelope.programmed_inputs or name not in NOT_BY_HAND:
+                there = on_record(state, one.model, flight, one.theta, chosen, noise)
+                found.append(Variant(name, one, there.information(one.seconds[name])))
+    return found
+
+
+def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
+    """Manoeuvres that no amplitude or airspeed makes possible, with the reason."""
+    flown = {name for one in variants for name in one.flown}
+    refused = {name: why for one in variants for name, why in one.refused.items() if name not in flown}
+    if not envelope.programmed_inputs:
+        refused |= dict.fromkeys(NOT_BY_HAND, "a computer must give its inputs: [envelope] programmed_inputs")
+    return refused
+
+
+def best_points(
+    possible: Sequence[Variant],
+    told: Any,
+    *,
+    nats: Callable[[Any], float],
+    expected: Callable[[Any], tuple[float, ...]],
+    decided: Callable[[Any], bool],
+) -> tuple[TestPoint, ...]:
+    """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
+
+    Args:
+        possible: what may be flown.
+        told: by the present records; `Variant.told` is added to it.
+        nats: information on all questions.
+        expected: see `TestPoint`.
+        decided: whether nothing is left to decide.
+    """
+    points: list[TestPoint] = []
+    while len(points) < MOST and not decided(told):
+        known = nats(told)
+        gains = [nats(told + one.told) - known for one in possible]
+        worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
+        if not worth:
+            break
+        best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
+        one, told = possible[best], told + possible[best].told
+        flown = one.flown
+        points.append(
+            TestPoint(
+                one.manoeuvre,
+                flown.amplitude,
+                flown.airspeed,
+                flown.altitude,
+                one.seconds,
+                flown.excursion[one.manoeuvre],
+                expected(told),
+                gains[best] / one.seconds,
+            )
+        )
+    return tuple(points)
+
+
+def _ambiguity(
+    records: Linearised, members: frozenset[str], sizes: Mapping[str, float], active: Sequence[str]
+) -> Ambiguity:
+    own = [e for e in records.chosen if e.name in members]
+    foreign = [p.name for e in records.chosen if e.name not in {*members, *active} for p in e.parameters]
+    question = Ambiguity(
+        tuple(e.name for e in own), signals_of(records.state, own, worth_of(own, sizes)), tuple(foreign)
+    )
+    # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
+    return replace(question, enough=float(np.hypot(ENOUGH, question.deviations(records.information()))))
+
+
+# --- What a record says of parameters: the information matrix, and what coloured noise makes of it.
+# The outputs' noise is that which the present model leaves. What belongs to one record alone (offsets of the flight
+# path, functions without a name) is projected out, so that the matrices of several records add up. Source: Klein and
+# Morelli, *Aircraft System Identification*, 2006, ch. 9 (design of inputs from the information matrix); for coloured
+# noise ch. 6, as in `inference.variance`.
+
+Pair = tuple[str, str]
+Signals = Mapping[str, Mapping[str, float]]
+"""For each effect of a set: the size of each of its columns, by label."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Residuals of the present model: variance and colour by output, growth of each with 1 - X."""
+
+    outputs: tuple[str, ...]
+    variance: Float[np.ndarray, " c"]
+    colour: Autocorrelation
+    growth: Float[np.ndarray, " c"]
+
+    def of(self, outputs: Sequence[str]) -> Noise:
+        """Of those outputs alone that are among `outputs`."""
+        at = [c for c, name in enumerate(self.outputs) if name in outputs]
+        colour = Autocorrelation(self.colour.phi[at], self.colour.sigma[at])
+        return Noise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
+
+
+def noise_of(state: SelectionState) -> Noise:
+    """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
+    residual, known = state.responses.evaluate(jnp.asarray(state.theta))
+    residual, manoeuvre = np.array(residual), state.responses.manoeuvre
+    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
+    growth = np.zeros(residual.shape[1])
+    for c, name in enumerate(state.responses.outputs):
+        if name in state.outputs and np.any(apart > 0.0):
+            own = state.noise_growth[:, state.outputs.index(name)]
+            growth[c] = max(0.0, float((own - 1.0) @ apart / (apart @ apart)))
+        if name not in state.full.model.coefficients:
+            for k in range(int(manoeuvre[-1]) + 1):
+                residual[manoeuvre == k, c] -= residual[manoeuvre == k, c].mean()
+    residual /= 1.0 + growth * apart[:, None]
+    colour = autocorrelation_of(residual, whole_manoeuvres(manoeuvre))
+    return Noise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
+
+
+def whole_manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> list[slice]:
+    """The blocks of each manoeuvre."""
+    parts = [np.flatnonzero(manoeuvre == k) for k in np.unique(manoeuvre)]
+    return [slice(int(e[0]), int(e[-1]) + 1) for e in parts]
+
+
+@dataclass(frozen=True)
+class Information:
+    """Of one record or several: the information matrix of white noise of the same variance, and the variance of its
+    score under the noise's colour; (k, k), by the labels of their columns. `prior` (k,) is the priors' precision."""
+
+    labels: tuple[str, ...]
+    matrix: Float[np.ndarray, "k k"]
+    score_variance: Float[np.ndarray, "k k"]
+    prior: Float[np.ndarray, " k"]
+
+    def __add__(self, other: Information) -> Information:
+        """Of both records; a column that one of them lacks carries no information there."""
+        labels = tuple(dict.fromkeys((*self.labels, *other.labels)))
+        k = len(labels)
+        matrix, score, prior = np.zeros((k, k)), np.zeros((k, k)), np.zeros(k)
+        for one in (other, self):
+            at = [labels.index(label) for label in one.labels]
+            matrix[np.ix_(at, at)] += one.matrix
+            score[np.ix_(at, at)] += one.score_variance
+            prior[at] = one.prior
+        return Information(labels, matrix, score, prior)
+
+    def without(self, labels: Sequence[str]) -> Information:
+        """With these columns held at their values."""
+        at = [k for k, label in enumerate(self.labels) if label not in labels]
+        rows = np.ix_(at, at)
+        kept = tuple(self.labels[k] for k in at)
+        return Information(kept, self.matrix[rows], self.score_variance[rows], self.prior[at])
+
+    def after(self, columns: Sequence[int], signal: Float[np.ndarray, " k"]) -> tuple[float, float]:
+        """What `columns`, held by their priors, cannot imitate of a signal: its information, and the score's variance
+        along it."""
+        at = np.asarray(columns, int)
+        normal = self.matrix[np.ix_(at, at)] + np.diag(self.prior[at])
+        left = signal.copy()
+        left[at] -= inverse(normal) @ (self.matrix[at] @ signal)
+        return float(signal @ self.matrix @ left), float(left @ self.score_variance @ left)
+
+    def deviations(self, signals: Signals) -> dict[Pair, float]:
+        """For each ordered pair of effects: by how many standard deviations the first, at its size, differs from its
+        best imitation by the other and by all that no signal names."""
+        place = {label: k for k, label in enumerate(self.labels)}
+        members = {place[label] for own in signals.values() for label in own}
+        base = [k for k in range(len(self.labels)) if k not in members]
+        found = {}
+        for one, other in permutations(signals, 2):
+            columns = base + [place[label] for label in signals[other]]
+            ratios = []
+            for label, size in signals[one].items():
+                signal = np.zeros(len(self.labels))
+                signal[place[label]] = size
+                information, spread = self.after(columns, signal)
+                ratios.append(information / np.sqrt(spread) if spread > 0.0 else 0.0)
+            found[one, other] = min(ratios)
+        return found
+
+
+def information_of(
+    state: SelectionState, noise: Noise, chosen: Sequence[Effect], blocks: int | None = None
+) -> Information:
+    """Of the record on which `state` is linearised: on the parameters in it, and on the `chosen` effects.
+
+    `blocks`: of the first ones alone.
+    """
+    own = {label: column for e in chosen for label, column in columns_of(state, e).items()}
+    base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in chosen}])))
+    parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
+    labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
+    columns = [(parameters | own)[label] for label in labels]
+    alone = [k for k in base if k >= len(state.theta)]
+    whole, weight = state.scaled[:blocks], 1.0 / noise.variance
+    S = own_columns = whole[:, :, columns]
+    if alone:
+        N = whole[:, :, alone]
+        normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
+        S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
+    matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
+    score = noise.colour.meat(S, noise.variance, whole_manoeuvres(state.responses.manoeuvre[:blocks]))
+    return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
+
+
+def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
+    """Columns of an effect by label; of one without slope at neutral, that of its least scanned value."""
+    begin = len(state.theta) + len(state.offsets)
+    scans = [(abs(s.value), begin + k, s) for k, s in enumerate(state.scans) if s.effect == effect.name]
+    if scans:
+        _, column, scan = min(scans, key=lambda row: row[0])
+        return {scan.parameter: column}
+    names = [name for name in state.full.parameters_of(effect.name) if name in state.full.model.names]
+    return dict(zip(names, map(int, state.full.columns(names)), strict=True))
+
+
+def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, dict]:
+    """The size of each column of `chosen`: that of its parameter in `sizes`, or the least scanned value's distance."""
+    scanned = {s.effect for s in state.scans}
+    found = {}
+    for effect in chosen:
+        labels = columns_of(state, effect)
+        if effect.name in scanned:
+            least = min((s for s in state.scans if s.effect == effect.name), key=lambda s: abs(s.value))
+            found[effect.name] = {
+                least.parameter: float(least.value - state.theta[state.full.columns([least.parameter])[0]])
+            }
+        else:
+            found[effect.name] = {label: sizes[label] for label in labels}
+    return found
+
+
+# --- The standard manoeuvres, flown by a model that is identified so far, as records of the same channels.
+
+BEGINNING = 2.0  # s of the record whose means are the flight condition
+
+
+@dataclass(frozen=True)
+class Standard:
+    """The standard manoeuvres as a state's model flies them.
+
+    `theta` are the values flown; `seconds` until the response to the last input is recorded, `excursion` the least and
+    greatest of the envelope's quantities, SI; `refused` says which manoeuvre could not be flown, and why. `airspeed`
+    (m/s) and `altitude` (m) are those of the level flight in which all begin, `amplitude` multiplied every input.
+    """
+
+    model: Model
+    theta: Mapping[str, float]
+    flown: Mapping[str, Flights]
+    seconds: Mapping[str, float]
+    excursion: Mapping[str, Mapping[str, tuple[float, float]]]
+    refused: Mapping[str, str]
+    airspeed: float
+    altitude: float
+    amplitude: float
+
+
+def standard(
+    state: SelectionState,
+    effects: Sequence[str],
+    *,
+    amplitude: float = 1.0,
+    faster: float = 1.0,
+    envelope: Envelope = ANYWHERE,
+) -> Standard:
+    """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
+
+    A model of both axes flies them in six degrees of freedom, and those of the lateral axis too.
+
+    `amplitude` multiplies every input, `faster` the airspeed with which the records begin. What the record itself gets
+    wrong (sensors, thrust) is flown as at neutral.
+    """
+    rigid = Axis.LATERAL in state.full.model.axes
+    if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
+        raise InputError(
+            "test points are flown from level flight, for which the card has no lift and drag; "
+            'add "longitudinal" to [model] axes'
+        )
+    small = narrowed(state, effects)
+    true = state.full.at_neutral(state.theta, [e.name for e in small.effects if e.stage is Stage.CHANNEL])
+    theta = {n: x for n, x in zip(state.full.model.names, true, strict=True) if n in small.names}
+    values, flights = dict(small.fixed) | theta, state.responses.flights
+    begin = round(BEGINNING * 5 / state.responses.seconds)
+    start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
+    start["airspeed"] *= faster
+    dt = float(np.median(np.asarray(flights.channels["dt"])))
+    aircraft = small.actual_aircraft(values, flights.aircraft)
+    found = (fly_rigid_standard if rigid else fly_standard)(
+        small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope
+    )
+    moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
+    unseen = {n: moved[n] for n in found.channels if n in moved and moved[n] not in flights.recorded}
+    flown = {n: _recorded(flights, channels, dt) for n, channels in found.channels.items() if n not in unseen}
+    return Standard(
+        small,
+        theta,
+        flown,
+        found.seconds,
+        {n: excursion(found.channels[n]) for n in flown},
+        dict(found.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()},
+        start["airspeed"],
+        start["altitude"],
+        amplitude,
+    )
+
+
+def flights_of(state: SelectionState) -> Flights:
+    """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
+    flights = state.responses.flights
+    if not isinstance(flights, Flights):
+        raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
+    return flights
+
+
+def _start(mean: Mapping[str, float]) -> dict[str, float]:
+    """Airspeed, m/s, and altitude, m: where none was recorded, that of standard air of the record's density."""
+    altitude = mean["altitude"] if "altitude" in mean else altitude_of_density(mean["density"])
+    return {"airspeed": mean["airspeed"], "altitude": altitude}
+
+
+def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
+    """The card's effects, those that are in, those chosen, and those without parameters: less to compile."""
+    kept = {*state.full.base, *state.active, *chosen}
+    effects = tuple(e for e in state.full.model.effects if e.name in kept or not e.parameters)
+    names = {p.name for e in effects for p in e.parameters}
+    fixed = tuple((k, x) for k, x in state.full.model.fixed if k in names)
+    own = tuple(p for p in state.full.model.parameters if p.name in names)
+    return replace(state.full.model, effects=effects, parameters=own, fixed=fixed)
+
+
+def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
+    """One manoeuvre with the channels of a record; a channel that the simulator does not make keeps its mean."""
+    n = len(channels["alpha"])
+    own = {
+        name: jnp.asarray(channels[name]) if name in channels else jnp.full(n, jnp.mean(like.channels[name]))
+        for name in like.recorded
+    }
+    time = np.arange(n) * dt
+    return Flights(own | marks(n, dt), like.aircraft, np.zeros(n, int), time, (n,), ("standard",))
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model linearised on a record, all outputs together, and the noise of these."""
+
+    state: SelectionState
+    noise: Noise
+    chosen: tuple[Effect, ...]
+
+    def information(self, seconds: float | None = None) -> Information:
+        """Of the record, or of its first `seconds`."""
+        blocks = None if seconds is None else round(seconds / self.state.responses.seconds)
+        return information_of(self.state, self.noise, self.chosen, blocks)
+
+
+def of_records(state: SelectionState, chosen: Sequence[Effect], noise: Noise) -> Linearised:
+    """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
+    flights_of(state)
+    full = replace(state.full, candidates=tuple(chosen))
+    known = state if state.outputs == noise.outputs else None
+    return _linearised(replace(state, full=full), state.theta, noise, known)
+
+
+def on_record(
+    state: SelectionState,
+    model: Model,
+    flights: Flights,
+    theta: Mapping[str, float],
+    chosen: Sequence[Effect],
+    noise: Noise,
+) -> Linearised:
+    """The problem linearised on a record at `theta`, in which the `chosen` effects are candidates."""
+    path = tuple(name for name in noise.outputs if name not in model.coefficients)
+    responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
+    seen = noise.of((*model.coefficients, *flight_path(flights)))  # with wings level: nothing of sideslip and bank
+    full = replace(state.full, model=model, candidates=tuple(chosen))
+    there = replace(state, full=full, responses=responses)
+    return _linearised(there, np.array([theta[name] for name in model.names]), seen)
+
+
+def _linearised(
+    state: SelectionState, theta: Float[np.ndarray, " k"], noise: Noise, known: SelectionState | None = None
+) -> Linearised:
+    """Model, candidates and record of `state` at `theta`; what is `known` there is not computed again."""
+    full, responses = state.full, state.responses
+    active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
+    inflation = state.variance_inflation
+    there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
+    X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
+    return Linearised(replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates)

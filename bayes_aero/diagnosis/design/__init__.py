@@ -1,1 +1,0 @@
-"""The next flight test: what each manoeuvre would say of the open questions, and the card that decides most of them."""

@@ -1,0 +1,381 @@
+"""Where a record leaves its flight path by more than the sensors' noise permits.
+
+Airspeed, flow angles, attitude and altitude must move as accelerometers and gyros say. What does not is compared with
+the same of records of noise (see `path_noise`) by three measures of each channel: its root mean square over the record;
+the same once the best constant errors are taken out; and over windows of ten seconds. The largest of all, in units of
+what noise leaves there, decides: the rate of false alarms is that of a whole record, not of each window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import groupby, pairwise
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import next_fast_len
+
+from bayes_aero.flight.agreement import Departure, PathCheck
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Position
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.physics.filters import differentiate_joined
+from bayes_aero.physics.flightpath import PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
+
+WINDOW = 10.0  # s
+REPLICATES = 200  # records of noise: one in 200 that are as noisy as permitted exceeds them all in a kind of measure
+SPREAD = 0.6  # of the windows: a channel that exceeds in more of them does so over the whole record
+FITTED = 2000  # samples that constant errors are fitted to
+RANK = 1e-8  # constant errors that make a column weaker than this, beside others, make none of their own
+TOGETHER = 8  # records that are measured at a time
+
+
+class Kind(IntEnum):
+    """Of root mean squares: over the record, the same without the best constant errors, within a window."""
+
+    DRIFT = 0
+    SHAPE = 1
+    WINDOW = 2
+
+
+Channels = Mapping[str, Float[np.ndarray, " n"]]
+
+
+@dataclass(frozen=True)
+class _Measures:
+    """Root mean squares, a row for each residual record (the recorded one first), and what each column is."""
+
+    values: Float[np.ndarray, "r k"]
+    channel: tuple[str, ...]
+    begin: tuple[float, ...]
+    end: tuple[float, ...]
+    kind: tuple[Kind, ...]
+
+
+def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
+    """Compare the flight path of one record with what noise permits.
+
+    Args:
+        name: of the record.
+        time: s, evenly sampled.
+        channels: (n,) each, SI; spikes repaired, errors of sensors that are known taken out.
+        card: says the sensors' noise and where the accelerometer is.
+        seed: of the records of noise.
+    """
+    assumed = tuple(n for n in STRAIGHT if n not in channels)
+    outputs, place, rng = path_outputs(channels), card.aircraft.accelerometer, _draws(seed)
+    full, recorded, noise, dt = _recorded(time, channels, card)
+    met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
+    turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
+    added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
+    drawn, columns = (
+        path_residuals(full, by, outputs, place, dt) for by in (added, _constant_errors(noise, len(time)))
+    )
+    drawn -= recorded
+    columns -= recorded
+    found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
+    return PathCheck(name, _departures(name, found), _whole(found), turbulence, met, assumed)
+
+
+def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
+    """Standard deviation of the gusts that one record shows, m/s, as in `PathCheck`; arguments as of `path_check`."""
+    full, recorded, noise, dt = _recorded(time, channels, card)
+    return _gusts_shown(recorded[0], path_outputs(channels), full, noise, dt, _draws(seed))
+
+
+def _draws(seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, 31])
+
+
+def _recorded(
+    time: Float[np.ndarray, " n"], channels: Channels, card: Card
+) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "1 n c"], SensorNoise, float]:
+    """Channels with zeros for those that are absent, what the flight path leaves of them, their noise, sample time."""
+    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+    dt = float(time[-1] - time[0]) / (len(time) - 1)
+    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
+    still = {"q": np.zeros((1, len(time)))}
+    return full, path_residuals(full, still, path_outputs(channels), card.aircraft.accelerometer, dt), noise, dt
+
+
+def _gusts_shown(
+    residual: Float[np.ndarray, "n c"],
+    outputs: Sequence[str],
+    channels: Channels,
+    noise: SensorNoise,
+    dt: float,
+    rng: np.random.Generator,
+) -> float:
+    """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
+    alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
+    V = np.asarray(channels["airspeed"])
+    levels = []
+    for name in (n for n in AIR_DATA if n in outputs):
+        along = name == "airspeed"
+        unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
+        share = float(np.mean(np.median(_local(unit.T, dt) ** 2, axis=0)))
+        scale = np.ones_like(V) if along else V
+        inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
+        white = noise.shown[name] * float(np.median(scale))
+        levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
+    return float(np.sqrt(min(levels, default=0.0)))
+
+
+def _constant_errors(noise: SensorNoise, n: int) -> dict[str, Float[np.ndarray, "m n"]]:
+    """A constant error of each sensor by itself, as large as is permitted."""
+    names = list(noise.constant)
+    return {
+        name: np.outer(np.arange(len(names)) == i, np.full(n, noise.constant[name])) for i, name in enumerate(names)
+    }
+
+
+def _windows(n: int, dt: float) -> list[slice]:
+    """Equal parts of about `WINDOW` s."""
+    parts = max(1, round(n * dt / WINDOW))
+    edges = np.linspace(0, n, parts + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def _local(x: Float[np.ndarray, "n c"], dt: float) -> Float[np.ndarray, "w c"]:
+    """Root mean square within each window about its own straight line."""
+    return np.stack([_rms_about_line(x[part][None])[0] for part in _windows(len(x), dt)])
+
+
+def _rms_about_line(x: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
+    line = np.linalg.qr(np.stack([np.ones(x.shape[1]), np.arange(x.shape[1])], axis=1))[0]
+    left = x - line @ (line.T @ x)
+    return np.sqrt(np.mean(left**2, axis=1))
+
+
+def _measures(
+    residual: Float[np.ndarray, "r n c"],
+    columns: Float[np.ndarray, "m n c"],
+    outputs: Sequence[str],
+    time: Float[np.ndarray, " n"],
+) -> _Measures:
+    """All three measures of the recorded residual, the first, and of those of noise."""
+    windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
+    constants = _Constants(residual[1:], columns, time)
+    values = [
+        _of_some(residual[first : first + TOGETHER], constants, windows) for first in range(0, len(residual), TOGETHER)
+    ]
+    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Kind.DRIFT, Kind.SHAPE]
+    for part in windows:
+        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Kind.WINDOW]
+    count = len(outputs)
+    return _Measures(
+        np.concatenate(values),
+        tuple(outputs) * len(kinds),
+        tuple(float(t) for t in np.repeat(begin, count)),
+        tuple(float(t) for t in np.repeat(end, count)),
+        tuple(kind for kind in kinds for _ in range(count)),
+    )
+
+
+def _of_some(
+    residual: Float[np.ndarray, "r n c"], constants: _Constants, windows: Sequence[slice]
+) -> Float[np.ndarray, "r k"]:
+    """The measures of a few records, which stay in the processor's cache."""
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    parts = [_rms_about_line(residual[:, part]) for part in windows]
+    return np.concatenate([np.sqrt(np.mean(centred**2, axis=1)), constants.rms_without(centred), *parts], axis=1)
+
+
+class _Constants:
+    """The constant errors that suit all outputs of a record best, of any size, and a steady vertical wind."""
+
+    def __init__(
+        self, noise: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
+    ) -> None:
+        """`noise` gives the scale of the outputs; a constant error of each sensor makes `columns` of the residual."""
+        self.step = max(1, len(time) // FITTED)
+        self.scale = np.sqrt(np.mean([np.var(x[:: self.step], axis=0) for x in noise], axis=0))
+        wind = np.zeros_like(columns[:1])
+        wind[0, :, -1] = time
+        B = np.concatenate([columns, wind])[:, :: self.step]
+        B = (B - B.mean(axis=1, keepdims=True)) / self.scale
+        size = np.sqrt(np.mean(B**2, axis=(1, 2)))
+        unit = (B / np.maximum(size, 1e-300)[:, None, None])[size > 0.0].reshape(int(np.sum(size > 0.0)), -1).T
+        directions, strengths, _ = np.linalg.svd(unit, full_matrices=False)
+        self.basis = directions[:, strengths > RANK * strengths.max(initial=0.0)]
+
+    def rms_without(self, centred: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
+        """Root mean square of each output once they are taken out."""
+        x = centred[:, :: self.step] / self.scale
+        rows = x.reshape(len(x), -1)
+        left = rows - (rows @ self.basis) @ self.basis.T
+        return np.sqrt(np.mean(left.reshape(x.shape) ** 2, axis=1)) * self.scale
+
+
+def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:
+    """What noise permits of each measure: as many times its usual size as the largest of its kind in any record of
+    noise."""
+    usual = np.sqrt(np.mean(found.values[1:] ** 2, axis=0))
+    largest, kind = found.values[1:] / usual, np.array(found.kind)
+    return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
+
+
+def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
+    """Where the recorded measures exceed what is permitted: windows that touch make one, many the whole record."""
+    permitted, own = _permitted(found), found.values[0]
+    over = own > permitted
+    departures = []
+    for name in dict.fromkeys(found.channel):
+        at = [i for i, channel in enumerate(found.channel) if channel == name]
+        entire, parts = ([i for i in at if (found.kind[i] is Kind.WINDOW) == w] for w in (False, True))
+        runs = _runs([bool(over[i]) for i in parts])
+        chosen = [[parts[i] for i in run] for run in runs]
+        if not runs or sum(over[parts]) > SPREAD * len(parts):
+            chosen = [[max(entire, key=lambda i: own[i] / permitted[i])]] if any(over[entire]) else chosen
+        for run in chosen:
+            worst = max(run, key=lambda i: own[i] / permitted[i])
+            size, limit = float(own[worst]), float(permitted[worst])
+            departures.append(Departure(record, name, found.begin[run[0]], found.end[run[-1]], size, limit))
+    return tuple(departures)
+
+
+def _runs(flags: Sequence[bool]) -> list[list[int]]:
+    """Places of neighbouring true flags."""
+    numbered = groupby(enumerate(flags), lambda pair: pair[1])
+    return [[i for i, _ in run] for flag, run in numbered if flag]
+
+
+def _whole(found: _Measures) -> dict[str, tuple[float, float]]:
+    """Root mean square over the record once constant errors are out, and what is permitted, by channel."""
+    permitted, names = _permitted(found), dict.fromkeys(found.channel)
+    count = len(names)
+    return {name: (float(found.values[0, count + i]), float(permitted[count + i])) for i, name in enumerate(names)}
+
+
+# --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
+# turbulence.
+# Drawn as records of disturbances of the recorded channels, so that whatever is computed from a record can be
+# computed from disturbed ones, too, and compared in absolute terms.
+
+DEGREE = math.pi / 180.0
+DEFAULT_NOISE = {
+    "ax": 0.02, "ay": 0.02, "az": 0.05, "p": 0.02 * DEGREE, "q": 0.02 * DEGREE, "r": 0.02 * DEGREE,
+    "phi": 0.1 * DEGREE, "theta": 0.1 * DEGREE, "alpha": 0.1 * DEGREE, "beta": 0.1 * DEGREE,
+    "airspeed": 0.3, "altitude": 3.0,
+}  # fmt: skip
+"""Standard deviation of each sensor's noise where the card states none, SI: a usual flight-test installation."""
+
+NOISIER = 3.0  # times the stated noise: white noise that a record shows is no disagreement up to here
+LIGHT_TURBULENCE = 1.0  # m/s, standard deviation of light turbulence; MIL-F-8785C, 3.7
+CALM = 0.3  # m/s: air is never taken for calmer
+SCALE_LENGTH = 533.0  # m, of turbulence above 2000 ft (1750 ft): MIL-F-8785C, 3.7.2
+MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes and goes within a record
+AIR_DATA = ("airspeed", "alpha", "beta")
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Standard deviations in SI by channel: the `white` noise of each sample that is permitted, an error that is
+    `constant` over a record, and the white noise that the record has `shown`."""
+
+    white: Mapping[str, float]
+    constant: Mapping[str, float]
+    shown: Mapping[str, float]
+
+
+def sensor_noise(channels: Mapping[str, Float[np.ndarray, " n"]], card: Card) -> SensorNoise:
+    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that.
+
+    A constant error as large as the stated noise is permitted, too.
+    """
+    stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
+    shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
+    permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
+    return SensorNoise(permitted, stated, shown)
+
+
+def gusts(
+    rng: np.random.Generator, count: int, n: int, dt: float, airspeed: float, *, across: bool
+) -> Float[np.ndarray, "r n"]:
+    """Dryden turbulence of unit standard deviation along or across the path, met at a speed in m/s.
+
+    Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.
+    """
+    run_in = min(n, 4000)
+    T = SCALE_LENGTH / max(airspeed, 1.0)
+    keep = math.exp(-dt / T)
+    total = n + run_in
+    size = next_fast_len(2 * total - 1 - run_in, real=True)  # what wraps around ends within the run-in
+    spectrum = np.fft.rfft(_response(keep, total, across=across), size)
+    drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
+    return drawn[:, run_in:total] / _deviation(keep, across=across)
+
+
+def _response(keep: float, n: int, *, across: bool) -> Float[np.ndarray, " n"]:
+    """What `gusts` makes of a single sample of one."""
+    k = np.arange(n)
+    response = keep**k
+    return response * (math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1)) if across else response
+
+
+def _deviation(keep: float, *, across: bool) -> float:
+    """Standard deviation of what `gusts` filters from unit white noise: the sum of its squared impulse response."""
+    return float(np.sqrt(np.sum(_response(keep, int(20.0 / -math.log(keep)) + 1, across=across) ** 2)))
+
+
+def disturbances(
+    channels: Mapping[str, Float[np.ndarray, " n"]],
+    noise: SensorNoise,
+    turbulence: float,
+    dt: float,
+    rng: np.random.Generator,
+    count: int,
+) -> dict[str, Float[np.ndarray, "r n"]]:
+    """What `count` sensors and airs of this kind add to the channels of one record; `turbulence` in m/s."""
+    n = len(next(iter(channels.values())))
+    found = {
+        name: sd * rng.standard_normal((count, n)) + noise.constant[name] * rng.standard_normal((count, 1))
+        for name, sd in noise.white.items()
+    }
+    V = np.maximum(np.asarray(channels["airspeed"]), 1.0)
+    for name in AIR_DATA:
+        if name in found:
+            along = name == "airspeed"
+            gust = turbulence * gusts(rng, count, n, dt, float(np.median(V)), across=not along)
+            found[name] += gust if along else gust / V
+    return found
+
+
+# --- What the flight path leaves of a record, and of the same record with its channels disturbed.
+
+
+def path_residuals(
+    channels: Mapping[str, Float[np.ndarray, " n"]],
+    added: Mapping[str, Float[np.ndarray, "r n"]],
+    outputs: Sequence[str],
+    accelerometer: Position,
+    dt: float,
+) -> Float[np.ndarray, "r n c"]:
+    """Recorded minus integrated from the start, for each of r disturbances of the channels of one record.
+
+    Args:
+        channels: `PATH_NEEDS`, (n,) each, SI.
+        added: what each disturbance adds to some of the channels, (r, n) each, SI.
+        outputs: which of the flight path's outputs to form.
+        accelerometer: its place from the centre of gravity, m.
+        dt: sampling interval, s.
+
+    Returns:
+        (r, n, c) in the outputs' units.
+    """
+    n, count = len(channels["q"]), len(next(iter(added.values())))
+    steps, start = np.full(n, dt), np.arange(n) == 0
+    first, last = np.zeros(n, int), np.full(n, n - 1)
+    aircraft = replace(NO_AIRCRAFT, accelerometer=accelerometer)
+    found = np.empty((count, n, len(outputs)))
+    for begin in range(0, count, TOGETHER):
+        part = slice(begin, begin + TOGETHER)
+        s = {name: channels[name] + added[name][part] if name in added else channels[name] for name in PATH_NEEDS}
+        s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
+        rates = path_rates(s, aircraft)
+        for c, name in enumerate(outputs):
+            found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
+    return found

@@ -1,1 +1,0 @@
-"""Causes in a band of frequencies, where bias and drift drop out."""

@@ -1,0 +1,426 @@
+"""Models fitted to all segments of flight but one, and flown on that one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import Event
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import CandidateModel, finite, lag_of
+from bayes_aero.diagnosis.selection.forward_selection import Extension, large
+from bayes_aero.diagnosis.selection.holdout import Confirmation, backward_elimination
+from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.diagnosis.trajectories.histories import paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
+from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.output_biases import with_biases_of
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.inference.compiled_programs import cores
+from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
+from bayes_aero.inference.likelihood.mle import solve
+from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
+from bayes_aero.inference.likelihood.output_error import SeparatedFlow, fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import THINNING, OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.scores import log_density, log_score_gain, log_score_gains
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import departure
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a first fit tells of residuals: their variance inflation, how they grow in the stall."""
+
+    variance_inflation: float
+    parts: SeparatedFlow | None
+
+    @classmethod
+    def of(cls, fit: OutputErrorResult) -> Noise:
+        """From a fit to all."""
+        return cls(trajectory_variance_inflation(fit), SeparatedFlow.of(fit))
+
+    def on(self, flown: SegmentTrajectories, without: int | None = None) -> SegmentTrajectories:
+        """The same segments with their noise_growth; its size is read from all of them, or from all but one."""
+        return flown if self.parts is None else replace(flown, noise_growth=self.parts.noise_growth(without))
+
+    def told(self, outputs: Sequence[str]) -> dict[str, float]:
+        """By output, how many times more is missed in wholly separated flow than in attached flow."""
+        growths = np.zeros(len(outputs)) if self.parts is None else self.parts.growths()
+        return {name: 1.0 + float(b) for name, b in zip(outputs, growths, strict=True)}
+
+
+@dataclass(frozen=True)
+class CandidateFit:
+    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes.
+
+    `weighed`: samples count by the noise_growth of what is missed.
+    """
+
+    name: str
+    fit: OutputErrorResult
+    own: frozenset[str] = frozenset()
+    held: Mapping[str, float] = field(default_factory=dict)
+    weighed: bool = True
+
+    def silent(self, segment: int, unidentified: float) -> dict[str, float]:
+        """Parameters of causes whose standard error without this segment is `unidentified` times the joint one; joint
+        values."""
+        if not self.own:
+            return {}
+        part = fit_output_error(
+            masked(self.fit.flown, segment, keep=False),
+            start=self.fit.estimate,
+            departure=self.fit.departure,
+            max_iterations=0,
+        )
+        told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
+        with np.errstate(invalid="ignore"):
+            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
+
+
+def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTrajectories:
+    """Only one of the segments counts, or all others; the shapes stay, so nothing compiles anew."""
+    counts = (np.arange(len(flown.index)) == segment) == keep
+    return eqx.tree_at(lambda f: f.inside, flown, flown.inside & counts[:, None])
+
+
+def left_out(
+    contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
+) -> Iterator[tuple[str, OutputErrorResult]]:
+    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held.
+
+    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
+    """
+    count = len(contenders[0].fit.flown.index)
+    jobs = [(c, k) for c in contenders for k in range(count)]
+    stopped = Event()
+
+    def one(job: tuple[CandidateFit, int]) -> tuple[str, OutputErrorResult]:
+        contender, k = job
+        fit, held = contender.fit, {**contender.held, **silent[contender.name][k]}
+        weighed = noise.on(fit.flown, without=k) if contender.weighed else fit.flown
+        options = {"prior_weight": noise.variance_inflation, "stopped": stopped.is_set}
+        rest = masked(weighed, k, keep=False)
+        return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
+
+    with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
+        try:
+            yield from pool.map(one, jobs)
+        except BaseException:  # Ctrl-C does not wait for whole fits
+            stopped.set()
+            raise
+
+
+def holdout_fits(
+    contender: CandidateFit,
+    fits: Sequence[OutputErrorResult],
+    tolerances: Mapping[str, float],
+    variance_inflation: float = 1.0,
+    seed: int = 0,
+) -> list[SimulatedManoeuvre]:
+    """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
+    posterior, too, where there are tolerances to stay inside."""
+    flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
+    options = {"drawn": bool(tolerances), "variance_inflation": variance_inflation, "seed": seed}
+    alone = [masked(flown, k, keep=True) for k in range(len(fits))]
+    found = [
+        paths_of(f, one, name, "hold_out", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)
+    ]
+    return [path for paths in found for path in paths]
+
+
+# --- Log score of a simulation on hold-out flights.
+
+
+@dataclass(frozen=True)
+class HoldoutScore:
+    """What is missed of every segment, flown by a fit to the others, divided by `noise_growth`.
+
+    `inside`: the flight stayed in the envelope.
+    """
+
+    residual: tuple[Float[np.ndarray, "_ c"], ...]
+    inside: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        paths: Sequence[SimulatedManoeuvre],
+        outputs: Sequence[str],
+        noise_growth: Sequence[Float[np.ndarray, "_ c"]],
+    ) -> HoldoutScore:
+        """From simulated segments, in order."""
+        left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
+        return cls(tuple(x / s for x, s in zip(left, noise_growth, strict=True)), all(p.inside for p in paths))
+
+    def density(self) -> Float[np.ndarray, " m"]:
+        """Log density of every sample, all outputs together."""
+        return self.densities().sum(axis=1)
+
+    def densities(self) -> Float[np.ndarray, "m c"]:
+        """Log density of every sample by output but for what the noise_growth adds: normal, with the variance that the
+        residuals themselves have."""
+        r = np.concatenate(self.residual)
+        return log_density(r, np.mean(r**2, axis=0))
+
+
+def holdout_gain(before: HoldoutScore, after: HoldoutScore, variance_inflation: float) -> tuple[float, float]:
+    """Log density that `after` has beyond `before` on the same segments, over the variance inflation; deviation."""
+    return log_score_gain(before.density(), after.density(), variance_inflation, [len(r) for r in before.residual])
+
+
+def output_gains(
+    names: Sequence[str], before: HoldoutScore, after: HoldoutScore, variance_inflation: float
+) -> dict[str, tuple[float, float]]:
+    """`holdout_gain` of each output by itself."""
+    lengths = [len(r) for r in before.residual]
+    return log_score_gains(names, before.densities(), after.densities(), variance_inflation, lengths)
+
+
+# --- A lag of the separation point that coefficients leave open, asked of trajectories.
+# The coefficients follow from the measured angle of attack and its rate, so that a lag and a quasi-steady hysteresis
+# draw nearly the same loops of a few seconds. Flown, they differ: hysteresis answers alpha-dot at once, so that lift
+# depends on what it does itself, and a lag does not.
+
+SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
+
+
+def open_lag(full: CandidateModel, found: Extension, model: Model) -> Effect | None:
+    """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
+    score of a rival."""
+    lag, stages = lag_of(full), {e.stage for e in model.acting}
+    if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
+        return None
+    scores = [s.score for s in found.steps[-1].screening.candidate_scores if s.effect == lag.name]
+    return lag if max(scores, default=0.0) >= full.settings.least_rival_score else None
+
+
+def with_lag(
+    model: Model,
+    effect: Effect,
+    extended: CandidateFit,
+    noise: Noise,
+    flights: Flights,
+    settings: DiagnosisSettings = DEFAULT,
+) -> tuple[CandidateFit, LagTest]:
+    """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
+
+    Hysteresis that is left at none is held there: the lag stands in for it.
+    """
+    model = _without_lead(model)
+    dynamics = with_biases_of(extended.fit.flown.dynamics, aircraft_dynamics(model, flights))
+    fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
+    start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
+    whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
+    fit = fit_output_error(whole, start=start, prior_weight=noise.variance_inflation)
+    found = dict(zip(fit.names, fit.estimate, strict=True))
+    none = {n: x for n, x in _hysteresis(model).items() if n in fit.at_bound and found[n] == x}
+    if none:
+        fit = fit_output_error(
+            whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.variance_inflation
+        )
+    gain = -np.inf
+    if fit.status in SETTLED and extended.fit.status in SETTLED:
+        gain = (extended.fit.cost - fit.cost) / noise.variance_inflation
+    own = extended.own | {p.name for p in effect.parameters}
+    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.variance_inflation), settings.least_score)
+    lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
+    return CandidateFit("lagged", fit, own, none), lag
+
+
+def _away(effect: Effect, fit: OutputErrorResult, inflation: float) -> dict[str, tuple[float, float]]:
+    """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
+    sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
+    told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+    return {p.name: p.away(*told[p.name]) for p in effect.parameters if p.name in effect.sizes}
+
+
+def confirmed(
+    lag: LagTest,
+    without: Sequence[SimulatedManoeuvre],
+    lagged: Sequence[SimulatedManoeuvre],
+    outputs: Sequence[str],
+    noise_growth: Sequence[Float[np.ndarray, "_ c"]],
+    variance_inflation: float,
+    hold_out: float = DEFAULT.hold_out,
+) -> LagTest:
+    """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
+    before, after = (HoldoutScore.of(paths, outputs, noise_growth) for paths in (without, lagged))
+    told = holdout_gain(before, after, variance_inflation)
+    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
+
+
+def _hysteresis(model: Model) -> Mapping[str, float]:
+    """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
+    own = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
+    return {name: x for e in own for name, x in e.neutral_values.items()}
+
+
+def _without_lead(model: Model) -> Model:
+    """Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing."""
+    own = _hysteresis(model)
+    bounded = [
+        replace(p, bounds=(max(own[p.name], p.bounds[0]), p.bounds[1])) if p.name in own else p
+        for p in model.parameters
+    ]
+    return replace(model, parameters=tuple(bounded))
+
+
+# --- Which causes flight misses: those without which unseen manoeuvres are flown as well are taken out.
+# Coefficients confirm a cause where they follow from it directly. Flown, what it gets wrong adds up over a minute,
+# and what is superfluous harms there first.
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """The contender with what flight misses, its fits to all segments but one each, and what each cause is missed by.
+
+    Parameters that are `gone` are held at neutral: those of causes that were taken out.
+    """
+
+    contender: CandidateFit
+    fits: Sequence[OutputErrorResult]
+    confirmation: Confirmation
+    gone: frozenset[str] = frozenset()
+
+
+def eliminate(
+    contender: CandidateFit,
+    fits: Sequence[OutputErrorResult],
+    causes: Sequence[Effect],
+    silent: Mapping[int, Mapping[str, float]],
+    noise: Noise,
+    settings: DiagnosisSettings = DEFAULT,
+) -> Elimination:
+    """Test every one of `causes` on hold-out flights.
+
+    `fits` are those to all segments but one each, `silent` the parameters held at their joint values there.
+
+    A cause with such parameters is not tested and stays: with a joint value the segment is not held out.
+    """
+    unheard = {name for held in silent.values() for name in held}
+    neutral = {e.name: e.neutral_values for e in causes}
+    neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
+    flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
+    if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
+        return Elimination(contender, fits, Confirmation((), {}))
+    found = backward_elimination(tuple(neutral), flight, settings)
+    less = flight.without(found.kept)
+    gone = frozenset(less.held) - frozenset(contender.held)
+    if not gone:
+        return Elimination(contender, fits, found)
+    fit = contender.fit
+    again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.variance_inflation)
+    return Elimination(replace(less, fit=again), flight.fits[found.kept], found, gone)
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """Segments as a contender with some of its causes flies them, unseen. `fits` are kept by the causes that are in."""
+
+    contender: CandidateFit
+    neutral: Mapping[str, Mapping[str, float]]  # parameters of the causes that are asked, by cause
+    silent: Mapping[int, Mapping[str, float]]
+    noise: Noise
+    fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]
+
+    def without(self, effects: Sequence[str]) -> CandidateFit:
+        """The contender, of what is asked only `effects` in."""
+        gone = {name: finite(x) for name, x in self._gone(effects).items()}
+        return replace(self.contender, held={**self.contender.held, **gone})
+
+    def _gone(self, effects: Sequence[str]) -> dict[str, float]:
+        """Neutral values of what is asked and not among `effects`."""
+        return {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
+
+    @cached_property
+    def equations_at_optimum(self) -> tuple[Point, Point]:
+        """The normal equations at the optimum: with the fitted initial states, and with the measured ones."""
+        fit = self.contender.fit
+        equations, measured = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
+        return equations.evaluate(fit.estimate, fit.departure), equations.evaluate(fit.estimate, measured)
+
+    def first_order(self, effects: Sequence[str]) -> HoldoutScore:
+        """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
+        fit, (fitted, measured) = self.contender.fit, self.equations_at_optimum
+        A, g, _ = segment_equations(fitted, fit.priors)
+        columns = np.concatenate(measured.products.columns)
+        left = []
+        for k, inside in enumerate(fit.flown.inside):
+            others = np.arange(len(A)) != k
+            information = A[others].sum(axis=0) + np.diag(fit.priors.precision)
+            gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
+            step = self._step(effects, k, information, gradient)
+            left.append((columns[k, ..., 0] - columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
+        return HoldoutScore(tuple(left))
+
+    def _step(self, effects: Sequence[str], k: int, A: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"]):
+        """From the joint optimum to that of all segments but one."""
+        fit = self.contender.fit
+        held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.contender.held, **self._gone(effects)}
+        stated = {n: x for n, x in held.items() if x is not None}
+        away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
+        step = np.array([away.get(n, 0.0) for n in fit.names])
+        moving = np.array([n not in held for n in fit.names])
+        step[moving] = solve(A[np.ix_(moving, moving)], (g - A @ step)[moving], 0.0)
+        return step
+
+    def refitted(self, effects: Sequence[str]) -> HoldoutScore:
+        """Every segment flown by a fit to the others."""
+        key, less = tuple(effects), self.without(effects)
+        if key not in self.fits:
+            self.fits[key] = [fit for _, fit in left_out([less], {less.name: self.silent}, self.noise)]
+        paths = holdout_fits(less, self.fits[key], {})
+        flown = self.contender.fit.flown
+        return HoldoutScore.of(paths, flown.outputs, flown.growth)
+
+    def holdout_gain(self, before: HoldoutScore, after: HoldoutScore) -> tuple[float, float]:
+        if not before.inside:  # without it the flight leaves its envelope
+            return np.inf, 0.0
+        return holdout_gain(before, after, self.noise.variance_inflation)
+
+    def output_gains(self, before: HoldoutScore, after: HoldoutScore) -> Mapping[str, tuple[float, float]]:
+        if not before.inside:
+            return {}
+        return output_gains(self.contender.fit.flown.outputs, before, after, self.noise.variance_inflation)
+
+
+# --- Variance inflation of a fit to trajectories.
+
+
+def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
+    """Variance inflation in the median over the parameters.
+
+    From Morelli and Klein's corrected covariance on means over `THINNING` samples (of white residuals a fifth of the
+    variance is left there); the segments' states are among the parameters, unless they are fixed.
+    """
+    flown, k = fit.flown, len(fit.estimate)
+    residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
+    if fit.priors.fixed:
+        S = S[..., :k]
+    m = S.shape[1]
+    inside = flown.inside[:, : m * THINNING].reshape(len(S), m, THINNING).all(axis=2)
+    w, n, c, wide = S.shape
+    own = np.zeros((w, n, c, k + w * (wide - k)))
+    own[..., :k] = S[..., :k]
+    for row in range(w):
+        begin = k + row * (wide - k)
+        own[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
+    keep = inside.ravel()
+    flat, r = own.reshape(w * n, c, -1)[keep], residual.reshape(w * n, c)[keep]
+    start = np.concatenate([[True], np.diff(np.repeat(np.arange(w), n)[keep]) != 0])
+    information = np.einsum("nci,c,ncj->ij", flat, 1.0 / fit.R, flat, optimize=True)
+    used = np.diag(information) > 0.0
+    scale = np.sqrt(np.diag(information)[used])
+    D = np.linalg.pinv(information[np.ix_(used, used)] / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    D = D / np.outer(scale, scale)
+    corrected = corrected_covariance(D, flat[:, :, used], fit.R, r, np.repeat(np.arange(w), n)[keep], start)
+    parameters = int(np.sum(used[:k]))
+    return median_inflation(THINNING * variance_inflation(np.diag(corrected), np.diag(D))[:parameters])

@@ -1,1 +1,0 @@
-"""Modes of motion of a fitted model."""

@@ -1,0 +1,450 @@
+"""The aircraft in six degrees of freedom, with the effects of any model; any of its states may be held to the record.
+
+States are airspeed, alpha, beta, p, q, r, the attitude as a quaternion, altitude, the gusts of the model and, with a
+lag, the separation point X. Held states and their rates are prescribed as recorded. Forces and moments of an axis
+without a model are those of the accelerometers and of the prescribed rates. Flat earth.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.output_channels import FLIGHT, FORCES, RIGID
+from bayes_aero.dynamics.system import Row, System
+from bayes_aero.effect import Stage
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.card.tables import HOLDABLE
+from bayes_aero.flight.channel import Axis
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Role
+from bayes_aero.physics.atmosphere import air
+from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
+from bayes_aero.physics.filters import differentiate, smooth
+from bayes_aero.physics.flightpath import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm
+
+# --- Prescribed motion of an aircraft as recorded, and the outputs of its simulation.
+
+SIDE = ("p", "r", "beta", "phi")  # the lateral force follows from these where no accelerometer measures it
+ENGINES = ("thrust", "thrust_left", "thrust_right")
+
+
+def lateral_drives(inputs: Sequence[str], channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
+    """Inputs of longitudinal motion: recorded channels, angular accelerations p_dot and r_dot, the speed of sound."""
+    found = {name: channels[name] for name in (*inputs, *LATERAL, "thrust", "density") if name in channels}
+    for name in ("p", "r"):
+        if name in channels:
+            found[f"{name}_dot"] = _slope(channels[name], flights)
+    return found | _side(channels, flights) | _sound(channels)
+
+
+def rigid_drives(
+    axes: Collection[Axis],
+    held: Sequence[str],
+    inputs: Sequence[str],
+    channels: Mapping[str, Array],
+    flights: Flights,
+) -> dict[str, Array]:
+    """Inputs of a rigid body: recorded channels, held states with their rates, forces of axes without a model."""
+    found = {name: channels[name] for name in (*inputs, *ENGINES, "density") if name in channels}
+    sloped = [n for n in (*RATES, "alpha") if n in held and n in channels]
+    found |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
+    if Axis.LONGITUDINAL not in axes:
+        rates = [channels[name] for name in RATES]
+        turning = Rotation(*rates, *(_slope(x, flights) for x in rates))
+        arm = lever_arm(turning, flights.aircraft.accelerometer)
+        found |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
+    if Axis.LATERAL not in axes:
+        found |= {"ay": channels["ay"]} if "ay" in channels else {}
+        found |= _side(channels, flights)
+    turns = {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
+    return found | turns | _sound(channels)
+
+
+def rigid_outputs(axes: Collection[Axis], start: Collection[str]) -> tuple[str, ...]:
+    """Outputs of a rigid body: simulated states, and accelerations of the modelled axes."""
+    forces = {name for axis, names in FORCES.items() if axis in axes for name in names}
+    simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in start)
+    return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces))
+
+
+def _side(channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
+    """The rate of sideslip, where the lateral force follows from it."""
+    if "ay" in channels or not all(name in channels for name in SIDE):
+        return {}
+    return {"beta_dot": _slope(channels["beta"], flights)}
+
+
+def _sound(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """The speed of sound where Mach was recorded."""
+    return {"sound": channels["airspeed"] / channels["mach"]} if {"mach", "airspeed"} <= set(channels) else {}
+
+
+def _slope(x: Array, flights: Flights) -> Array:
+    """Derivative of the smoothed channel, manoeuvre by manoeuvre."""
+    begin, parts = 0, []
+    for length in flights.lengths:
+        part = slice(begin, begin + length)
+        parts.append(differentiate(smooth(x[part]), flights.channels["dt"][begin]))
+        begin += length
+    return jnp.concatenate(parts)
+
+
+# --- Systems in gusts: states over ground, and the flow at vane, pitot tube and wing.
+
+FLOW = ("airspeed", "alpha", "beta")  # changed by gusts; as states they are over ground
+
+
+class InGusts(System):
+    """Gusts of `model` are among the states, as first-order processes; parameter values are `values`."""
+
+    model: eqx.AbstractVar[Model]
+    values: eqx.AbstractVar[dict[str, Any]]
+    aircraft: eqx.AbstractVar[Aircraft]
+
+    @abstractmethod
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """States and inputs by name; `FLOW` of the flow, not over ground."""
+
+    @property
+    def state_outputs(self) -> tuple[str, ...]:
+        """All states; in gusts all but `FLOW`, because vane and pitot tube measure the flow."""
+        return tuple(name for name in self.states if not (self.model.disturbances and name in FLOW))
+
+    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: twice their variance over their correlation time."""
+        power = {d.state: 2.0 * jnp.square(self.values[d.intensity]) for d in self.model.disturbances}
+        return self.decay(x, u) * jnp.stack([jnp.asarray(power.get(name, 0.0)) for name in self.states])
+
+    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """Of the gusts: one over their correlation time."""
+        s = self.flow_signals(x, u)
+        rate = {d.state: d.rate(self.values, s, self.aircraft) for d in self.model.disturbances}
+        return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
+
+    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
+        """Gusts start in their stationary distribution; the flow was measured, the motion over ground was not."""
+        intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
+        spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
+        own = tuple(name for name in FLOW if name in self.states)
+        places = jnp.array([self.states.index(name) for name in own])
+
+        def flow(x):
+            s = self.flow_signals(x, u)
+            return x.at[places].set(jnp.stack([s[name] for name in own]))
+
+        factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
+        return factor @ factor.T
+
+    def mean_gust_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
+        """Mean rates of the gust states, and the rate of alpha due to them, without their white noise.
+
+        `state` is over ground, `s` contains the flow.
+        """
+        gusts = {d.state: state[d.state] for d in self.model.disturbances}
+        decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
+        over_ground = dict(s) | {name: state[name] for name in FLOW if name in state}
+        alpha = lambda g: self.model.inflow(self.values, over_ground | g, self.aircraft)["alpha"]  # noqa: E731
+        return list(decay.values()), jax.jvp(alpha, (gusts,), (decay,))[1] if gusts else jnp.zeros_like(s["alpha"])
+
+
+# --- Common part of the aircraft models in three and six degrees of freedom: signals, flow, separation.
+
+POINTS = ("X", "X_right", "X_left")  # states of separation points: of the whole wing, or of either one
+MIN_LAG = 0.2  # chords: some hundredth of a second, still resolved by the finest step
+
+
+class EffectSystem(InGusts):
+    """An aircraft with its model at given parameter values; lagged separation points are the last states.
+
+    `altitude`: whether the altitude is a state. It must be one where density was not recorded; density is then that of
+    the standard atmosphere.
+    """
+
+    altitude: eqx.AbstractVar[bool]
+
+    @property
+    def lagged(self) -> bool:
+        """Whether the separation point is a state."""
+        return any(e.stage is Stage.LAG for e in self.model.acting)
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """States of the lagged separation points: one, or one for the right and one for the left wing."""
+        if not self.lagged:
+            return ()
+        return POINTS[1:] if self.model.two_wings else POINTS[:1]
+
+    @property
+    def implicit(self) -> bool:
+        """Whether lift depends on alpha-dot at the same instant: directly, or through a separation without lag."""
+        before = (Stage.INCIDENCE, Stage.SEPARATION)
+        stages = [e.stage for e in self.model.acting if "alpha_dot" in e.channels]
+        return any(not self.lagged if stage in before else True for stage in stages)
+
+    @property
+    def after(self) -> tuple[str, ...]:
+        """States after the flight states: altitude, gusts, and lagged separation points."""
+        gusts = tuple(d.state for d in self.model.disturbances)
+        return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
+
+    @abstractmethod
+    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
+        """The state by name, with the motion that it represents."""
+
+    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
+        """The initial state with the separation points at their static values."""
+        if not self.lagged:
+            return x
+        s = self.flow_signals(self.state_at_start(x), u)
+        static = self.model.static_points(self.values, s | {"alpha_dot": jnp.zeros_like(s["alpha"])}, self.aircraft)
+        return x.at[-len(static) :].set(jnp.stack(static))
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """Signals of the flow that effects may read, by the names of the recorded channels."""
+        s = dict(u) | {name: value for name, value in self.named(x).items() if name not in POINTS}
+        s |= self.model.inflow(self.values, s, self.aircraft)
+        if "density" not in s:
+            s["density"] = air(s["altitude"])[0]
+        if "sound" in u or "altitude" in s:
+            s["mach"] = s["airspeed"] / (u["sound"] if "sound" in u else air(s["altitude"])[1])
+        s.setdefault("thrust", jnp.zeros_like(s["alpha"]))
+        return s
+
+    def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
+        """Flow and coefficients by the effects from these signals, with the lagged separation points."""
+        lagging = tuple(state[name] for name in self.points)
+        X = lagging if len(lagging) > 1 else next(iter(lagging), None)
+        return self.model.flow(self.values, s, self.aircraft, X=X)
+
+    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
+        """Rates of the lagged separation points, 1/s; `s` contains alpha-dot."""
+        if not self.lagged:
+            return []
+        static = self.model.static_points(self.values, s, self.aircraft)
+        lag = jnp.maximum(self.model.lag(self.values), MIN_LAG) * self.aircraft.chord / s["airspeed"]
+        return [(value - state[name]) / lag for name, value in zip(self.points, static, strict=True)]
+
+
+def refuse_lags(model: Model) -> None:
+    """Refuse a lag without a time constant.
+
+    Raises:
+        InputError: the model has such a lag.
+    """
+    for effect in model.acting:
+        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
+            raise InputError(
+                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
+                "has the role lag"
+            )
+
+
+ANGLES = ("phi", "theta", "psi")
+QUATERNION = Attitude._fields
+HELD: Mapping[Axis, tuple[str, ...]] = {
+    Axis.LONGITUDINAL: ("airspeed", "alpha", "q", "theta", "altitude"),
+    Axis.LATERAL: ("beta", "p", "r", "phi", "psi"),
+}
+"""States that belong to each axis: held to the record where the model does not have it."""
+ENVELOPE = {
+    "airspeed": (5.0, 1500.0), "alpha": (-1.0, 1.2), "beta": (-1.2, 1.2), "theta": (-1.5, 1.5), "p": (-12.0, 12.0),
+    "q": (-4.0, 4.0), "r": (-4.0, 4.0),
+} | dict.fromkeys(POINTS, (-0.5, 1.5))  # fmt: skip
+TURN = 2.0 * math.pi
+
+
+def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ...]:
+    """States that are held to the record: those of axes without a model, and `more`."""
+    modelled = set(axes)
+    held = {name for axis, names in HELD.items() if axis not in modelled for name in names} | set(more)
+    return tuple(name for name in HOLDABLE if name in held)
+
+
+class RigidBody(EffectSystem):
+    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants.
+
+    Without `heading` the heading starts at zero and is no output. The states of attitude are Euler angles where one of
+    them is `held`, or with `euler`, so that a filter can correct measured states. They are singular at 90 deg of pitch.
+    The outputs bank and heading are within half a turn of the inputs `near_phi` and `near_psi`, where there are any.
+    """
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    altitude: bool = eqx.field(static=True, default=True)
+    held: tuple[str, ...] = eqx.field(static=True, default=())
+    heading: bool = eqx.field(static=True, default=True)
+    euler: bool = eqx.field(static=True, default=False)
+
+    @property
+    def by_angles(self) -> bool:
+        """Whether the states of attitude are Euler angles."""
+        return self.euler or "phi" in self.held or "theta" in self.held
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Simulated angles of attitude."""
+        return tuple(n for n in ANGLES if n not in self.held and (n != "psi" or self.heading))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Flight states, attitude, altitude, gusts, and lagged separation points."""
+        attitude = self.angles if self.by_angles else QUATERNION
+        return (*(n for n in RIGID if n not in self.held), *attitude, *self.after)
+
+    @property
+    def start(self) -> tuple[str, ...]:
+        """The same with angles of attitude."""
+        return (*(n for n in RIGID if n not in self.held), *self.angles, *self.after)
+
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        """Bounds far beyond any flight."""
+        return ENVELOPE
+
+    @property
+    def state_outputs(self) -> tuple[str, ...]:
+        """States that sensors measure directly; bank and heading are computed to the turn."""
+        computed = (*QUATERNION, "phi", "psi")
+        return tuple(name for name in super().state_outputs if name not in computed)
+
+    def state_at_start(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
+        """The state vector from an initial state with angles of attitude."""
+        if self.by_angles:
+            return start
+        given = dict(zip(self.start, start, strict=True))
+        turned = Attitude.of(given["phi"], given["theta"], given.get("psi", jnp.zeros_like(start[0])))
+        given |= dict(zip(QUATERNION, turned, strict=True))
+        return jnp.stack([given[name] for name in self.states])
+
+    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
+        """The state by name, with bank, pitch, heading and the direction of gravity."""
+        state = dict(zip(self.states, x, strict=True))
+        if self.by_angles:
+            return state
+        attitude = Attitude(*(state.pop(name) for name in QUATERNION))
+        return state | dict(zip(ANGLES, attitude.angles, strict=True)) | {"down": attitude.down}
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and all outputs."""
+        rates, outputs = self.rates(x, u)
+        return jnp.stack(rates), outputs
+
+    def rates(self, x: Float[Array, " s"], u: Row) -> tuple[list[Any], dict[str, Any]]:
+        """Derivatives of the states one by one, and all outputs."""
+        state, s = self.named(x), self.flow_signals(x, u)
+        nothing = jnp.zeros_like(s["alpha"])
+        decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
+        path = dict.fromkeys(("beta", "p", "r", "phi"), nothing) | s
+        path |= {name: state[name] for name in FLOW if name in state}
+        path.setdefault("down", down_of(path["phi"], path["theta"]))
+        now = motion_of_aircraft(
+            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
+            s,
+            path,
+            self.aircraft,
+            implicit=self.implicit,
+            axes=self.model.axes,
+            prescribed=self.held,
+        )
+        alpha_dot = now.rates["alpha"] + gust_rate
+        changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
+        derivative = [changing[name] for name in RIGID if name not in self.held]
+        derivative += self._attitude_rates(x, path)
+        if self.altitude:
+            derivative.append(changing["altitude"])
+        derivative += decay
+        derivative += self.separation_rates(state, s | {"alpha_dot": alpha_dot})
+        accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
+        outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": alpha_dot}
+        outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
+        outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
+        return derivative, outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
+
+    def _attitude_rates(self, x: Float[Array, " s"], path: Mapping[str, Any]) -> list[Any]:
+        rates = (path["p"], path["q"], path["r"])
+        if self.by_angles:
+            turned = euler_rates(rates, path["phi"], path["theta"])
+            return [turned[ANGLES.index(name)] for name in self.angles]
+        first = self.states.index(QUATERNION[0])
+        return list(Attitude(*(x[first + i] for i in range(4))).turned(rates))
+
+
+def _near(angle: Any, other: Any) -> Any:
+    """The angle plus whole turns that is nearest to `other`, rad."""
+    return angle if other is None else angle + TURN * jnp.round((other - angle) / TURN)
+
+
+# --- Longitudinal equations of motion with the effects of any model.
+# States are airspeed, alpha, theta, q, altitude, the gusts of the model and, with a lag, the separation point X. The
+# lateral motion is prescribed as recorded: p, r, beta, phi and the lateral specific force, which follows from the
+# others where no accelerometer measures it. Flat earth. In gusts the states airspeed and alpha are over ground;
+# vane, pitot tube and aerodynamics use those of the flow. A gust is uniform over the aircraft and has no angular
+# velocity.
+
+LONGITUDINAL_ENVELOPE = {
+    "airspeed": (5.0, 1500.0),
+    "alpha": (-1.0, 1.2),
+    "theta": (-1.5, 1.5),
+    "q": (-4.0, 4.0),
+    "X": (-0.5, 1.5),
+}
+LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # zero where they were not recorded
+
+
+class Longitudinal(EffectSystem):
+    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants."""
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    altitude: bool = eqx.field(static=True, default=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Flight states, gusts, and the separation point with a lag."""
+        return (*FLIGHT, *self.after)
+
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        """Bounds far beyond any flight."""
+        return LONGITUDINAL_ENVELOPE
+
+    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
+        """The state by name."""
+        return dict(zip(self.states, x, strict=True))
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and all outputs."""
+        state, s = self.named(x), self.flow_signals(x, u)
+        decay, gust_rate = self.mean_gust_rates(state, s)
+        path = dict.fromkeys((name for name in LATERAL if name != "ay"), jnp.zeros_like(s["alpha"])) | s
+        path |= {name: state[name] for name in ("airspeed", "alpha")}
+        now = motion_of_aircraft(
+            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
+            s,
+            path,
+            self.aircraft,
+            implicit=self.implicit,
+        )
+        known, rates, rate = now.flow, now.rates, now.rates["alpha"] + gust_rate
+        pitching = euler_rates(tuple(path[n] for n in RATES), path["phi"], path["theta"])[1]  # type: ignore[arg-type]
+        derivative = [rates["airspeed"], rates["alpha"], pitching, now.q_dot]
+        if self.altitude:
+            derivative.append(rates["altitude"])
+        derivative += decay
+        derivative += self.separation_rates(state, s | {"alpha_dot": rate})
+        outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
+        force = accelerometers(now, path, self.aircraft)
+        outputs |= {"ax": force["ax"], "az": force["az"], "q_dot": now.q_dot, "alpha_dot": rate}
+        return jnp.stack(derivative), outputs | {name: known[name] for name in ("X", "CL", "CD", "Cm")}

@@ -1,1 +1,0 @@
-"""Disturbed systems: the extended Kalman filter and innovations of segments of flight."""

@@ -1,0 +1,440 @@
+"""Extended Kalman filter: one-step predictions, their covariances, and the smoother.
+
+The state follows dx = f(x, u) dt + F dw (w: independent Wiener processes, one a state). Outputs are measured at the
+samples, z = g(x, u) + v, with independent noise of variance R. Missing samples are NaN. Outputs are processed one after
+the other, which for a diagonal R is equivalent to all at once and needs no factorisation. Source: Bryson and Ho,
+*Applied Optimal Control*, 1975, ch. 12; smoother: Rauch, Tung, Striebel 1965.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
+from bayes_aero.dynamics.system import Row, System, advance, later, motion
+
+
+class Filtered(NamedTuple):
+    """One segment of n samples, s states and c outputs.
+
+    `predicted`, `predicted_covariance`: the state before a sample was used; `state`, `covariance`: after it;
+    `transition` (s, s): from there to the next sample. `innovation` (c): measured minus predicted, given the
+    outputs before it in the same sample; `variance`: its variance; `used`: whether there was a measurement.
+    """
+
+    predicted: Float[Array, "n s"]
+    predicted_covariance: Float[Array, "n s s"]
+    state: Float[Array, "n s"]
+    covariance: Float[Array, "n s s"]
+    transition: Float[Array, "n s s"]
+    innovation: Float[Array, "n c"]
+    variance: Float[Array, "n c"]
+    used: Bool[Array, "n c"]
+
+
+def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
+    """Outputs of these names at one instant."""
+    state = zip(system.states, x, strict=True)
+    found = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
+    return jnp.stack([found[name] for name in names])
+
+
+def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:
+    """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
+
+    The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
+    exact to the third power of dt, the order at which a gust changes the pitch rate within a sample.
+    """
+    W, one = jnp.diag(density), jnp.eye(len(density))
+    change = transition - one
+    half = one + 0.5 * change - 0.125 * change @ change
+    return dt / 6.0 * (transition @ W @ transition.T + 4.0 * half @ W @ half.T + W)
+
+
+def discrete_noise_slopes(
+    transition: Float[Array, "s s"],
+    decayed: Float[Array, "s m"],
+    density: Float[Array, " s"],
+    by: Float[Array, "s m"],
+    dt: Any,
+) -> Float[Array, "s s m"]:
+    """Derivative of `discrete_noise` in m directions: `decayed` of the transition's diagonal, `by` of the density."""
+    change = transition - jnp.eye(len(density))
+    half = jnp.eye(len(density)) + 0.5 * change - 0.125 * change @ change
+    both = transition[:, None] * transition[None] + 4.0 * half[:, None] * half[None]
+    by_density = (both.reshape(-1, len(density)) @ by).reshape(*both.shape[:2], -1)
+    full, middle = density[:, None] * transition.T, density[:, None] * half.T
+    half_slope = 0.5 * middle - 0.125 * change @ middle
+    cross = (change[:, None] * middle.T[None]).reshape(-1, len(density)) @ decayed
+    side = decayed[:, None] * (full + 4.0 * half_slope)[:, :, None] - 0.5 * cross.reshape(by_density.shape)
+    own = jnp.eye(len(density))[:, :, None] * by[:, None]
+    return dt / 6.0 * (by_density + own + side + jnp.moveaxis(side, 0, 1))
+
+
+class InitialState(NamedTuple):
+    """State before the first sample, (s,), SI, and its covariance, (s, s)."""
+
+    mean: Float[Array, " s"]
+    covariance: Float[Array, "s s"]
+
+
+class Measured(NamedTuple):
+    """Outputs (n, c), SI, NaN where missing, and the variances of their noise."""
+
+    values: Float[Array, "n c"]
+    variance: Float[Array, "n c"]
+
+
+class Sampling(NamedTuple):
+    """Sample time, s; Runge-Kutta steps a sample; whether inputs are held between samples or linear."""
+
+    dt: Any
+    substeps: int = 1
+    held: bool = False
+
+
+def kalman_filter(
+    system: System,
+    begin: InitialState,
+    inputs: Mapping[str, Float[Array, " n"]],
+    measured: Measured,
+    F: Float[Array, " s"],
+    names: tuple[str, ...],
+    sampling: Sampling,
+) -> Filtered:
+    """Filter one segment.
+
+    Args:
+        system: dynamics and outputs.
+        begin: the state before the first sample.
+        inputs: recorded inputs by name, (n,).
+        measured: outputs with their noise.
+        F: process noise by state in addition to the system's own, (s,), unit of the state per square root of a second.
+        names: outputs in the order of `measured`.
+        sampling: of inputs and outputs.
+
+    Returns:
+        Predictions, estimates, innovations and their variances.
+    """
+
+    def one_sample(carry, row):
+        x, P = carry
+        now, then, z, variance = row
+        y, C = linearised_outputs(system, x, now, names)
+        correction, P_estimate, e, S, used = correct(P, C, z - y, variance)
+        estimate = x + correction
+        step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
+        ahead, transition = value_and_slope(step, estimate)
+        density = F**2 + system.noise_density(estimate, now)
+        found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
+        return (ahead, predicted_covariance(transition, P_estimate, density, sampling.dt)), found
+
+    now = {name: jnp.asarray(x) for name, x in inputs.items()}
+    rows = (now, later(now, sampling.held), measured.values, measured.variance)
+    return jax.lax.scan(one_sample, (begin.mean, begin.covariance), rows)[1]
+
+
+def linearised_outputs(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> tuple[Array, Array]:
+    """Outputs (c,) at one instant and their derivative by the state (c, s)."""
+    return value_and_slope(lambda x: outputs_at(system, x, u, names), x)
+
+
+def value_and_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple[Array, Array]:
+    """f and its derivative by the state (the last axis) from one evaluation; of f and its `jacfwd` the compiler would
+    evaluate f twice, because it does not merge their loops."""
+    return jax.vmap(lambda e: jax.jvp(f, (x,), (e,)), out_axes=(None, -1))(jnp.eye(len(x)))
+
+
+def correct(
+    P: Float[Array, "s s"], C: Float[Array, "c s"], residual: Float[Array, " c"], variance: Float[Array, " c"]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Correction of the state by the outputs of one sample.
+
+    The loop over the outputs is unrolled, which is faster for so few.
+
+    Args:
+        P: covariance of the predicted state, (s, s).
+        C: derivative of the outputs by the state, (c, s).
+        residual: measured minus predicted, (c,), NaN where missing.
+        variance: of the measurement noise, (c,).
+
+    Returns:
+        Correction of the state (s,), covariance after it (s, s), innovations (c,), their variances (c,), and which
+        outputs were measured (c,).
+    """
+    used = jnp.isfinite(residual)
+
+    def one(carry, output):
+        correction, P = carry
+        h, residual, r, use = output
+        e, Ph = residual - jnp.sum(h * correction), jnp.sum(P * h, axis=1)
+        S = jnp.sum(h * Ph) + r
+        K = jnp.where(use, Ph / S, 0.0)
+        return (correction + K * e, P - K[:, None] * Ph), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
+
+    rows = (C, jnp.where(used, residual, 0.0), variance, used)
+    (correction, P), (e, S) = jax.lax.scan(one, (jnp.zeros(len(P)), P), rows, unroll=True)
+    return correction, P, e, S, used
+
+
+def gains(
+    P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
+) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
+    """Gain of `correct`, and the matrix that whitens measured minus predicted.
+
+    The outputs are processed one after the other here, too. Factorising the matrices of all samples at once calls
+    LAPACK, which shares its threads with other calls: two of them at a time (jaxlib 0.10) wait for each other for ever.
+    """
+
+    def one(carry, output):
+        P, gain = carry
+        h, r, use, own = output
+        Ph = jnp.sum(P * h, axis=1)
+        K = jnp.where(use, Ph / (jnp.sum(h * Ph) + r), 0.0)
+        row = own - jnp.where(use, jnp.sum(h[:, None] * gain, axis=0), 0.0)
+        return (P - K[:, None] * Ph, gain + K[:, None] * row), row
+
+    rows = (C, variance, used, jnp.eye(len(C)))
+    (_, gain), innovate = jax.lax.scan(one, (P, jnp.zeros(C.T.shape)), rows, unroll=True)
+    return gain, innovate
+
+
+def predicted_covariance(
+    transition: Float[Array, "s s"], P: Float[Array, "s s"], density: Float[Array, " s"], dt: Any
+) -> Float[Array, "s s"]:
+    """Covariance (s, s) of the state one sample later, with white noise of spectral `density` (s,)."""
+    ahead = transition @ P @ transition.T + discrete_noise(transition, density, dt)
+    return 0.5 * (ahead + ahead.T)
+
+
+def log_density_terms(e: Float[Array, " c"], S: Float[Array, " c"], used: Bool[Array, " c"]) -> Float[Array, ""]:
+    """Log density of one sample's innovations `e` of variance `S`."""
+    return -0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
+
+
+def log_likelihood(found: Filtered) -> Float[Array, ""]:
+    """Log density of all measured samples, each given those before it."""
+    return jnp.sum(jax.vmap(log_density_terms)(found.innovation, found.variance, found.used))
+
+
+def smooth(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]:
+    """Smoothed states and their covariances (Rauch, Tung and Striebel)."""
+
+    def back(carry, row):
+        x, P = carry
+        estimate, covariance, transition, predicted, ahead = row
+        gain = jnp.linalg.solve(ahead, transition @ covariance).T
+        x = estimate + gain @ (x - predicted)
+        P = covariance + gain @ (P - ahead) @ gain.T
+        return (x, P), (x, P)
+
+    last = (found.state[-1], found.covariance[-1])
+    rows = (
+        found.state[:-1],
+        found.covariance[:-1],
+        found.transition[:-1],
+        found.predicted[1:],
+        found.predicted_covariance[1:],
+    )
+    _, (x, P) = jax.lax.scan(back, last, rows, reverse=True)
+    return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])
+
+
+# --- Log likelihood of the innovations of `innovations.filter_segments`, with a fast gradient for samplers.
+# Reverse differentiation of a filter stores all intermediate values of every sample. Here the filter runs once.
+# Outputs, motion and their first and second derivatives by the state are then computed for all samples at once along
+# its path, so that the loop over the samples, and its reverse, contains only products of small matrices. Value and
+# gradient are exact.
+
+
+class NoisePoint(NamedTuple):
+    """Parameters (k,), process noise (s,) as in `filter_segments`, and variances of the measurement noise (c,)."""
+
+    theta: Float[Array, " k"]
+    F: Float[Array, " s"]
+    R: Float[Array, " c"]
+
+
+class _Path(NamedTuple):
+    """States (w, n, s) before and after each sample's correction."""
+
+    before: Float[Array, "w n s"]
+    after: Float[Array, "w n s"]
+
+
+class _FilterInputs(NamedTuple):
+    """Inputs of the filter: the state before the first sample (w, s), its covariance (w, s, s), inputs at each sample
+    and at the next one (w, n), corrected outputs, the variances of their noise, and the derivatives of the corrected
+    outputs by the recorded ones (w, n, c)."""
+
+    system: System
+    begin: Float[Array, "w s"]
+    covariance: Float[Array, "w s s"]
+    now: dict[str, Array]
+    then: dict[str, Array]
+    measured: Float[Array, "w n c"]
+    variance: Float[Array, "w n c"]
+    scale: Float[Array, "w n c"]
+
+
+class _Local(NamedTuple):
+    """By sample: measured minus predicted outputs at the predicted state; predicted next state and noise density at the
+    corrected state. `matrix`, `transition` and `density_slope` are their derivatives by the state, `matrix_slope` and
+    `transition_slope` the second derivatives."""
+
+    residual: Float[Array, "w n c"]
+    matrix: Float[Array, "w n c s"]
+    matrix_slope: Float[Array, "w n c s s"]
+    predicted: Float[Array, "w n s"]
+    transition: Float[Array, "w n s s"]
+    transition_slope: Float[Array, "w n s s s"]
+    density: Float[Array, "w n s"]
+    density_slope: Float[Array, "w n s s"]
+
+
+def innovations_density(
+    flown: SegmentTrajectories, point: NoisePoint, start_deviation: Float[Array, " s"]
+) -> Float[Array, ""]:
+    """Log likelihood of all segments: the sum of `kalman.log_likelihood` over `innovations.filter_segments`.
+
+    Args:
+        flown: segments of flights; without names (`nameless`), so that records of any name share a compiled program.
+        point: parameters and noise.
+        start_deviation: standard deviation of the measured initial state, (s,), SI.
+    """
+    return _density(point, flown, start_deviation)
+
+
+def _value(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> Array:
+    return _filter_segments(point, flown, start_deviation)[0]
+
+
+_density = eqx.filter_custom_vjp(_value)
+
+
+@_density.def_fwd
+def _forward(_perturbed: Any, point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array):
+    path = _filter_segments(point, flown, start_deviation)[1]
+    return jax.value_and_grad(_log_likelihood_along)(point, flown, start_deviation, path)
+
+
+@_density.def_bwd
+def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
+    return jax.tree.map(lambda g: cotangent * g, slope)
+
+
+def _filter_inputs(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> _FilterInputs:
+    prepared = prepare(flown, point.theta)
+    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], prepared.true, jnp.nan)
+    begin = prepared.initial_states
+    return _FilterInputs(
+        prepared.sensed,
+        begin,
+        prepared.initial_covariance(begin, start_deviation),
+        prepared.drives,
+        later(prepared.drives, flown.held),
+        true,
+        prepared.noise_variance(point.R, flown.noise_growth),
+        prepared.scale,
+    )
+
+
+def _filter_segments(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
+    """The log likelihood, and the path of the filter."""
+    rows = _filter_inputs(point, flown, start_deviation)
+    system = rows.system
+
+    def one(begin, covariance, now, then, measured, variance, scale, dt):
+        def one_sample(carry, row):
+            x, P, total = carry
+            now, then, z, variance, scale = row
+            y, C = linearised_outputs(system, x, now, flown.outputs)
+            correction, P, e, S, used = correct(P, C, z - y, variance)
+            after = x + correction
+            step = lambda x: advance(system, x, now, then, dt, flown.substeps)  # noqa: E731
+            density = point.F**2 + system.noise_density(after, now)
+            predicted, transition = value_and_slope(step, after)
+            P = predicted_covariance(transition, P, density, dt)
+            return (predicted, P, total + log_density_terms(e / scale, S / scale**2, used)), _Path(x, after)
+
+        start = (begin, covariance, jnp.zeros(()))
+        (_, _, total), path = jax.lax.scan(one_sample, start, (now, then, measured, variance, scale))
+        return total, path
+
+    total, path = jax.vmap(one)(*rows[1:], jnp.asarray(flown.dt))
+    return jnp.sum(total), path
+
+
+def _log_likelihood_along(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array, path: _Path) -> Array:
+    """The log likelihood along a given path, exact to first order in the change of the path with the point."""
+    path = jax.lax.stop_gradient(path)
+    rows = _filter_inputs(point, flown, start_deviation)
+    local = _linearise_along(rows, point.F, flown, path)
+    noise = (rows.variance, rows.scale)
+    by_segment = jax.vmap(_linear)(rows.begin, rows.covariance, noise, jnp.asarray(flown.dt), path, local)
+    return jnp.sum(by_segment)
+
+
+def _linearise_along(rows: _FilterInputs, F: Array, flown: SegmentTrajectories, path: _Path) -> _Local:
+    """Linearise all samples at once. The highest derivatives depend on the path only, not on the point."""
+    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], path.before.shape[:2])
+    over_samples = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
+
+    def functions(system: System) -> tuple[Callable[[Array], Array], ...]:
+        return (
+            lambda x: over_samples(lambda x, u: outputs_at(system, x, u, flown.outputs))(x, rows.now),
+            lambda x: over_samples(lambda *y: advance(system, y[0], y[1], y[2], y[3], flown.substeps))(
+                x, rows.now, rows.then, dt
+            ),
+            lambda x: over_samples(system.noise_density)(x, rows.now),
+        )
+
+    outputs_of, motion_of, density_of = functions(rows.system)
+    (y, matrix), (predicted, transition) = _by_state(outputs_of, path.before), _by_state(motion_of, path.after)
+    outputs_of, motion_of, density_held = functions(jax.lax.stop_gradient(rows.system))
+    matrix_slope = _by_state(lambda x: _by_state(outputs_of, x)[1], path.before)[1]
+    transition_slope = _by_state(lambda x: _by_state(motion_of, x)[1], path.after)[1]
+    density_slope = _by_state(density_held, path.after)[1]
+    matrix_slope, transition_slope, density_slope = jax.lax.stop_gradient(
+        (matrix_slope, transition_slope, density_slope)
+    )
+    density = F**2 + density_of(path.after)
+    return _Local(
+        rows.measured - y, matrix, matrix_slope, predicted, transition, transition_slope, density, density_slope
+    )
+
+
+def _by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
+    """f and its derivative by the state of the same sample, the last axis."""
+    along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
+    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
+
+
+def _linear(begin: Array, covariance: Array, noise: Any, dt: Array, path: _Path, local: _Local) -> Array:
+    """Log likelihood of one segment by the filter linearised along the path.
+
+    The reverse pass computes each step again, which costs less than storing it.
+    """
+
+    @jax.checkpoint
+    def one_sample(carry, row):
+        x, P, total = carry
+        local, before, after, (variance, scale) = row
+        held = jax.lax.stop_gradient(local)
+        dx = x - before
+        matrix, residual = local.matrix + local.matrix_slope @ dx, local.residual - held.matrix @ dx
+        correction, P, e, S, used = correct(P, matrix, residual, variance)
+        dx = x + correction - after
+        transition, density = local.transition + local.transition_slope @ dx, local.density + local.density_slope @ dx
+        P = predicted_covariance(transition, P, density, dt)
+        total = total + log_density_terms(e / scale, S / scale**2, used)
+        return (local.predicted + held.transition @ dx, P, total), None
+
+    start = (begin, covariance, jnp.zeros(()))
+    return jax.lax.scan(one_sample, start, (local, path.before, path.after, noise))[0][2]

@@ -1,0 +1,244 @@
+"""The flight path of recorded accelerations and rates: kinematics without aerodynamics.
+
+States are the quantities that other sensors measure: airspeed, alpha, theta, and as far as recorded beta, phi, psi and
+altitude; and gusts. Inputs are the accelerometers and gyros. Sensor errors are effects that correct the record. Source:
+Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10; Mulder et al. 1999, Prog. Aerosp. Sci. 35, 591
+(flight-path reconstruction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from bayes_aero.dynamics.aircraft import FLOW, InGusts
+from bayes_aero.dynamics.flight import EffectDynamics, Values
+from bayes_aero.dynamics.system import Row, System
+from bayes_aero.effect import Stage
+from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.health.readings import dead_heading
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter
+from bayes_aero.physics.filters import differentiate_joined, smooth_joined
+from bayes_aero.physics.flightpath import (
+    RATES,
+    STRAIGHT,
+    Rotation,
+    as_symmetric,
+    euler_rates,
+    lateral_motion,
+    lever_arm,
+    motion_of_path,
+    path_outputs,
+)
+
+INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
+JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
+FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gravity
+
+
+class FlightPath(InGusts):
+    """Motion from accelerometers and gyros; `named` are its states without gusts."""
+
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft
+    named: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The path, then gusts."""
+        return (*self.named, *(d.state for d in self.model.disturbances))
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        """States and inputs by name; airspeed, alpha and beta of the flow, not over ground."""
+        s = dict(u) | dict(zip(self.states, x, strict=True))
+        return s | self.model.inflow(self.values, s, self.aircraft)
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        """Derivative of the state, and the measured quantities."""
+        state = dict(zip(self.states, x, strict=True))
+        s, flow = dict(u) | state, self.flow_signals(x, u)
+        force = (u["force_x"], u["force_y"], u["force_z"])
+        rates = motion_of_path(s, force) | lateral_motion(s, force)
+        rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
+        decay, _ = self.mean_gust_rates(state, flow)
+        return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
+            n: flow[n] for n in FLOW if n in state
+        }
+
+
+@dataclass(frozen=True)
+class PathDynamics(EffectDynamics):
+    """The flight path under a model of sensor errors and of gusts.
+
+    `own` are parameters with a value for each manoeuvre; their effects must act sample by sample, as constant errors
+    do. `lengths` are the numbers of samples of the manoeuvres.
+    """
+
+    model: Model
+    named: tuple[str, ...]
+    lengths: tuple[int, ...]
+    own: tuple[str, ...] = ()
+
+    @cached_property
+    def free(self) -> tuple[Parameter, ...]:
+        """Common parameters, then those of each manoeuvre."""
+        several = len(self.lengths) > 1
+        common = [p for p in self.model.free if not (several and p.name in self.own)]
+        each = [p for p in self.model.free if several and p.name in self.own]
+        by_manoeuvre = [replace(p, name=_name(p.name, k)) for p in each for k in range(len(self.lengths))]
+        return (*common, *by_manoeuvre)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The path, then gusts."""
+        return FlightPath(self.model, {}, NO_AIRCRAFT, self.named).states
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Accelerations and rates."""
+        return ("ax", "az", "q")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The path."""
+        return self.named
+
+    def values(self, theta: Any) -> dict[str, Any]:
+        """Values by name; a parameter of each manoeuvre as a value for each sample, (n,)."""
+        found = dict(self.model.fixed) | {name: theta[i] for i, name in enumerate(self.names)}
+        count = len(self.lengths)
+        for name in (n for n in self.own if _name(n, 0) in found):
+            sizes = jnp.stack([found.pop(_name(name, k)) for k in range(count)])
+            found[name] = sizes[np.repeat(np.arange(count), self.lengths)]
+        return found
+
+    def system(self, values: Values, aircraft: Aircraft) -> System:
+        """The flight path with gusts of these values; sensor errors are corrected in the record."""
+        kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
+        return FlightPath(self.model, kept, aircraft, self.named)
+
+    def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
+        """The record corrected by the model's effects on channels.
+
+        Errors of accelerometers and gyros are corrected first, because a vane away from the centre of gravity senses
+        the true rates.
+        """
+        for part in self._in_order:
+            channels = part.corrected(values, channels, aircraft)
+        return channels
+
+    @cached_property
+    def _in_order(self) -> tuple[Model, Model]:
+        """Errors of accelerometers and gyros, then the others."""
+        inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
+        rest = [e for e in self.model.effects if e not in inertial]
+        return Model.of(inertial, axes=tuple(Axis)), Model.of(rest, axes=tuple(Axis))
+
+    def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
+        """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
+        true = as_symmetric(channels)
+        ends = [channels[name] for name in ("dt", "first", "last")]
+        slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
+        p, q, r = (true[name] for name in RATES)
+        arm = lever_arm(Rotation(p, q, r, *(slope(x) for x in (p, q, r))), flights.aircraft.accelerometer)
+        force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), arm, strict=True)}
+        given = (*RATES, *(name for name in STRAIGHT if name not in (*self.named, "ay", *RATES)))
+        return force | {name: true[name] for name in given}
+
+
+def path_states(flights: Flights) -> tuple[str, ...]:
+    """Recorded quantities of the flight path; none where it cannot be integrated."""
+    found = path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
+
+
+def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
+    """The heading without jumps of a half or a full turn; None where it was not recorded, still jumps, or stands still
+    in a turn."""
+    if "psi" not in flights.channels:
+        return None
+    ends = np.cumsum(flights.lengths)[:-1]
+    turned = [np.unwrap(part, period=np.pi) for part in np.split(np.asarray(flights.channels["psi"]), ends)]
+    if any(np.max(np.abs(np.diff(part))) > JUMP for part in turned):
+        return None
+    if {"phi", "theta", "q", "r"} <= set(flights.channels):
+        seen = {"time": flights.time} | {name: flights.channels[name] for name in ("phi", "theta", "q", "r")}
+        views = zip(*(np.split(np.asarray(x), ends) for x in seen.values()), strict=True)
+        if any(
+            dead_heading(dict(zip(seen, view, strict=True)) | {"psi": x}) for view, x in zip(views, turned, strict=True)
+        ):
+            return None
+    return np.concatenate(turned)
+
+
+def _name(parameter: str, manoeuvre: int) -> str:
+    return f"{parameter}_{manoeuvre + 1}"
+
+
+# --- Sensor errors that a flight-path reconstruction estimates: those of the catalogue that the recorded channels
+# show.
+
+COMMON = (
+    "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_vane_position", "sideslip_vane_height",
+    "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "airspeed_bias", "pitot_pressure_bias",
+    "pitch_attitude_bias", "bank_angle_bias",
+)  # fmt: skip
+"""Errors of an installation, equal in all manoeuvres."""
+OWN = (
+    "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
+    "vertical_wind",
+)  # fmt: skip
+"""Errors that drift from one manoeuvre to the next, and the wind."""
+SHOWN_BY = dict.fromkeys(
+    ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
+     "accel_y_bias", "yaw_rate_bias"), "beta"
+) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
+"""For errors of lateral sensors, the state that depends on them."""
+MARKS = {"dt", "start", "first", "last", "elapsed"}
+
+
+def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
+    """The flight path of these flights with the possible errors of their sensors.
+
+    Effects of the card keep the card's parameters: `vane_position` fixed stays fixed.
+
+    Returns:
+        The flights, their heading without jumps of a half or a full turn, and the dynamics.
+    """
+    states = path_states(flights)
+    recorded = {*flights.recorded, *MARKS}
+    chosen = [
+        name
+        for name in (*COMMON, *OWN)
+        if set(CATALOGUE[name].channels) <= recorded and SHOWN_BY.get(name, states[0]) in states
+    ]
+    model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
+    if card.linear is None:
+        stated = Model.from_card(card)
+        errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]
+        names = {p.name for e in errors for p in e.parameters}
+        known = {p.name: p for p in stated.parameters if p.name in names}
+        model = Model.of(
+            (*errors, *(e for e in model.effects if e not in errors)),
+            {name: value for name, value in stated.fixed if name in names},
+            model.axes,
+        )
+        model = replace(model, parameters=tuple(known.get(p.name, p) for p in model.parameters))
+    own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
+    if "psi" in states:
+        turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
+        flights = Flights(turned, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
+    return flights, PathDynamics(model, states, flights.lengths, own)

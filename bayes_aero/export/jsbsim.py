@@ -1,0 +1,366 @@
+"""The model as an aircraft of JSBSim: aerodynamics, the system with its states, and a body that flies with them.
+
+JSBSim counts in feet, pounds and slugs; what is converted is converted here. Structural axes: x aft, y right, z up.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+from bayes_aero.errors import InputError
+from bayes_aero.export.identified import Identified, about, unit
+from bayes_aero.export.program import Operand, Program
+from bayes_aero.flight.channel import Axis
+from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+
+# --- Programs as functions of JSBSim: one XML element an operation. Source: JSBSim reference manual, ch. Functions.
+
+PREFIX = "bayes-aero"
+"""Branch of the property tree for all that an export adds."""
+
+SAME = {
+    "add": "sum", "sub": "difference", "mul": "product", "div": "quotient", "pow": "pow", "sqrt": "sqrt", "exp": "exp",
+    "log": "ln", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan",
+    "atan2": "atan2", "abs": "abs", "floor": "floor", "ceil": "ceil", "min": "min", "max": "max", "lt": "lt",
+    "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "nq", "and": "and", "or": "or", "not": "not",
+    "select": "ifthen",
+}  # fmt: skip
+LARGEST_EXPONENT = 700.0  # e to this is still a number
+
+Node = Element
+
+
+def value(x: float) -> Node:
+    """A number, to the last bit."""
+    node = Element("value")
+    node.text = repr(float(x))
+    return node
+
+
+def read(name: str) -> Node:
+    """The value of a property."""
+    node = Element("property")
+    node.text = name
+    return node
+
+
+def call(tag: str, *arguments: Node) -> Node:
+    """An operation of JSBSim."""
+    node = Element(tag)
+    node.extend(arguments)
+    return node
+
+
+def named(tag: str, name: str, content: Node) -> Node:
+    """A function under a name, with its content."""
+    node = Element(tag, name=name)
+    if tag == "fcs_function":
+        SubElement(node, "function").append(content)
+    else:
+        node.append(content)
+    return node
+
+
+def _reciprocal_of_one_and(x: Node) -> Node:
+    return call("quotient", value(1.0), call("sum", value(1.0), x))
+
+
+def _exp(x: Node, factor: float) -> Node:
+    return call("exp", call("min", value(LARGEST_EXPONENT), call("product", value(factor), x)))
+
+
+COMPOSED: dict[str, Callable[[Node], Node]] = {
+    "neg": lambda x: call("product", value(-1.0), x),
+    "logistic": lambda x: _reciprocal_of_one_and(_exp(x, -1.0)),
+    "tanh": lambda x: call(
+        "difference", call("product", value(2.0), _reciprocal_of_one_and(_exp(x, -2.0))), value(1.0)
+    ),
+    "sinh": lambda x: call("product", value(0.5), call("difference", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
+    "cosh": lambda x: call("product", value(0.5), call("sum", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
+    "expm1": lambda x: call("difference", call("exp", x), value(1.0)),
+    "log1p": lambda x: call("ln", call("sum", value(1.0), x)),
+    "sign": lambda x: call("difference", call("gt", x, value(0.0)), call("lt", deepcopy(x), value(0.0))),
+    "cbrt": lambda x: call("product", COMPOSED["sign"](x), call("pow", call("abs", deepcopy(x)), value(1.0 / 3.0))),
+}
+"""Operations that JSBSim does not have, by those that it has."""
+
+
+def functions(
+    program: Program, inputs: Mapping[str, Node], outputs: Mapping[str, str], steps: str = "step"
+) -> list[Node]:
+    """The program as functions in their order: steps that are read more than once, then the outputs.
+
+    Args:
+        program: steps and outputs.
+        inputs: how each input is read.
+        outputs: names of the properties of the outputs.
+        steps: branch of the properties of the steps.
+    """
+    known, uses, found = dict(inputs), program.uses, []
+
+    def node(x: Operand) -> Node:
+        return deepcopy(known[x]) if isinstance(x, str) else value(x)
+
+    for step in program.steps:
+        arguments = [node(x) for x in step.arguments]
+        if step.operation in SAME:
+            content = call(SAME[step.operation], *arguments)
+        else:
+            content = COMPOSED[step.operation](*arguments)
+        if uses[step.name] > 1:
+            name = f"{PREFIX}/{steps}/{step.name}"
+            found.append(named("function", name, content))
+            content = read(name)
+        known[step.name] = content
+    for name, x in program.outputs.items():
+        found.append(named("function", outputs[name], node(x)))
+    return found
+
+
+FOOT = 0.3048  # m
+POUND = 4.4482216152605  # N
+SLUG = POUND / FOOT  # kg
+PROPERTIES: dict[str, tuple[str, float]] = {
+    "alpha": ("aero/alpha-rad", 1.0),
+    "beta": ("aero/beta-rad", 1.0),
+    "airspeed": ("velocities/vt-fps", FOOT),
+    "p": ("velocities/p-aero-rad_sec", 1.0),
+    "q": ("velocities/q-aero-rad_sec", 1.0),
+    "r": ("velocities/r-aero-rad_sec", 1.0),
+    "mach": ("velocities/mach", 1.0),
+    "altitude": ("position/h-sl-ft", FOOT),
+    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
+    "alpha_dot": (f"{PREFIX}/state/alpha-dot-rad_sec", 1.0),
+    "elevator": ("fcs/elevator-pos-rad", 1.0),
+    "aileron": ("fcs/right-aileron-pos-rad", 1.0),
+    "rudder": ("fcs/rudder-pos-rad", 1.0),
+    "flap": ("fcs/flap-pos-deg", math.pi / 180.0),
+}
+"""Where JSBSim has a channel, and the factor to SI. Every other channel is a property `bayes-aero/input/NAME`."""
+LEAST_SLOPE = 0.1
+"""Of the equation of alpha-dot, by which its steps are divided; at zero the motion is not unique."""
+SLOPE = f"{PREFIX}/state/lift-per-alpha-dot"
+RATES_OF_SPEED = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2")
+FIRST_FRAMES = 1.5  # states take their static values before
+NAME = r"[A-Za-z_][A-Za-z0-9_.-]*"
+THRUST = f"{PREFIX}/input/thrust-N"
+
+
+def aerodynamics_xml(found: Identified) -> str:
+    """The aerodynamics section: signals in SI, coefficients, and forces and moments in body axes."""
+    root = Element("aerodynamics")
+    root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
+    program = _without_lag(found)
+    signals = program.inputs_of("signal")
+    root.extend(
+        named("function", f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state")
+    )
+    root.extend(named("function", _signal(n), _from(n)) for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0)
+    root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
+    if "alpha_dot" in signals:
+        slope = found.lift_slope
+        root.extend(functions(slope, _inputs(found, slope), {"slope": SLOPE}, "slope"))
+    for axis, content in _forces(found).items():
+        SubElement(root, "axis", name=axis).append(named("function", f"{PREFIX}/total/{axis}", content))
+    return _text(root)
+
+
+def system_xml(found: Identified) -> str:
+    """The system with parameters, inputs that JSBSim does not have, and the states, for the folder Systems."""
+    root = Element("system", name=f"{found.name}-states")
+    program = found.program
+    for name in program.inputs_of("parameter"):
+        SubElement(root, "property", value=repr(found.values[name])).text = f"{PREFIX}/parameter/{name}"
+    for name in dict.fromkeys((THRUST, *(_signal(n) for n in program.inputs_of("signal") if n not in PROPERTIES))):
+        SubElement(root, "property", value="0.0").text = name
+    channel = SubElement(root, "channel", name="states")
+    if "alpha_dot" in program.inputs_of("signal"):
+        channel.extend(_alpha_dot(found))
+    if found.lagged:
+        [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
+        decay = call("exp", call("quotient", call("product", value(-1.0), read("simulation/dt")), *list(lag)))
+        channel.append(named("fcs_function", f"{PREFIX}/state/decay", decay))
+        for point in found.points:
+            name, static = _separated(point), _rest(read(_output(f"{point}_static")))
+            left = call("product", read(f"{PREFIX}/state/decay"), call("difference", read(name), static))
+            channel.append(named("fcs_function", name, _first(static, call("sum", static, left))))
+    return _text(root)
+
+
+def aircraft_xml(found: Identified) -> str:
+    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with.
+
+    Without a lateral model it is symmetric, so that it stays in its plane of symmetry.
+    """
+    a = found.actual_aircraft
+    if Axis.LATERAL not in found.model.axes:
+        point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
+        a = replace(a, reference_point=point, engine=engine, Ixy=0.0, Iyz=0.0)
+    root = Element("fdm_config", name=found.name, version="2.0", release="ALPHA")
+    header = SubElement(root, "fileheader")
+    SubElement(header, "author").text = "bayes_aero"
+    SubElement(header, "description").text = found.title
+    metrics = SubElement(root, "metrics")
+    for name, size, measure in (
+        ("wingarea", a.wing_area, "M2"), ("wingspan", 2.0 * a.half_span, "M"), ("chord", a.chord, "M"),
+    ):  # fmt: skip
+        _number(metrics, name, size, measure)
+    for name, place in (("AERORP", a.reference_point), ("EYEPOINT", (0.0,) * 3), ("VRP", (0.0,) * 3)):
+        _location(metrics, place, name=name)
+    mass = SubElement(root, "mass_balance", negated_crossproduct_inertia="false")
+    # products in structural axes, of which x and z point the other way
+    inertias = {"ixx": a.Ix, "iyy": a.Iy, "izz": a.Iz, "ixy": -a.Ixy, "ixz": a.Ixz, "iyz": -a.Iyz}
+    for name, size in inertias.items():
+        _number(mass, name, size / (SLUG * FOOT**2), "SLUG*FT2")  # JSBSim's own factor has four digits
+    _number(mass, "emptywt", a.mass * GRAVITY / POUND, "LBS")
+    _location(mass, (0.0,) * 3, name="CG")
+    SubElement(root, "ground_reactions")
+    force = SubElement(SubElement(root, "external_reactions"), "force", name="thrust", frame="BODY")
+    force.append(_bare(call("quotient", read(THRUST), value(POUND))))
+    _location(force, a.engine)
+    direction = SubElement(force, "direction")
+    for name, x in zip("xyz", (math.cos(a.engine_inclination), 0.0, -math.sin(a.engine_inclination)), strict=True):
+        SubElement(direction, name).text = repr(x)
+    SubElement(root, "system", file=f"{found.name}-states")
+    SubElement(root, "aerodynamics", file=f"{found.name}-aerodynamics.xml")
+    return _text(root)
+
+
+def _without_lag(found: Identified) -> Program:
+    return found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
+
+
+def _inputs(found: Identified, program: Program) -> dict[str, Node]:
+    """How each input of a program is read."""
+    known = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
+    known |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
+    known |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
+    return known | {f"signal.{n}": _read_signal(n) for n in program.inputs_of("signal")}
+
+
+def _read_signal(name: str) -> Node:
+    known, factor = PROPERTIES.get(name, (_signal(name), 1.0))
+    return read(known) if factor == 1.0 else read(_signal(name))
+
+
+def _signal(name: str) -> str:
+    """The property of a signal in SI that JSBSim does not have."""
+    si = unit(name).replace("/", "_").replace("^", "")
+    kind = "signal" if name in PROPERTIES else "input"
+    return f"{PREFIX}/{kind}/{name.replace('_', '-')}" + (f"-{si}" if si not in ("", "1") else "")
+
+
+def _from(name: str) -> Node:
+    known, factor = PROPERTIES[name]
+    return call("product", read(known), value(factor))
+
+
+def _output(name: str) -> str:
+    return f"{PREFIX}/{'coefficient' if name in (*NAMES, *LATERAL) else 'separation'}/{name}"
+
+
+def _forces(found: Identified) -> dict[str, Node]:
+    """Forces (lbf) and moments (lbf ft, about the reference point) by axis of the body."""
+    a, has = found.actual_aircraft, set(found.exported.coefficients)
+    area = a.wing_area / FOOT**2
+    C = {name: read(_output(name)) for name in has}
+    sin, cos = (call(f, read("aero/alpha-rad")) for f in ("sin", "cos"))
+    found_axes: dict[str, tuple[Node, float]] = {}
+    if "CL" in has:
+        lift, drag = C["CL"], C["CD"]
+        found_axes["X"] = call("difference", call("product", lift, sin), call("product", drag, cos)), area
+        down = call("sum", call("product", lift, cos), call("product", drag, sin))
+        found_axes["Z"] = call("product", value(-1.0), down), area
+        found_axes["PITCH"] = C["Cm"], area * a.chord / FOOT
+    if "CY" in has:
+        found_axes["Y"] = C["CY"], area
+        found_axes["ROLL"] = C["Cl"], area * a.moment_length / FOOT
+        found_axes["YAW"] = C["Cn"], area * a.moment_length / FOOT
+    order = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
+    pressure = read("aero/qbar-psf")
+    return {n: call("product", pressure, value(found_axes[n][1]), found_axes[n][0]) for n in order if n in found_axes}
+
+
+def _alpha_dot(found: Identified) -> list[Node]:
+    """Alpha-dot by a Newton step a frame, carried on to the present frame by its last change."""
+    used = PROPERTIES["alpha_dot"][0]
+    now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
+    step = call("quotient", call("difference", read(now), read(used)), _slope_of_rate(found))
+    ahead = call("difference", call("product", value(2.0), read(solved)), read(before))
+    contents = {
+        now: _rate_now(),
+        before: _first(read(now), read(solved)),
+        solved: _first(read(now), call("sum", read(used), step)),
+        used: _first(read(now), ahead),
+    }
+    return [named("fcs_function", name, content) for name, content in contents.items()]
+
+
+def _rate_now() -> Node:
+    """Alpha-dot of the frame before, from the accelerations of its forces."""
+    u, w, u_dot, w_dot = (read(n) for n in ("velocities/u-aero-fps", "velocities/w-aero-fps", *RATES_OF_SPEED))
+    size = call("sum", call("product", u, u), call("product", w, w))
+    turning = call("difference", call("product", u, w_dot), call("product", w, u_dot))
+    return call("quotient", turning, call("max", size, value(1.0)))
+
+
+def _slope_of_rate(found: Identified) -> Node:
+    """1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it."""
+    area = found.actual_aircraft.wing_area / FOOT**2
+    inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
+    gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
+    return call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
+
+
+def _separated(point: str) -> str:
+    """The state itself, 1 - X: JSBSim's states are zero before the first frame, and so the flow is attached there."""
+    return f"{PREFIX}/state/{point}-separated"
+
+
+def _rest(x: Node) -> Node:
+    return call("difference", value(1.0), x)
+
+
+def _first(begin: Node, later: Node) -> Node:
+    """`begin` in the first frame, then `later`."""
+    limit = call("product", value(FIRST_FRAMES), read("simulation/dt"))
+    return call("ifthen", call("le", read("simulation/sim-time-sec"), limit), begin, later)
+
+
+def _bare(content: Node) -> Node:
+    return call("function", content)
+
+
+def _number(parent: Node, name: str, size: float, measure: str) -> None:
+    SubElement(parent, name, unit=measure).text = repr(float(size))
+
+
+def _location(parent: Node, place: tuple, **names: str) -> None:
+    """A position of the body from the centre of gravity, in structural axes."""
+    node = SubElement(parent, "location", {"unit": "M", **names})
+    for name, x in zip("xyz", (-place[0], place[1], -place[2]), strict=True):
+        SubElement(node, name).text = repr(float(x) + 0.0)
+
+
+def _text(root: Node) -> str:
+    indent(root)
+    return '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def jsbsim_files(found: Identified) -> Mapping[str, str]:
+    """Files by their place below the folder of an export: a root directory of JSBSim."""
+    for name in (*found.program.inputs_of("signal"), *found.program.inputs_of("parameter")):
+        if not re.fullmatch(NAME, name):
+            raise InputError(f"{name} cannot be a property of JSBSim; give it another name")
+    folder = f"aircraft/{found.name}"
+    return {
+        f"{folder}/{found.name}.xml": aircraft_xml(found),
+        f"{folder}/{found.name}-aerodynamics.xml": aerodynamics_xml(found),
+        f"{folder}/Systems/{found.name}-states.xml": system_xml(found),
+    }

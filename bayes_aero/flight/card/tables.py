@@ -1,0 +1,415 @@
+"""[aircraft] of a card: constants with their units; what follows from others need not be stated."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.aircraft import (
+    AIRCRAFT_KEYS,
+    AIRCRAFT_UNITS,
+    DEFAULT_RANGES,
+    OPTIONAL,
+    UNITS,
+    Aircraft,
+    Envelope,
+)
+from bayes_aero.flight.card.toml_tables import known_keys, like, numbers, section
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.units import quantity_to_si, si_unit
+
+ROUNDED = 0.02  # moments of inertia are given to two or three digits
+POSITIONS = ("reference_point", "accelerometer", "engine")
+POSITIVE = (
+    "mass", "Ix", "Iy", "Iz", "wing_area", "chord", "half_span", "span", "aspect_ratio", "tail_arm",
+    "reference_speed", "rate_length", "lateral_length", "lateral_rate_length",
+)  # fmt: skip
+
+
+def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
+    """Constants in SI; the aspect ratio is span squared over wing area where it is not stated.
+
+    Args:
+        table: the section as the card has it.
+        where: which card, for messages.
+    """
+    known_keys(table, tuple(AIRCRAFT_KEYS), where, "key of [aircraft]")
+    if "span" in table and "half_span" in table:
+        raise InputError(
+            f"card {where}: [aircraft] has span ({table['span']}) and half_span ({table['half_span']}); "
+            "keep one of them"
+        )
+    values: dict[str, Any] = {}
+    for key, unit in AIRCRAFT_KEYS.items():
+        if key not in table:
+            if key in OPTIONAL or key == "span" or (key == "half_span" and "span" in table):
+                continue
+            other = f', or span = "... {unit}"' if key == "half_span" else ""
+            raise InputError(
+                f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"{other}'
+            )
+        given = table[key]
+        if key in POSITIONS:
+            if not (isinstance(given, list) and len(given) == 3):
+                raise InputError(f"card {where}: [aircraft] {key} must be three lengths, [x, y, z]")
+            values[key] = tuple(quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given)
+        else:
+            values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
+    for key in POSITIVE:
+        if key in values and not values[key] > 0.0:
+            raise InputError(
+                f"card {where}: [aircraft] {key} is {values[key]} {AIRCRAFT_KEYS[key]}; it must be positive"
+            )
+    if "span" in values:
+        values["half_span"] = 0.5 * values.pop("span")
+    values.setdefault("aspect_ratio", (2.0 * values["half_span"]) ** 2 / values["wing_area"])
+    return Aircraft(**{key: values[key] for key in AIRCRAFT_UNITS if key in values})
+
+
+def refuse_no_body(aircraft: Aircraft, where: str) -> None:
+    """Refuse moments of inertia that no mass distribution has: each principal one is at most the sum of the others.
+
+    Args:
+        aircraft: constants in SI.
+        where: which card, for messages.
+
+    Raises:
+        InputError: no body has these moments.
+    Source: Goldstein, *Classical Mechanics*, 2nd ed. 1980, ch. 5.
+    """
+    given = {name: float(getattr(aircraft, name)) for name in ("Ix", "Iy", "Iz", "Ixy", "Ixz", "Iyz")}
+    Ix, Iy, Iz, Ixy, Ixz, Iyz = given.values()
+    principal = np.linalg.eigvalsh([[Ix, -Ixy, -Ixz], [-Ixy, Iy, -Iyz], [-Ixz, -Iyz, Iz]])
+    if principal[0] > 0.0 and principal[2] <= (1.0 + ROUNDED) * (principal[0] + principal[1]):
+        return
+    told = ", ".join(f"{name} {value:g}" for name, value in given.items() if value)
+    raise InputError(
+        f"card {where}: [aircraft] no body has these moments of inertia ({told} kg m^2): the principal ones are "
+        f"{', '.join(f'{x:.4g}' for x in principal)}, all must be positive and the largest at most the sum of the "
+        "other two; correct them"
+    )
+
+
+# --- What a card says of channels: where they stand in a file, sums, constants, and what is formed from others.
+
+MOST_COLUMNS = 2000
+ATMOSPHERE = "standard atmosphere"
+RULES: dict[str, dict[str, tuple[str, ...]]] = {
+    "density": {
+        "gas law": ("static_pressure", "static_temperature"),
+        "dynamic pressure": ("dynamic_pressure", "airspeed"),
+        ATMOSPHERE: ("altitude",),
+    },
+    "mach": {"static temperature": ("static_temperature", "airspeed"), ATMOSPHERE: ("altitude", "airspeed")},
+}
+"""Ways to form a channel, the nearest to the air of the day first, and the channels that each needs."""
+
+
+def parse_channel(key: str, given: Any, where: str) -> Channel:
+    """One entry of [channels]."""
+    if not isinstance(given, dict):
+        raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
+    known_keys(given, ("column", "label", "unit", "required", "sign"), where, f"key of channel {key}")
+    if "unit" not in given:
+        raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
+    column = given.get("column")
+    if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
+        raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
+    if column is not None and column > MOST_COLUMNS:
+        raise InputError(f"card {where}: channel {key} has column {column}; no file has more than {MOST_COLUMNS}")
+    if column is None and "label" not in given:
+        raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
+    label = given.get("label")
+    sign = given.get("sign", 1)
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise InputError(f"card {where}: channel {key} has sign {sign!r}; write -1 if the file counts the other way")
+    return Channel(
+        name=key,
+        unit=str(given["unit"]),
+        label=None if label is None else str(label),
+        column=column,
+        required=bool(given.get("required", True)),
+        sign=int(sign),
+    )
+
+
+def parse_sums(
+    table: Mapping[str, Any],
+    channels: tuple[Channel, ...],
+    constants: Mapping[str, float],
+    formed: Iterable[str],
+    where: str,
+) -> dict[str, dict[str, float]]:
+    """[sums]: channels that are sums of others, each part with its factor; `formed` are [derived] and [tables]."""
+    names = {channel.name for channel in channels} | set(constants) | set(formed)
+    found = {}
+    for key, given in table.items():
+        if key in constants:
+            raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
+        if not (isinstance(given, list | dict) and given):
+            raise InputError(f"card {where}: [sums] {key} must be a list of channel names, or a table with factors")
+        if not all(isinstance(part, str) for part in given):
+            raise InputError(f"card {where}: [sums] {key} must hold names of channels")
+        counted = {part: float(given.count(part)) for part in given} if isinstance(given, list) else None
+        parts = numbers(given, f"{where}: [sums] {key}") if counted is None else counted
+        missing = [part for part in parts if part not in names]
+        if missing:
+            hint = like(missing[0], names)
+            raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map{hint}")
+        found[key] = parts
+    return found
+
+
+def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
+    """A quantity in the SI unit of a channel that the program knows."""
+    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else None
+    if unit is None:
+        raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
+    return quantity_to_si(value, unit, f"card {where}: [{label}] {key}")
+
+
+def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:
+    """Values of channels that the file may lack; what every file must hold has no constant."""
+    required = {channel.name for channel in channels if channel.required}
+    constants = {key: parse_quantity(key, value, "constants", where) for key, value in table.items()}
+    for key, value in constants.items():
+        if key == "time":
+            raise InputError(f"card {where}: [constants] time cannot be constant; map it under [channels]")
+        if key in required:
+            raise InputError(
+                f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
+            )
+        if key in STANDARD_CHANNELS and not (
+            STANDARD_CHANNELS[key].plausible[0] <= value <= STANDARD_CHANNELS[key].plausible[1]
+        ):
+            raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
+    return constants
+
+
+def parse_derived(
+    table: Mapping[str, Any], channels: tuple[Channel, ...], constants: Mapping[str, Any], where: str
+) -> dict[str, str]:
+    """Channels that a file may lack, each by the rule that forms it from others."""
+    known_keys(table, tuple(RULES), where, "key of [derived]")
+    mapped = {channel.name for channel in channels}
+    for key, value in table.items():
+        if value not in RULES[key]:
+            rules = " or ".join(repr(rule) for rule in RULES[key])
+            raise InputError(f"card {where}: [derived] {key} is {str(value)[:60]!r}; write {rules}")
+        if key in constants:
+            raise InputError(f"card {where}: {key} is both in [derived] and in [constants]; keep one of them")
+        missing = [name for name in RULES[key][value] if name not in mapped]
+        if missing:
+            hint = like(missing[0], mapped)
+            raise InputError(f"card {where}: [derived] {key} needs {missing[0]}, which [channels] does not map{hint}")
+    return dict(table)
+
+
+# --- The section [envelope] of a card.
+
+
+def parse_envelope(table: Mapping[str, Any], where: str) -> Envelope:
+    """[envelope] of a card: [least, greatest] of each quantity, with units; of `altitude_loss` the greatest alone."""
+    known_keys(table, (*UNITS, "programmed_inputs"), where, "quantity of [envelope]")
+    ranges, programmed = dict(DEFAULT_RANGES), table.get("programmed_inputs", False)
+    if not isinstance(programmed, bool):
+        raise InputError(f"card {where}: [envelope] programmed_inputs is {programmed!r}; write true or false")
+    stated = {key: given for key, given in table.items() if key in UNITS}
+    for key, given in stated.items():
+        label = f"card {where}: [envelope] {key}"
+        if key == "altitude_loss":
+            ranges[key] = (-np.inf, quantity_to_si(given, UNITS[key], label))
+            continue
+        if not (isinstance(given, list) and len(given) == 2):
+            raise InputError(f'{label} is {given!r}; write the least and the greatest value, e.g. ["-5 deg", "15 deg"]')
+        lower, upper = (quantity_to_si(one, UNITS[key], label) for one in given)
+        if not lower < upper:
+            raise InputError(f"{label} is {given!r}; the first value must be less than the second")
+        ranges[key] = (lower, upper)
+    return Envelope(ranges, tuple(stated), programmed)
+
+
+# --- The section [fly] of a card: what a fit to trajectories compares, and where its manoeuvres begin.
+
+HOLDABLE = ("airspeed", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "altitude")
+"""States that a simulation may take from the record."""
+
+
+@dataclass(frozen=True)
+class FlyCard:
+    """Outputs to compare (None: all), the initial state of `fly --initial-state fixed`, SI, and states that are `held`
+    to the record."""
+
+    outputs: tuple[str, ...] | None = None
+    initial_state: Mapping[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
+
+
+def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str) -> FlyCard:
+    """Check [fly]; that its names are outputs and states is checked when a record is flown."""
+    known_keys(table, ("outputs", "initial_state", "held"), where, "key of [fly]")
+    outputs = table.get("outputs")
+    if outputs is not None and not (isinstance(outputs, list) and outputs and all(isinstance(x, str) for x in outputs)):
+        raise InputError(f'card {where}: [fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
+    held = table.get("held", [])
+    if not (isinstance(held, list) and all(x in HOLDABLE for x in held)):
+        raise InputError(f"card {where}: [fly] held must be a list of states, of {', '.join(HOLDABLE)}")
+    given = table.get("initial_state", {})
+    if not isinstance(given, dict):
+        raise InputError(
+            f'card {where}: [fly] initial_state must be a table, e.g. {{ alpha = "2 deg", q = "0 deg/s" }}'
+        )
+    mapped = {channel.name: channel for channel in channels}
+    initial = {}
+    for name, value in given.items():
+        if name not in mapped:
+            raise InputError(f"card {where}: [fly] initial_state has {name}, which [channels] does not map")
+        standard = STANDARD_CHANNELS.get(name)
+        unit = standard.unit if standard else si_unit(mapped[name].unit, f"channel {name}")
+        initial[name] = quantity_to_si(value, unit, f"card {where}: [fly] initial_state {name}")
+    return FlyCard(None if outputs is None else tuple(dict.fromkeys(outputs)), initial, tuple(dict.fromkeys(held)))
+
+
+# --- The section [linear] of a card: a state-space model in dimensional derivatives.
+# Every row is a table {parameter = what it multiplies}: a channel, "1" for the constant, or a table of channels with
+# numbers, `Lda = { aileron_left = 0.5, aileron_right = -0.5 }`. Nothing is parsed but names and numbers.
+
+ONE = "1"
+"""Stands for the constant among the channels."""
+
+
+class Term(NamedTuple):
+    """parameter x factor x channel, in SI and radians."""
+
+    parameter: str
+    channel: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class LinearCard:
+    """Rows of a linear system: the rate of each state, and outputs; that of a state is what the record shows beyond it.
+
+    `delays`: the parameter, s, by which an output is recorded late. `by_manoeuvre`: constants that differ between
+    manoeuvres.
+    """
+
+    states: tuple[str, ...]
+    rates: tuple[tuple[Term, ...], ...]
+    outputs: tuple[str, ...] = ()
+    readings: tuple[tuple[Term, ...], ...] = ()
+    fixed: tuple[tuple[str, float], ...] = ()
+    delays: tuple[tuple[str, str], ...] = ()
+    by_manoeuvre: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[tuple[str, tuple[Term, ...]], ...]:
+        """Name and terms of every row, rates first."""
+        return (*zip(self.states, self.rates, strict=True), *zip(self.outputs, self.readings, strict=True))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all parameters, in the order in which the card first writes them."""
+        of_rows = (term.parameter for _, row in self.rows for term in row)
+        return tuple(dict.fromkeys([*of_rows, *(parameter for _, parameter in self.delays)]))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Channels that it needs beside its states."""
+        found = dict.fromkeys(term.channel for _, row in self.rows for term in row)
+        return tuple(name for name in found if name != ONE and name not in self.states)
+
+
+def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCard:
+    """Check [linear]; `channels` are those that the card maps, sums or holds constant."""
+    if not isinstance(table, dict):
+        raise InputError(f"card {where}: linear must be a section, [linear]")
+    known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), where, "key of [linear]")
+    states = table.get("states")
+    if not (isinstance(states, list) and states and all(isinstance(name, str) for name in states)):
+        raise InputError(f'card {where}: [linear] states must be a list of channels, e.g. ["alpha", "q"]')
+    if len(set(states)) < len(states):
+        raise InputError(f"card {where}: [linear] states names a state twice")
+    _mapped(states, channels, f"{where}: [linear] states")
+    rates, outputs = section(table, "rates", where), section(table, "outputs", where)
+    known_keys(rates, tuple(states), where, "state of [linear.rates]")
+    for name in states:
+        if name not in rates:
+            raise InputError(f"card {where}: [linear.rates.{name}] is missing; every state needs its rate")
+    _mapped(outputs, channels, f"{where}: [linear.outputs]")
+    found = LinearCard(
+        states=tuple(states),
+        rates=tuple(_row(rates[name], channels, f"{where}: [linear.rates.{name}]") for name in states),
+        outputs=tuple(outputs),
+        readings=tuple(_row(row, channels, f"{where}: [linear.outputs.{name}]") for name, row in outputs.items()),
+        fixed=tuple(numbers(table.get("fixed", {}), f"{where}: [linear] fixed").items()),
+    )
+    for name, row in zip(found.outputs, found.readings, strict=True):
+        if name in states and any(term.channel != ONE for term in row):
+            raise InputError(
+                f"card {where}: [linear.outputs.{name}] is a state, which is an output already; it may only have a "
+                'bias, by = "1"'
+            )
+    own, fixed = _by_manoeuvre(table.get("by_manoeuvre", []), found, where), dict(found.fixed)
+    found = replace(found, delays=_delays(section(table, "delays", where), found, where), by_manoeuvre=own)
+    if both := [name for name in own if name in fixed]:
+        raise InputError(
+            f"card {where}: [linear] {both[0]} is fixed and differs between manoeuvres; drop one of the two"
+        )
+    for name, _ in found.fixed:
+        if name not in found.parameters:
+            raise InputError(
+                f"card {where}: [linear.fixed] {name} is a parameter of no row; drop it or correct its name"
+            )
+    return found
+
+
+def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:
+    if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
+        raise InputError(f'card {where}: [linear] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]')
+    for name in given:
+        terms = [term for _, row in found.rows for term in row if term.parameter == name]
+        if not terms or any(term.channel != ONE for term in terms):
+            raise InputError(
+                f'card {where}: [linear] by_manoeuvre has {name}, which is no constant; only parameters of "1" can '
+                "differ between manoeuvres"
+            )
+    return tuple(dict.fromkeys(given))
+
+
+def _delays(table: Mapping[str, Any], found: LinearCard, where: str) -> tuple[tuple[str, str], ...]:
+    known_keys(table, (*found.states, *found.outputs), where, "output of [linear.delays]")
+    for output, parameter in table.items():
+        if not isinstance(parameter, str) or parameter in found.parameters:
+            raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
+    return tuple(table.items())
+
+
+def _row(table: Any, channels: Collection[str], where: str) -> tuple[Term, ...]:
+    if not (isinstance(table, dict) and table):
+        raise InputError(f'card {where} must be a table of parameters and what they multiply, e.g. Zalpha = "alpha"')
+    terms = [
+        Term(parameter, channel, factor)
+        for parameter, given in table.items()
+        for channel, factor in _multiplied(given, f"{where} {parameter}").items()
+    ]
+    _mapped([term.channel for term in terms if term.channel != ONE], channels, where)
+    return tuple(terms)
+
+
+def _multiplied(given: Any, where: str) -> Mapping[str, float]:
+    if isinstance(given, str):
+        return {given: 1.0}
+    if isinstance(given, dict) and given:
+        return numbers(given, where)
+    raise InputError(f'card {where} is {given!r}; write the channel it multiplies, e.g. "alpha", or "1" for a constant')
+
+
+def _mapped(names: Collection[str], channels: Collection[str], where: str) -> None:
+    for name in names:
+        if name not in channels:
+            raise InputError(f"card {where} uses {name}, which [channels] does not map")

@@ -1,1 +1,0 @@
-"""What channels say of each other."""

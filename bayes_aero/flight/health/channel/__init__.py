@@ -1,1 +1,0 @@
-"""What is wrong with one channel by itself."""

@@ -1,0 +1,424 @@
+"""Cramer-Rao bounds corrected for residuals that are coloured and whose size changes along the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from scipy.fft import next_fast_len
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+from scipy.stats import norm, t
+
+BLOCK = 0.2  # s; smoothed residuals vary no faster
+MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
+MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Block means of one stretch without gaps, and the number of samples of each block."""
+
+    residual: Float[np.ndarray, "b c"]
+    slope: Float[np.ndarray, "b c k"]
+    samples: Float[np.ndarray, " b"]
+
+
+def robust_covariance(
+    D: Float[np.ndarray, "k k"],
+    S: Float[np.ndarray, "n c k"],
+    R: Float[np.ndarray, " c"],
+    residual: Float[np.ndarray, "n c"],
+    manoeuvre: Int[np.ndarray, " n"],
+    start: Bool[np.ndarray, " n"],
+    dt: float,
+) -> tuple[Float[np.ndarray, "k k"], int]:
+    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks.
+
+    Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
+    sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
+    covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also holds
+    where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor (HC3: each
+    is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by Student's t
+    with the number of blocks less the number of parameters as degrees of freedom.
+
+    Args:
+        D: inverse information (sum S' R^-1 S)^-1.
+        S: sensitivities of the modelled coefficients.
+        R: variances of the residuals.
+        residual: measured minus modelled.
+        manoeuvre: of each sample.
+        start: true where a stretch without gaps begins.
+        dt: sampling interval, s.
+
+    Source: Morelli and Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953;
+    HC3 and the larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly
+    Harmless Econometrics*, 2009, ch. 8.
+    """
+    begins = np.flatnonzero(np.asarray(start) | np.append(True, np.diff(manoeuvre) != 0))
+    stretches = [
+        _blocks(S[one], residual[one], max(1, round(BLOCK / dt)))
+        for one in (slice(a, b) for a, b in zip(begins, np.append(begins[1:], len(start)), strict=True))
+    ]
+    phi = _autoregressions(stretches, S.shape[1])
+    whitened = [_whitened(one, phi, R) for one in stretches]
+    blocks = sum(len(one.samples) for one in stretches)
+    left = max(blocks - max(int(np.count_nonzero(np.any(S[:, c] != 0.0, axis=0))) for c in range(S.shape[1])), 1)
+    together = np.concatenate([e for e, _ in whitened])
+    spread = together.T @ together / left
+    stationary, own = np.zeros_like(D), np.zeros_like(D)
+    for (innovation, shaped), one in zip(whitened, stretches, strict=True):
+        stationary += np.einsum("bck,cd,bdl->kl", shaped, spread, shaped, optimize=True)
+        share = np.einsum("bck,kl,bcl->bc", one.slope, D, one.slope, optimize=True) * one.samples[:, None] / R
+        scores = np.einsum("bck,bc->bk", shaped, innovation / np.maximum(1.0 - share, MIN_RESIDUAL_SHARE))
+        own += scores.T @ scores
+    stationary, own = (D @ middle @ D for middle in (stationary, own))
+    sd = np.sqrt(np.maximum(np.diag(stationary), np.diag(own)))
+    narrow = np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
+    widen = sd / narrow * t.ppf(0.975, left) / norm.ppf(0.975)
+    return own * np.outer(widen, widen), blocks
+
+
+def _blocks(S: Float[np.ndarray, "n c k"], residual: Float[np.ndarray, "n c"], size: int) -> _Stretch:
+    edges = np.arange(0, len(residual), size)
+    samples = np.diff(np.append(edges, len(residual))).astype(float)
+    residual, S = np.add.reduceat(residual, edges, axis=0), np.add.reduceat(S, edges, axis=0)
+    return _Stretch(residual / samples[:, None], S / samples[:, None, None], samples)
+
+
+def _autoregressions(stretches: Sequence[_Stretch], outputs: int) -> Float[np.ndarray, "c p"]:
+    """An autoregression for each output; zeros where the stretches are too short."""
+    long = [one.residual for one in stretches if len(one.residual) > 2 * ORDER]
+    if sum(len(x) - ORDER for x in long) < MIN_INNOVATIONS * ORDER:
+        return np.zeros((outputs, ORDER))
+    return np.stack([autoregression([x[None, :, c] for x in long])[0][0] for c in range(outputs)])
+
+
+def _whitened(
+    one: _Stretch, phi: Float[np.ndarray, "c p"], R: Float[np.ndarray, " c"]
+) -> tuple[Float[np.ndarray, "b c"], Float[np.ndarray, "b c k"]]:
+    """Innovations e = A r, and A^-T of the weighed sensitivities: their product is the score."""
+    weighed = one.slope * one.samples[:, None, None] / R[:, None]
+    innovation, shaped = np.empty_like(one.residual), np.empty_like(weighed)
+    for c, own in enumerate(phi):
+        polynomial = np.append(1.0, -own)
+        innovation[:, c] = lfilter(polynomial, [1.0], one.residual[:, c])
+        shaped[:, c] = np.asarray(lfilter([1.0], polynomial, weighed[::-1, c], axis=0))[::-1]
+    return innovation, shaped
+
+
+# --- Cramer-Rao bounds corrected for coloured residuals.
+
+LAG_SHARE = 0.2  # longest lag as a share of the shortest stretch; our choice, see `autocovariance`
+SENSOR_MEMORY = (0.0, 0.3, 2.0)  # s: time constants of the modelled noise of a sensor; 0: white; our choice
+DRAWS = 20  # of the modelled noise, for each mean
+
+
+def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.ndarray, "m c c"]:
+    """Autocovariance R(k) = (1/n) sum_i r_i r_(i-k)' for k = -lags .. lags, tapered by Parzen's window.
+
+    The biased estimate with a positive-definite window keeps the sequence positive semidefinite, so no corrected
+    variance can come out negative. The full untapered sequence would sum to nearly zero, because the fitted
+    residuals are orthogonal to the sensitivities; the window is what makes it consistent.
+    """
+    n, _ = residual.shape
+    size = int(next_fast_len(2 * n) or 2 * n)
+    spectrum = np.fft.rfft(residual, size, axis=0)
+    full = np.fft.irfft(np.einsum("fi,fj->fij", spectrum, spectrum.conj()), size, axis=0) / n
+    k = np.arange(-lags, lags + 1)
+    return full[k] * _parzen(k / (lags + 1.0))[:, None, None]
+
+
+def _parzen(x: np.ndarray) -> np.ndarray:
+    x = np.abs(x)
+    return np.where(x <= 0.5, 1.0 - 6.0 * x**2 * (1.0 - x), 2.0 * (1.0 - np.minimum(x, 1.0)) ** 3)
+
+
+def corrected_covariance(
+    D: Float[np.ndarray, "k k"],
+    S: Float[np.ndarray, "n c k"],
+    R: Float[np.ndarray, " c"],
+    residual: Float[np.ndarray, "n c"],
+    manoeuvre: Int[np.ndarray, " n"],
+    start: Bool[np.ndarray, " n"],
+) -> Float[np.ndarray, "k k"]:
+    """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre.
+
+    Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
+    are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
+    neighbours, and the autocovariance is that of the longest stretch.
+    """
+    W = S / R[:, None]
+    total = np.zeros_like(D)
+    for number in np.unique(manoeuvre):
+        inside = np.flatnonzero(manoeuvre == number)
+        stretches = np.split(inside, np.flatnonzero(start[inside])[1:])
+        longest = max(stretches, key=len)
+        lags = max(1, int(LAG_SHARE * len(longest)))
+        covariance = autocovariance(residual[longest], lags)
+        for stretch in stretches:
+            total += _sandwich(W[stretch], covariance)
+    return D @ total @ D
+
+
+def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]) -> Float[np.ndarray, "k k"]:
+    """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
+    n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
+    size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
+    kernel = np.zeros((size, covariance.shape[1], covariance.shape[2]))
+    kernel[np.arange(-lags, lags + 1)] = covariance
+    spread = np.fft.irfft(
+        np.einsum("fij,fjk->fik", np.fft.rfft(kernel, axis=0), np.fft.rfft(W, size, axis=0)), size, axis=0
+    )[:n]
+    return np.einsum("nci,ncj->ij", W, spread)
+
+
+def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
+    """Standard error of the sum of an autocorrelated series of constant mean with independent stretches.
+
+    From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in
+    `corrected_covariance`. It is too small where the correlation time is nearly as long as that.
+    """
+    centred = (values - values.mean())[:, None]
+    parts = np.split(centred, np.cumsum(lengths)[:-1])
+    variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
+    return float(np.sqrt(variance * len(values) / (len(values) - 1)))
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs.
+
+    `D`: covariance of the parameters for white noise. `S`: sensitivities to them, with initial states at their optimum.
+    `own`: sensitivities to initial states, whose priors have the `precision`, infinite where they are not fitted. `R`:
+    variances of the residuals. Samples that are not `inside` are zeros.
+    """
+
+    D: Float[np.ndarray, "k k"]
+    S: Float[np.ndarray, "w n c k"]
+    own: Float[np.ndarray, "w n c s"]
+    precision: Float[np.ndarray, " s"]
+    R: Float[np.ndarray, " c"]
+    inside: Bool[np.ndarray, "w n"]
+
+    @cached_property
+    def weights(self) -> Float[np.ndarray, "w n c k"]:
+        """Derivatives of the estimates by the outputs."""
+        return (self.S / self.R[:, None]) @ self.D
+
+    @cached_property
+    def _states(self) -> Float[np.ndarray, "w s s"]:
+        """Covariance of the initial states at given parameters; zero where they are not fitted."""
+        fitted = np.isfinite(self.precision)
+        A = np.einsum("wncs,c,wnct->wst", self.own, 1.0 / self.R, self.own, optimize=True)
+        A = A + np.diag(np.where(fitted, self.precision, 0.0))
+        size = np.sqrt(np.einsum("wss->ws", A))
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=fitted & (size > 0.0))
+        scale = scale[:, :, None] * scale[:, None, :]
+        return scale * np.linalg.pinv(scale * A, hermitian=True)
+
+    def residual(self, noise: Float[np.ndarray, "... w n c"]) -> Float[np.ndarray, "... w n c"]:
+        """What the fit leaves of the noise."""
+        theta = np.einsum("wnck,...wnc->...k", self.weights, noise, optimize=True)
+        states = np.einsum("wnct,...wnc->...wt", self.own, noise / self.R, optimize=True)
+        states = np.einsum("wst,...wt->...ws", self._states, states)
+        taken = np.einsum("wnck,...k->...wnc", self.S, theta, optimize=True)
+        return noise - taken - np.einsum("wncs,...ws->...wnc", self.own, states, optimize=True)
+
+    def corrected(self, residual: Float[np.ndarray, "w n c"]) -> Float[np.ndarray, " k"]:
+        """Variances by `corrected_covariance`."""
+        segment = np.nonzero(self.inside)[0]
+        start = np.diff(segment, prepend=-1) != 0
+        seen = (self.S[self.inside], self.R, residual[self.inside], segment, start)
+        return np.diag(corrected_covariance(self.D, *seen))
+
+
+def means(x: Shaped[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m ..."]:
+    """Means over `size` samples; those that remain at the end are left out."""
+    whole = x.shape[1] // size * size
+    return x[:, :whole].reshape(len(x), -1, size, *x.shape[2:]).mean(axis=2)
+
+
+def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float) -> Float[np.ndarray, " k"]:
+    """Variances of the estimates over those of `corrected_covariance`, (k,), for noise as the residuals show it.
+
+    A fit takes out of the residuals what is like its sensitivities, above all what disturbs the flight and adds up in
+    its motion; and the window, a fixed share of the record, leaves the variance uncertain. Both are calculated for a
+    model of the noise: of each sensor, white and of first order with the time constants `SENSOR_MEMORY`, and random
+    disturbances of each state, whose response is that to the initial state, later. The intensities are those with which
+    the residuals, filtered by each response, have the expected mean squares after the fit.
+
+    Source: Rao, J. Multivariate Analysis 1 (1971) 257 (intensities by expected squares); Beran, Biometrika 74 (1987)
+    457 (calibration by draws of the estimated noise).
+
+    Args:
+        fit: in means over some samples.
+        residual: of the outputs, in the same means.
+        dt: time from one to the next, s.
+    """
+    (w, n, c), rng = residual.shape, np.random.default_rng(0)
+    size = int(next_fast_len(2 * n) or 2 * n)
+    time = dt * np.arange(n)[:, None, None]
+    sensors = [np.sqrt(fit.R) * np.eye(c) * (np.exp(-time / x) if x else time == 0.0) for x in SENSOR_MEMORY]
+    shapes = np.concatenate([*(np.broadcast_to(x, (w, n, c, c)) for x in sensors), fit.own], axis=3)
+    norm = np.sqrt(np.einsum("wncj,c->j", shapes**2, 1.0 / fit.R))
+    L = np.fft.rfft(shapes[..., norm > 0.0] / norm[norm > 0.0], size, axis=1)
+
+    def left(intensity: Float[np.ndarray, " j"]) -> Float[np.ndarray, "d w n c"]:
+        """Residuals of the fit to draws of the noise."""
+        on = np.flatnonzero(intensity)
+        white = rng.standard_normal((DRAWS, w, n, len(on))) * np.sqrt(intensity[on])
+        spectrum = np.einsum("wfcj,dwfj->dwfc", L[..., on], np.fft.rfft(white, size, axis=2), optimize=True)
+        return fit.residual(np.fft.irfft(spectrum, size, axis=2)[:, :, :n] * fit.inside[:, :, None])
+
+    def squares(x: Float[np.ndarray, "d w n c"]) -> Float[np.ndarray, "d j"]:
+        """Sums of squares of the projections on each response at each time."""
+        along = np.einsum("wfcj,dwfc->dwfj", L.conj(), np.fft.rfft(x, size, axis=2), optimize=True)
+        return np.sum(np.fft.irfft(along, size, axis=2)[:, :, :n] ** 2, axis=(1, 2))
+
+    seen = squares(residual[None] / fit.R)[0]
+    if not (np.all(np.isfinite(seen)) and np.all(seen > 0.0)):
+        return np.ones(len(fit.D))
+    expected = [squares(left(one) / fit.R).mean(axis=0) for one in np.eye(len(seen))]
+    intensity = nnls(np.stack(expected, axis=1) / seen[:, None], np.ones(len(seen)), maxiter=100 * len(seen))[0]
+    exact = squares(np.moveaxis(fit.weights, 3, 0)) @ intensity
+    drawn = np.array([fit.corrected(x) for x in left(intensity)])
+    moving = np.all(drawn > 0.0, axis=0)
+    return np.where(moving, exact * np.mean(1.0 / np.where(moving, drawn, 1.0), axis=0), 1.0)
+
+
+# --- Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
+# Two other variances differ. `robust_bounds` corrects each block by its leverage (HC3) and not by their number, and
+# `coloured_bounds.standard_error_of_sum` has no blocks.
+
+
+def cluster_covariance(
+    contributions: Float[np.ndarray, "m k"], block: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks.
+
+    Args:
+        contributions: to the sum, of each sample; residuals of a fit, weighed by sensitivities, give that of the score.
+        block: of each sample, 0 to n - 1.
+
+    Source: Liang and Zeger, Biometrika 73 (1986) 13.
+    """
+    count = int(block.max()) + 1
+    sums = np.zeros((count, contributions.shape[1]))
+    np.add.at(sums, block, contributions)
+    return sums.T @ sums * count / (count - 1.0)
+
+
+def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
+    """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'.
+
+    A block that alone determines a parameter has no residual in its direction. `cluster_covariance` takes this for
+    agreement; the jackknife does not.
+
+    Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all blocks; Efron and
+    Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.
+    """
+    return moves.T @ moves * (len(moves) - 1.0) / len(moves)
+
+
+# --- Autoregressions of residuals by least squares, kept stationary.
+
+ORDER = 3  # at some 5 samples a second; our choice
+MAX_ROOT = 0.995  # largest root: a memory of 40 s at 5 samples a second
+
+
+def autoregression(
+    folds: Sequence[Float[np.ndarray, "r _"]],
+) -> tuple[Float[np.ndarray, "r p"], Float[np.ndarray, " r"]]:
+    """Coefficients, and the standard deviation of the innovation, of one output in r records."""
+    lags = [[x[:, ORDER - i : x.shape[1] - i] for i in range(ORDER + 1)] for x in folds]
+    gram = np.empty((len(folds[0]), ORDER + 1, ORDER + 1))
+    for i in range(ORDER + 1):
+        for j in range(i, ORDER + 1):
+            gram[:, i, j] = gram[:, j, i] = sum(np.einsum("rt,rt->r", lag[i], lag[j]) for lag in lags)
+    past, right = gram[:, 1:, 1:], gram[:, 1:, :1]
+    ridge = 1e-9 * np.trace(past, axis1=1, axis2=2) + 1e-300
+    phi = stationary_coefficients(np.linalg.solve(past + ridge[:, None, None] * np.eye(ORDER), right)[:, :, 0])
+    squares = sum(
+        np.sum((now - sum(p[:, None] * x for p, x in zip(phi.T, past, strict=True))) ** 2, axis=1)
+        for now, *past in lags
+    )
+    return phi, np.sqrt(squares / sum(lag[0].shape[1] for lag in lags))
+
+
+def stationary_coefficients(phi: Float[np.ndarray, "r p"]) -> Float[np.ndarray, "r p"]:
+    """Autoregressions with no root larger than `MAX_ROOT`; larger roots are scaled to it."""
+    companion = np.zeros((len(phi), ORDER, ORDER))
+    companion[:, 0] = phi
+    companion[:, 1:, :-1] = np.eye(ORDER - 1)
+    roots, limited = np.linalg.eigvals(companion), phi.copy()
+    size = np.abs(roots)
+    outside = np.any(size > MAX_ROOT, axis=1)
+    inside = np.where(size > MAX_ROOT, roots * MAX_ROOT / np.maximum(size, 1e-300), roots)[outside]
+    product = np.ones((len(inside), 1))  # of (1 - root L), by powers of the lag L
+    for root in inside.T[:, :, None]:
+        product = np.pad(product, ((0, 0), (0, 1))) - root * np.pad(product, ((0, 0), (1, 0)))
+    limited[outside] = -np.real(product[:, 1:])
+    return limited
+
+
+def filtered_noise(
+    phi: Float[np.ndarray, "p ..."],
+    innovations: Float[np.ndarray, "t ..."],
+    past: Float[np.ndarray, "p ..."] | None = None,
+) -> Float[np.ndarray, "t ..."]:
+    """x[t] = sum phi[i] x[t-1-i] + e[t] after the samples `past` (default: zeros), for many series at once.
+
+    Time is the first axis; the loop runs over it alone.
+    """
+    order, weights = len(phi), phi[::-1]
+    past = np.zeros((order, *innovations.shape[1:])) if past is None else past
+    series = np.concatenate([past, innovations])
+    for i in range(len(innovations)):
+        series[i + order] += np.add.reduce(weights * series[i : i + order])
+    return series[order:]
+
+
+def stationary_series(
+    phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]
+) -> Float[np.ndarray, "t ..."]:
+    """`filtered_noise` from the stationary distribution: each of the first samples is predicted from those before it.
+
+    Source: Durbin's recursion, downwards; Brockwell and Davis, Time Series: Theory and Methods, 5.2.
+    """
+    order = len(phi)
+    predictors, variances = [phi], [np.ones(phi.shape[1:])]
+    for _ in range(order):
+        longer, last = predictors[0], predictors[0][-1]
+        share = 1.0 - last**2
+        predictors.insert(0, (longer[:-1] + last * longer[-2::-1]) / share)
+        variances.insert(0, variances[0] / share)
+    first: list[np.ndarray] = []
+    for k, e in enumerate(innovations[:order]):
+        first.append(np.sqrt(variances[k]) * e + sum(c * x for c, x in zip(predictors[k], first[::-1], strict=True)))
+    past = np.array(first).reshape(len(first), *innovations.shape[1:])
+    return past if len(first) < order else np.concatenate([past, filtered_noise(phi, innovations[order:], past)])
+
+
+# --- Variance inflation: the factor by which autocorrelated residuals increase variances; likelihoods divided by it.
+
+
+def variance_inflation(variance: Float[np.ndarray, " k"], white: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Variance of each estimate over that for white residuals; 1 where the latter is zero."""
+    return np.divide(variance, white, out=np.ones_like(white), where=white > 0.0)
+
+
+def median_inflation(inflation: Float[np.ndarray, " k"]) -> float:
+    """Median of the variance inflation of several estimates, at least 1."""
+    return max(1.0, float(np.median(inflation))) if len(inflation) else 1.0
+
+
+def nats(deviance: float, inflation: float) -> float:
+    """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (at least 1).
+
+    A likelihood divided by `inflation` has about the variances of estimates under autocorrelated residuals.
+    """
+    return deviance / (2.0 * max(inflation, 1.0))

@@ -1,0 +1,416 @@
+"""Gauss-Newton on residuals in a band, with Cramer-Rao bounds from the residuals of its lines.
+
+The cost is that of `inference.likelihood.mle`, det R with a diagonal R. The estimates are real, so the real and the
+imaginary part of a line count as two residuals. Published bounds count the line as one and are larger by sqrt(2).
+
+Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+from scipy.signal import csd
+
+from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
+from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card.tables import ONE
+from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.flight.reading.read_record import at_common_rate
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.covariance import BLOCK, robust_covariance
+from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
+from bayes_aero.inference.likelihood.mle import PAIRS
+from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.model.joined_channels import Flights, join
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter
+from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.residuals.frequency_error import (
+    Band,
+    FrequencyError,
+    InBand,
+    LinearFrequencyError,
+    LinearFrequencyOutputError,
+)
+
+EQUATION_ERROR, OUTPUT_ERROR = "equation error", "output error"
+EXACT = 1e-100  # least variance of an output that its model reproduces: information is still a number
+MAX_ITERATIONS = 50
+REWEIGHTED = 5  # solutions with renewed variances at one point
+TOLERANCE = 1e-4  # gain in log likelihood of one more step: 0.014 standard errors
+UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
+MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference from the time domain
+SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
+
+
+class Step(NamedTuple):
+    """A linear solution: the step of the parameters (k,) and of the offsets, what is left (m, c), its mean squares."""
+
+    step: np.ndarray
+    left: np.ndarray
+    R: np.ndarray
+
+
+def fit_in_band(
+    responses: InBand,
+    parameters: Sequence[Parameter],
+    start: Float[np.ndarray, " k"],
+    band: tuple[float, float],
+    method: str = EQUATION_ERROR,
+) -> FrequencyFit:
+    """Estimate the free parameters from residuals in a band.
+
+    Parameters that the band does not show, such as constants, keep their start.
+
+    Args:
+        responses: a residual model of `residuals.frequency_error`.
+        parameters: the free parameters.
+        start: their first values, (k,), SI; those of a fit in the time domain.
+        band: lowest and highest frequency, Hz.
+        method: its name.
+    """
+    theta, outputs = np.asarray(start, float).copy(), responses.outputs
+    lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
+    residual, S = responses.linearise(theta)
+    free = _shown(S, residual, parameters)
+    offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
+    found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
+    for _ in range(MAX_ITERATIONS):
+        step = found.step[: len(free)]
+        outward = ((theta[free] <= lower[free]) & (step < 0.0)) | ((theta[free] >= upper[free]) & (step > 0.0))
+        if outward.any():  # held there from now on
+            at_bound += list(free[outward])
+            free = free[~outward]
+            found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
+            continue
+        before = _cost(solve(residual, offsets).R, len(residual))
+        if before - _cost(found.R, len(residual)) < TOLERANCE:
+            converged = True
+            break
+        responses = responses.moved(found.step[len(free) :])
+        for share in (1.0, 0.5, 0.25, 0.125, 0.03):
+            trial = theta.copy()
+            trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
+            changed, S_free = responses.linearise(trial, free)
+            own = responses.offsets(trial, outputs)
+            if _cost(solve(changed, own).R, len(changed)) < before:
+                break
+        else:
+            converged = True  # rounding: no step lowers the cost
+            break
+        theta, residual, offsets = trial, changed, own
+        found = solve(residual, np.concatenate([S_free, offsets], axis=2))
+    fitted = _result(responses, parameters, theta, free, found, converged)
+    held = tuple(parameters[i].name for i in at_bound)
+    unseen = tuple(name for name in fitted.unseen if name not in held)
+    return replace(fitted, band=(float(band[0]), float(band[1])), method=method, unseen=unseen, at_bound=held)
+
+
+def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
+    """Indices of the parameters that the band shows."""
+    R = np.maximum(np.mean(np.square(residual), axis=0), EXACT)
+    information = np.einsum("mck,mck,c->k", S, S, 1.0 / R)
+    prior = np.array([p.prior.normal[1] for p in parameters])
+    return np.flatnonzero(information * np.square(prior) > UNSEEN)
+
+
+def _cost(R: np.ndarray, m: int) -> float:
+    return 0.5 * m * float(np.sum(np.log(R)))
+
+
+def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> Step:
+    """Least squares for all columns, with the variances of the outputs that it leaves."""
+    _, _, k = S.shape
+    left, step = residual, np.zeros(k)
+    for _ in range(REWEIGHTED):
+        R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
+        weighted = (S / np.sqrt(R)[:, None]).reshape(residual.size, k)
+        scale = np.sqrt(np.maximum(np.sum(np.square(weighted), axis=0), np.finfo(float).tiny))
+        step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
+        left = residual - S @ step
+    R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
+    return Step(step, left, R)
+
+
+def cramer_rao(
+    S: Float[np.ndarray, "m c k"], R: Float[np.ndarray, " c"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "k k"]]:
+    """Variances over degrees of freedom, from mean squares R, and the inverse information; NaN where it is singular."""
+    m = len(S)
+    used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
+    R = R * m / np.maximum(m - used, 1)
+    A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    scaled = A / np.outer(scale, scale)
+    if not (len(A) and np.all(m > used) and np.linalg.eigvalsh(scaled)[0] > SINGULAR):
+        return R, np.full_like(A, np.nan)
+    return R, np.linalg.inv(scaled) / np.outer(scale, scale)
+
+
+def _result(
+    responses: InBand,
+    parameters: Sequence[Parameter],
+    theta: np.ndarray,
+    free: np.ndarray,
+    found: Step,
+    converged: bool,
+) -> FrequencyFit:
+    """Bounds at the optimum, with variances over degrees of freedom."""
+    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2)
+    m, k = len(S), len(free)
+    R, D = cramer_rao(S, found.R)
+    corrected = D
+    if regular := bool(np.all(np.isfinite(D))):
+        # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
+        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+    names = [p.name for p in parameters]
+    return FrequencyFit(
+        method=EQUATION_ERROR,
+        band=(0.0, 0.0),
+        lines=m // 2,
+        names=tuple(names[i] for i in free),
+        units=tuple(parameters[i].unit for i in free),
+        estimate=theta[free],
+        covariance=D[:k, :k],
+        corrected=corrected[:k, :k],
+        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(responses.outputs)},
+        R=dict(zip(responses.outputs, map(float, R), strict=True)),
+        unseen=tuple(name for i, name in enumerate(names) if i not in free),
+        converged=converged and regular,
+    )
+
+
+def without_noise_bias_in_band(
+    fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
+) -> FrequencyFit:
+    """The estimate without the bias by noise of the recorded regressors, as `likelihood.noise_bias` has it.
+
+    Args:
+        fit: equation error of `responses`.
+        responses: its residual model.
+        parameters: the free parameters of the model.
+        seed: of the added noise.
+
+    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
+    """
+    if not fit.converged:
+        return fit
+    flights, rng, moves = responses.flights, np.random.default_rng(seed), []
+    values = dict(zip(fit.names, fit.estimate, strict=True))
+    start = np.array([values.get(p.name, p.start) for p in parameters])
+    for _ in range(PAIRS):
+        noise = {}
+        for name in flights.recorded:
+            parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
+            noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
+        for sign in (1.0, -1.0):
+            noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
+            moved = responses.with_channels(noisier)
+            assert isinstance(moved, InBand)
+            found = fit_in_band(moved, parameters, start, fit.band, fit.method)
+            if not found.converged or found.names != fit.names:
+                return fit
+            moves.append(found.estimate - fit.estimate)
+    bias = np.mean(moves, axis=0)
+    return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
+
+
+def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
+    """The fit with its differences from that of the same coefficients in the time domain, in standard errors.
+
+    Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
+    from the other frequencies, which is independent of it; M is the share of the band in the information. So the
+    covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
+    """
+    place = [mle.names.index(name) for name in fit.names]
+    V_t, V_f, D = mle.corrected[np.ix_(place, place)], fit.corrected, mle.covariance[np.ix_(place, place)]
+    M = D @ sum(inner / mle.R[c] for c, inner in enumerate(fit.inner.values()))
+    # M is that of white noise. The difference of the variances, which is exact where one of the estimates is efficient,
+    # is the least that is believed.
+    least = np.maximum(np.abs(np.diag(V_f - V_t)), MIN_SHARE * np.diag(V_f))
+    sd = np.sqrt(np.maximum(np.diag(V_t + V_f - M @ V_f - V_f @ M.T), least))
+    apart = np.abs(fit.estimate - mle.estimate[place]) / sd
+    return replace(fit, apart=dict(zip(fit.names, map(float, apart), strict=True)))
+
+
+# --- Records fitted in a band: coefficients beside their fit in the time domain, and linear cards.
+
+
+def coefficients_in_band(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
+) -> FrequencyFit:
+    """Equation error of the coefficients in a band, beside their fit in the time domain.
+
+    Args:
+        records: one a manoeuvre, without spikes.
+        card: of the records.
+        model: the fitted model.
+        mle: its fit in the time domain, from which this one starts.
+        band: lowest and highest frequency, Hz.
+        seed: of the noise that shows the bias by noise.
+
+    Raises:
+        InputError: the band is empty or holds no frequency of a record.
+    """
+    flights = join(at_common_rate(records), card, required_of(model.axes))
+    responses = FrequencyError.in_band(flights, model, band)
+    fit = without_noise_bias_in_band(
+        fit_in_band(responses, model.free, mle.estimate, band), responses, model.free, seed=seed
+    )
+    return beside_time_domain(fit, mle)
+
+
+def linear_in_band(
+    flights: Flights, dynamics: Dynamics, band: Band
+) -> tuple[tuple[FrequencyFit, FrequencyFit], tuple[FrequencyResponse, ...]]:
+    """Equation error of a linear card in a band, output error from there, and responses.
+
+    Raises:
+        InputError: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
+    """
+    dt = np.asarray(flights.channels["dt"], float)
+    if np.ptp(dt) > 1e-6 * dt[0]:
+        raise InputError("the manoeuvres have different sampling times; give --resample")
+    bare = unbiased(dynamics)
+    assert isinstance(bare, LinearDynamics)
+    start = np.array([p.start for p in bare.free])
+    first = fit_in_band(LinearFrequencyError.in_band(flights, bare, band), bare.free, start, band)
+    found = dict(zip(first.names, first.estimate, strict=True))
+    start = np.array([found.get(p.name, p.start) for p in bare.free])
+    whole = LinearFrequencyOutputError.in_band(flights, bare, band)
+    second = fit_in_band(whole, bare.free, start, band, OUTPUT_ERROR)
+    responses = frequency_responses(flights, bare, second) if second.converged else ()
+    return (first, second), responses
+
+
+# --- Frequency responses of a linear card's outputs to its inputs: measured by cross spectra, and modelled.
+# Source: Bendat and Piersol, *Random Data*, 4th ed. 2010, ch. 7 and 9 (spectra of several inputs, multiple
+# coherence).
+
+SEGMENT = 10.0  # s, of the spectra; halves overlap
+DRAWS = 200  # of the parameters, for the band of the modelled response
+Combination = tuple[tuple[str, float], ...]
+"""Channels with their factors, as one parameter multiplies them."""
+
+
+def frequency_responses(
+    flights: Flights, dynamics: LinearDynamics, fit: FrequencyFit, *, seed: int = 0
+) -> tuple[FrequencyResponse, ...]:
+    """Responses of every recorded output to every input of the card, in the band of `fit`.
+
+    Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
+    `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
+    """
+    inputs = _inputs(dynamics)
+    outputs = tuple(name for name in dynamics.outputs if name in flights.channels)
+    if not inputs or not outputs:
+        return ()
+    channels = {name: np.asarray(x, float) for name, x in flights.channels.items()}
+    u = np.stack([sum(f * channels[name] for name, f in one) for one in inputs])
+    y = np.stack([channels[name] for name in outputs])
+    frequency, measured, error, coherence = _measured(flights, u, y)
+    inside = (frequency >= fit.band[0]) & (frequency <= fit.band[1])
+    frequency, measured, error, coherence = (x[inside] for x in (frequency, measured, error, coherence))
+    places = [dynamics.names.index(name) for name in fit.names]
+    theta = np.array([p.start for p in dynamics.free])
+    theta[places] = fit.estimate
+    draws = np.tile(theta, (DRAWS, 1))
+    draws[:, places] = np.random.default_rng(seed).multivariate_normal(fit.estimate, fit.corrected, DRAWS)
+    modelled = _modelled(flights, dynamics, inputs, outputs, frequency, np.vstack([theta, draws]))
+    return tuple(
+        FrequencyResponse(
+            " and ".join(name for name, _ in one),
+            output,
+            frequency,
+            measured[:, o, i],
+            error[:, o, i],
+            coherence[:, o],
+            modelled[0, :, o, i],
+            modelled[1:, :, o, i],
+        )
+        for i, one in enumerate(inputs)
+        for o, output in enumerate(outputs)
+    )
+
+
+def _inputs(dynamics: LinearDynamics) -> list[Combination]:
+    """What the parameters multiply beside states and constants."""
+    terms: dict[tuple[int, str], list[tuple[str, float]]] = {}
+    for i, (_, row) in enumerate(dynamics.rows.rows):
+        for term in row:
+            if term.channel != ONE and term.channel not in dynamics.states:
+                terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
+    whole = {tuple(sorted(one)): None for one in terms.values()}
+    single = {((one[0][0], 1.0),) if len(one) == 1 else one: None for one in whole}
+    return list(single)
+
+
+def _measured(
+    flights: Flights, u: Float[np.ndarray, "i n"], y: Float[np.ndarray, "o n"]
+) -> tuple[Float[np.ndarray, " f"], Complex[np.ndarray, "f o i"], Float[np.ndarray, "f o i"], Float[np.ndarray, "f o"]]:
+    """Frequencies, responses with their standard errors, and the multiple coherence of each output."""
+    dt = float(np.asarray(flights.channels["dt"])[0])
+    size = min(round(SEGMENT / dt), min(flights.lengths) // 2)
+    both, total = np.concatenate([u, y]), 0.0
+    frequency = np.zeros(0)
+    for part in np.split(both, np.cumsum(flights.lengths)[:-1], axis=1):
+        frequency, spectra = csd(part[:, None], part[None], fs=1.0 / dt, nperseg=size, detrend="linear")
+        total = total + part.shape[1] * np.moveaxis(spectra, 2, 0)  # f, first (conjugate), second
+    k = len(u)
+    S = np.asarray(total)
+    tiny = np.finfo(float).tiny
+    S_uu, S_uy = S[:, :k, :k], S[:, :k, k:]  # mean of conj(u) u', of conj(u) y'
+    inverse = np.linalg.pinv(S_uu, rcond=1e-8, hermitian=True)
+    H = np.swapaxes(inverse @ S_uy, 1, 2)
+    explained = np.real(np.einsum("foi,fio->fo", np.conj(H), S_uy))
+    power = np.real(np.einsum("foo->fo", S[:, k:, k:]))
+    left = np.maximum(power - explained, 0.0)  # its mean over the independent segments, of which inputs take k
+    segments = sum(2.0 * n / size - 1.0 for n in flights.lengths)
+    own = np.real(np.einsum("fii->fi", inverse))
+    error = np.sqrt(left[:, :, None] * own[:, None, :] / max(segments - k, 1.0))
+    return frequency, H, error, np.clip(explained / np.maximum(power, tiny), 0.0, 1.0)
+
+
+def _modelled(
+    flights: Flights,
+    dynamics: LinearDynamics,
+    inputs: list[Combination],
+    outputs: tuple[str, ...],
+    frequency: Float[np.ndarray, " f"],
+    thetas: Float[np.ndarray, "d k"],
+) -> Complex[np.ndarray, "d f o i"]:
+    """C (j w - A)^-1 B + D of each parameter vector; the delay of an output is a phase."""
+    s, w = len(dynamics.states), 2j * np.pi * frequency
+    late = dynamics.delays(outputs)
+
+    def one(theta: Float[Array, " k"]) -> Array:
+        values = dynamics.values(theta)
+        system = dynamics.system(values, flights.aircraft)
+        assert isinstance(system, LinearSystem)
+        columns = (*system.inputs_read, ONE)
+        # The response to one unit of an input is that of its channels: least squares finds them from their sum.
+        shares = np.zeros((len(columns), len(inputs)))
+        for i, combination in enumerate(inputs):
+            size = sum(f * f for _, f in combination)
+            for name, factor in combination:
+                shares[columns.index(name), i] = factor / size
+        B, D = system.matrix[:s, s:] @ shares, system.matrix[s:, s:] @ shares
+        X = jnp.linalg.solve(w[:, None, None] * jnp.eye(s) - system.matrix[:s, :s], B + 0j)
+        found = {name: X[:, i] for i, name in enumerate(dynamics.states)}
+        for row, name in enumerate(system.read):
+            more = jnp.einsum("s,fsi->fi", system.matrix[s + row, :s] + 0j, X) + D[row]
+            found[name] = more + found.get(name, 0.0)
+        delayed = {name: jnp.exp(-w * values[p])[:, None] for name, p in late.items()}
+        return jnp.stack([found[name] * delayed.get(name, 1.0) for name in outputs], axis=1)
+
+    return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(thetas)))

@@ -1,0 +1,379 @@
+"""Parameters that scatter from manoeuvre to manoeuvre around the aircraft's: partial pooling by NUTS.
+
+All is in units of the parameters' priors: an aircraft's value is a standard normal one. A manoeuvre is its normal
+approximation, an estimate y with information F F', which may be singular. Given the scatter, the parameters of the
+aircraft and of the manoeuvres are normal: they are integrated out, and NUTS samples the scatter alone.
+
+Source: Gelman et al., *Bayesian Data Analysis*, 3rd ed. 2013, ch. 5; half-normal scatter: Gelman, Bayesian Analysis 1
+(2006) 515.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import arviz_base as azb
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from bayes_aero.arrays import AnyArray
+from bayes_aero.errors import InputError
+from bayes_aero.inference.covariance import robust_covariance
+from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, SINGULAR, TOLERANCE, data_of, evaluate, full_steps
+from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
+from bayes_aero.inference.pooled_result import NextFlight
+from bayes_aero.inference.posterior.ensemble import diagnose
+from bayes_aero.inference.posterior.laplace import find_mode
+from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
+from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.model.density import LogDensity
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Observations
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.progress import Progress
+
+SCATTER = 0.5  # of a prior's deviation: 95 % sure that flights of one aircraft differ less than aircraft do; our choice
+
+
+class Hierarchy(LogDensity):
+    """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations.
+
+    Attributes:
+        scattering: the scatter of each parameter, with its prior.
+        estimate: of each manoeuvre, shape (m, k).
+        factor: F of each information matrix F F', shape (m, k, k).
+    """
+
+    scattering: tuple[Parameter, ...] = eqx.field(static=True)
+    estimate: Float[Array, "m k"]
+    factor: Float[Array, "m k k"]
+
+    @classmethod
+    def of(
+        cls, names: Sequence[str], estimate: Float[np.ndarray, "m k"], information: Float[np.ndarray, "m k k"]
+    ) -> Hierarchy:
+        """The density of estimates with their information matrices, in units of the priors."""
+        prior = Prior("halfnormal", 0.0, SCATTER)
+        text = "standard deviation between manoeuvres, in units of the prior's"
+        scattering = tuple(Parameter(name, "1", 0.0, SCATTER, text, prior, (0.0, np.inf)) for name in names)
+        size, vectors = np.linalg.eigh(information)
+        factor = vectors * np.sqrt(np.maximum(size, 0.0))[:, None, :]
+        return cls(scattering, jnp.asarray(estimate), jnp.asarray(factor))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The scatter of each parameter."""
+        return self.scattering
+
+    @property
+    def noise_label(self) -> str:
+        """How the manoeuvres enter."""
+        return "normal approximation"
+
+    def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
+        """Log-density of the estimates at the scatter `x`, up to a constant; all other parameters are integrated out.
+
+        A manoeuvre's estimate has the precision P = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F' about the aircraft's
+        parameters, with T = diag x^2. This form needs no inverse of F F' and does not cancel.
+        """
+        left, log_det = jax.vmap(self._whitened, in_axes=(0, None))(self.factor, x)
+        weighed = jnp.einsum("mij,mj->mi", left, self.estimate)
+        precision = jnp.eye(self.size) + jnp.einsum("mij,mik->jk", left, left)
+        lower = jnp.linalg.cholesky(precision)
+        mean = jax.scipy.linalg.solve_triangular(lower, jnp.einsum("mij,mi->j", left, weighed), lower=True)
+        determinants = jnp.sum(log_det) + jnp.sum(jnp.log(jnp.diag(lower)))
+        return 0.5 * (jnp.sum(mean**2) - jnp.sum(weighed**2)) - determinants
+
+    def _whitened(self, factor: Float[Array, "k k"], x: Float[Array, " k"]) -> tuple[Float[Array, "k k"], Array]:
+        """W with W' W = P, and half the log-determinant of I + F' T F."""
+        scaled = x[:, None] * factor
+        lower = jnp.linalg.cholesky(jnp.eye(self.size) + scaled.T @ scaled)
+        return jax.scipy.linalg.solve_triangular(lower, factor.T, lower=True), jnp.sum(jnp.log(jnp.diag(lower)))
+
+
+class Pooled(NamedTuple):
+    """Draws in units of the priors: aircraft, scatter, following flight (chain, draw, k), manoeuvres (.., m, k)."""
+
+    aircraft: Float[np.ndarray, "chain draw k"]
+    scatter: Float[np.ndarray, "chain draw k"]
+    following: Float[np.ndarray, "chain draw k"]
+    manoeuvres: Float[np.ndarray, "chain draw m k"]
+
+
+def pool(
+    density: Hierarchy, *, seed: int = 0, length: NutsLength = NutsLength(), progress: Progress | None = None
+) -> tuple[Pooled, Posterior]:
+    """Sample the scatter by NUTS, and all else from its normal distribution given the scatter.
+
+    Args:
+        density: estimates of the manoeuvres.
+        seed: of chains and draws.
+        length: of the chains.
+        progress: called after each block of draws.
+
+    Returns:
+        The draws, and the posterior of the scatter with R-hat, effective sample sizes and a status.
+    """
+    mode = find_mode(density, np.full(density.size, SCATTER))
+    sampled = sample_nuts(density, mode, seed=seed, length=length, progress=progress, predictive=False)
+    posterior = sampled.tree["posterior"].to_dataset()
+    scatter = np.stack([np.asarray(posterior[name]) for name in density.names], axis=-1)
+    return given_scatter(density, scatter, np.random.default_rng([seed, 5])), sampled
+
+
+def given_scatter(density: Hierarchy, scatter: Float[np.ndarray, "chain draw k"], rng: np.random.Generator) -> Pooled:
+    """A draw of the aircraft, of each manoeuvre and of the next flight for each draw of the scatter."""
+    estimate, factor = np.asarray(density.estimate), np.asarray(density.factor)
+    one = np.eye(density.size)
+    precision, weighed = np.broadcast_to(one, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
+    for y, F in zip(estimate, factor, strict=True):
+        scaled = scatter[..., :, None] * F
+        P = F @ np.linalg.solve(one + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
+        precision += P
+        weighed += P @ y
+    aircraft = _normal(precision, weighed, rng)
+    manoeuvres = []
+    for y, F in zip(estimate, factor, strict=True):
+        scaled = scatter[..., :, None] * F
+        pulled = np.einsum("...ij,...j->...i", scaled, (y - aircraft) @ F)
+        offset = _normal(one + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
+        manoeuvres.append(aircraft + scatter * offset)
+    following = aircraft + scatter * rng.standard_normal(scatter.shape)
+    return Pooled(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
+
+
+def _normal(
+    precision: Float[np.ndarray, "*s k k"], weighed: Float[np.ndarray, "*s k"], rng: np.random.Generator
+) -> Float[np.ndarray, "*s k"]:
+    """Draws of normal distributions with these precisions and precision-weighted means."""
+    upper = np.swapaxes(np.linalg.cholesky(precision), -1, -2)
+    mean = np.linalg.solve(precision, weighed[..., None])
+    return (mean + np.linalg.solve(upper, rng.standard_normal((*weighed.shape, 1))))[..., 0]
+
+
+# --- From fits of single manoeuvres to the parameters of a flight not yet flown.
+
+HALF_NORMAL_SD = SCATTER * np.sqrt(1.0 - 2.0 / np.pi)
+SHAPES = {name: ["parameter"] for name in ("aircraft", "scatter", "next_flight")}
+
+
+def check_manoeuvres(count: int) -> None:
+    """Refuse records from which no scatter between manoeuvres follows, before anything is computed.
+
+    Raises:
+        InputError: there is one manoeuvre, or more than are fitted one by one.
+    """
+    if not 1 < count <= MAX_SEPARATE_FITS:
+        raise InputError(
+            f"the next flight needs 2 to {MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
+            f"{count}; give other records, or divide a file by --split or parts like flight.csv@12.5:40"
+        )
+
+
+def next_flight(
+    model: Model,
+    observations: Observations,
+    alone: Mapping[str, MleResult],
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> NextFlight:
+    """Pool the manoeuvres' own fits: parameters scatter around the aircraft's, by an amount that is sampled.
+
+    Args:
+        model: of the fits.
+        observations: of all manoeuvres.
+        alone: the fits by manoeuvre.
+        seed: of chains and draws.
+        progress: called after each block of draws.
+
+    Returns:
+        Aircraft, scatter, manoeuvres and next flight, in SI and radians.
+
+    Raises:
+        InputError: fewer than two of the fits are usable.
+    """
+    began = time.perf_counter()
+    given = normal_estimates(model, observations, alone)
+    if len(given.names) < 2:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in given.left_out.items())
+        raise InputError(f"fewer than two manoeuvres have a usable fit of their own ({reasons}); add manoeuvres")
+    drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
+    drawn = _in_units(model, drawn)
+    return _result(model, alone, given, drawn, sampled, time.perf_counter() - began)
+
+
+def _in_units(model: Model, drawn: Pooled) -> Pooled:
+    """Draws in SI and radians."""
+
+    def converted(v: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
+        return np.stack([from_prior_units(p.prior, v[..., i]) for i, p in enumerate(model.free)], axis=-1)
+
+    aircraft = converted(drawn.aircraft)
+    units = np.stack([prior_unit(p.prior, aircraft[..., i]) for i, p in enumerate(model.free)], axis=-1)
+    return Pooled(aircraft, drawn.scatter * units, converted(drawn.following), converted(drawn.manoeuvres))
+
+
+def _result(
+    model: Model,
+    alone: Mapping[str, MleResult],
+    given: NormalEstimates,
+    drawn: Pooled,
+    sampled: Posterior,
+    seconds: float,
+) -> NextFlight:
+    names = model.names
+    return NextFlight(
+        parameters=model.free,
+        manoeuvres=given.names,
+        alone={name: _own(model, alone[name], given.sd[m]) for m, name in enumerate(given.names)},
+        pooled={name: diagnose(drawn.manoeuvres[:, :, m], names) for m, name in enumerate(given.names)},
+        aircraft=diagnose(drawn.aircraft, names),
+        scatter=diagnose(drawn.scatter, names),
+        following=diagnose(drawn.following, names),
+        narrowed={name: one.sd / HALF_NORMAL_SD for name, one in sampled.marginals.items()},
+        undetermined={
+            name: tuple(m for m, says in zip(given.names, given.determined[:, i], strict=True) if not says)
+            for i, name in enumerate(names)
+            if not np.all(given.determined[:, i])
+        },
+        left_out=given.left_out,
+        tree=_tree(model, given, drawn, sampled),
+        status=sampled.status,
+        seconds=seconds,
+    )
+
+
+def _own(model: Model, fit: MleResult, sd: Float[np.ndarray, " k"]) -> dict[str, tuple[float, float]]:
+    """Estimates with standard errors, of the parameters that have one."""
+    pairs = zip(model.free, fit.estimate, sd, strict=True)
+    return {p.name: (float(x), float(s * prior_unit(p.prior, x))) for p, x, s in pairs if np.isfinite(s)}
+
+
+def _tree(model: Model, given: NormalEstimates, drawn: Pooled, sampled: Posterior):
+    groups = {
+        "posterior": {
+            "aircraft": drawn.aircraft,
+            "scatter": drawn.scatter,
+            "next_flight": drawn.following,
+            "manoeuvre": drawn.manoeuvres,
+        },
+        "sample_stats": {name: np.asarray(x) for name, x in sampled.tree["sample_stats"].to_dataset().items()},
+    }
+    coords = {"parameter": list(model.names), "flown": list(given.names)}
+    tree = azb.from_dict(groups, dims=SHAPES | {"manoeuvre": ["flown", "parameter"]}, coords=coords)
+    tree.attrs |= {"engine": sampled.engine, "likelihood": sampled.noise}
+    return tree
+
+
+# --- Manoeuvres fitted alone as normal distributions in units of the priors, those without full information among
+# them.
+
+USABLE = (MleStatus.CONVERGED, MleStatus.AT_BOUND, MleStatus.SINGULAR)
+BARELY = 1e-10  # information, in units of the priors, that stands for none
+INFINITE = 1e3  # deviations of the prior: a standard error beyond is none
+
+
+@dataclass(frozen=True)
+class NormalEstimates:
+    """m manoeuvres: estimates y (m, k) and information matrices (m, k, k) in units of the priors.
+
+    `determined` (m, k): whether a record says more of a parameter than the prior does. `sd` (m, k): standard errors of
+    the manoeuvres alone in units of the priors, infinite where there is none. `left_out`: manoeuvres without a usable
+    fit, with the reason.
+    """
+
+    names: tuple[str, ...]
+    y: Float[np.ndarray, "m k"]
+    information: Float[np.ndarray, "m k k"]
+    determined: Bool[np.ndarray, "m k"]
+    sd: Float[np.ndarray, "m k"]
+    left_out: dict[str, str]
+
+
+def to_prior_units(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
+    """How many of its standard deviations a value lies above the prior's centre; lognormal priors in the logarithm."""
+    if prior.family == "lognormal":
+        return np.log(np.asarray(x) / prior.location) / prior.scale
+    mean, sd = prior.normal
+    return (np.asarray(x) - mean) / sd
+
+
+def from_prior_units(prior: Prior, v: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
+    """The inverse of `to_prior_units`."""
+    if prior.family == "lognormal":
+        return prior.location * np.exp(prior.scale * np.asarray(v))
+    mean, sd = prior.normal
+    return mean + sd * np.asarray(v)
+
+
+def prior_unit(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
+    """The derivative of `from_prior_units` where it gives `x`."""
+    return prior.scale * np.asarray(x) if prior.family == "lognormal" else np.full(np.shape(x), prior.normal[1])
+
+
+def normal_estimates(model: Model, observations: Observations, alone: Mapping[str, MleResult]) -> NormalEstimates:
+    """The normal approximations of the likelihoods of `alone`, the fits by manoeuvre of `observations`."""
+    used = {name: fit for name, fit in alone.items() if fit.status in USABLE}
+    y, information = [], []
+    for name, fit in used.items():
+        full = _full(fit)
+        if full is None:
+            full = _of_singular(model, observations.only(observations.names.index(name)), fit)
+        unit = _each(model.free, prior_unit, fit.estimate)
+        y.append(_each(model.free, to_prior_units, fit.estimate))
+        information.append(full * np.outer(unit, unit))
+    k = len(model.free)
+    shaped = np.reshape(information, (-1, k, k))
+    with_prior = np.linalg.inv(shaped + np.eye(k)) if used else shaped
+    barely = np.linalg.inv(shaped + BARELY * np.eye(k)) if used else shaped
+    variance = np.diagonal(barely, axis1=1, axis2=2)
+    return NormalEstimates(
+        tuple(used),
+        np.reshape(y, (-1, k)),
+        shaped,
+        np.diagonal(with_prior, axis1=1, axis2=2) < 0.5,
+        np.sqrt(np.where(variance < INFINITE**2, np.maximum(variance, 0.0), np.inf)),
+        {name: fit.status.value for name, fit in alone.items() if name not in used},
+    )
+
+
+def _each(
+    parameters: Sequence[Parameter], function: Callable[[Prior, Any], Any], x: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
+    return np.array([float(function(p.prior, value)) for p, value in zip(parameters, x, strict=True)])
+
+
+def _full(fit: MleResult) -> Float[np.ndarray, "k k"] | None:
+    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none."""
+    inside = np.array([name not in fit.at_bound for name in fit.names])
+    kept = np.ix_(inside, inside)
+    if fit.status is MleStatus.SINGULAR or not np.all(np.isfinite(fit.corrected[kept])):
+        return None
+    scale = np.sqrt(np.diag(fit.corrected[kept]))
+    found = np.zeros_like(fit.corrected)
+    found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
+    return (found + found.T) / 2.0
+
+
+def _of_singular(model: Model, own: Observations, fit: MleResult) -> Float[np.ndarray, "k k"]:
+    """The same of the combinations of parameters that a record with a singular information matrix determines."""
+    data = data_of(model, own)
+    point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
+    residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
+    A = point.information
+    own_size = np.diag(A)
+    scale = np.sqrt(np.where(own_size > 0.0, own_size, own_size.max()))
+    size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
+    kept = size > np.sqrt(SINGULAR)
+    inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
+    covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
+    combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
+    found = combined @ np.linalg.inv(combined.T @ covariance @ combined) @ combined.T
+    return (found + found.T) / 2.0

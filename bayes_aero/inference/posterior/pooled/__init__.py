@@ -1,1 +1,0 @@
-"""Manoeuvres pooled: parameters that scatter around the aircraft's, and the next flight."""

@@ -1,1 +1,0 @@
-"""What residuals that are not white do to standard errors."""

@@ -1,1 +1,0 @@
-"""A starter card from the columns of a file."""

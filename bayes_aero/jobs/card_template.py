@@ -1,0 +1,487 @@
+"""A starter card for a new aircraft: what a record's columns seem to be, and what only its user can know."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.errors import DefectError, InputError
+from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
+from bayes_aero.flight.card.card import parse_card
+from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
+from bayes_aero.flight.card.toml_tables import UNFILLED, parse_table
+from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis, split_heading
+from bayes_aero.flight.health.signals import noise_of, quantum
+from bayes_aero.flight.reading.checks import MIN_SAMPLES
+from bayes_aero.flight.reading.read_record import RawColumn, read_raw, repeats
+from bayes_aero.flight.reading.segments import parts_of
+from bayes_aero.jobs.column_inference import Guess, guessed
+from bayes_aero.jobs.provenance import provenance
+from bayes_aero.physics.coefficient_names import FORMED_FROM, REQUIRED
+from bayes_aero.report.html.page import put_page
+from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
+from bayes_aero.units import canonical, from_si
+
+NEEDED = ("time", *REQUIRED, "elevator")
+ENGINE = ("n1_left", "n1_right", "engine_speed", "throttle", "throttle_left", "throttle_right")
+ACCELERATIONS = ("ax", "az")
+LATERAL = ("p", "r")
+HELD = (*LATERAL, "density", "thrust")  # may be stated as constants
+LEVEL = {"phi": "deg", "beta": "deg", "ay": "m/s^2"}  # the flight path's, zero where wings stay level; in this unit
+STILL = np.deg2rad(0.5)  # rad/s of roll and yaw rate, in the mean square
+SPOOL = re.compile(r"(?<![A-Za-z0-9])N[123](?![0-9])", re.IGNORECASE)  # a heading's word for the speed of a spool
+KINEMATIC = ("theta", "phi", "beta", "ay", "altitude")
+
+
+@dataclass(frozen=True)
+class Starter:
+    """A starter card: its text, what is still to be filled in (key and what it is), and what it was made from."""
+
+    text: str
+    todo: list[tuple[str, str]]
+    found: dict[str, Guess]
+    unknown: list[RawColumn]
+
+    @property
+    def parts(self) -> int:
+        """Parts of the file between gaps in time."""
+        time = self.found["time"].si if "time" in self.found and not self.doubt("time") else np.zeros(1)
+        again = repeats(time, (guess.values for guess in self.found.values() if len(guess.values) == len(time)))
+        return sum(end - begin >= MIN_SAMPLES for begin, end in parts_of(time[~again]))
+
+    @property
+    def blind(self) -> tuple[str, ...]:
+        """Accelerations that were not found: coefficients cannot be formed without them."""
+        return tuple(n for n in ACCELERATIONS if n not in self.found or self.doubt(n))
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What was guessed, as plain data."""
+        channels = {
+            name: {
+                "place": g.column.place,
+                "unit": g.unit,
+                "sign": g.sign,
+                "evidence": g.evidence,
+                "doubt": doubt or None,
+            }
+            for name, g in self.found.items()
+            for doubt in (self.doubt(name),)
+        }
+        unknown = [column.place for column in self.unknown]
+        return {"channels": channels, "unknown": unknown, "todo": dict(self.todo), "not_found": list(self.blind)}
+
+    def doubt(self, name: str) -> str:
+        """Why a guess was not taken; empty where it was."""
+        return _implausible(name, self.found[name])
+
+
+def starter_card(path: Path) -> Starter:
+    """Guess from a record's columns.
+
+    Raises:
+        InputError: the record cannot be read, or is too short to guess from.
+        DefectError: the card would not be one.
+    """
+    raw = read_raw(path)
+    longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
+    if longest < MIN_SAMPLES:
+        raise InputError(f"{path}: it has {longest} samples; at least {MIN_SAMPLES} are needed to guess from")
+    found, unknown = guessed(raw.columns)
+    lines = [
+        f"# Starter card, written from {path.name}. Read every line: what says 'guess' may be wrong.",
+        "# Fill in what says TODO, then: bayes-aero check RECORD --model THIS_FILE",
+        "",
+        f"title = {_text('the aircraft of ' + path.stem)}",
+        'source = "starter card; state where the constants come from"',
+        "",
+        *aircraft_block(),
+        "",
+        *_channels(found, unknown, raw.columns),
+        "",
+        *_sums(found),
+        *_constants(found),
+        *_sensors(found),
+        *model_block(found, "mach" in found or "mach" in _derivable(found)),
+    ]
+    open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
+    todo = [(line.split(" =")[0].strip(), line.partition(" # ")[2]) for line in open_lines]
+    text = "\n".join(lines) + "\n"
+    read_back(text, path.name)
+    return Starter(text, todo, found, unknown)
+
+
+def _text(words: str) -> str:
+    """A TOML string on one line."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
+    yield "# The file's columns. sign = -1: the file counts the other way (nz up, elevator trailing edge up)."
+    yield "[channels]"
+    headless = all(column.label is None for column in columns)
+    place = "column" if headless else "label"
+    for name in NEEDED:
+        if name not in found and name not in HELD and name not in _summed(found):
+            yield from _absent(name, place)
+    for name, guess in found.items():
+        optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
+        sign = ", sign = -1" if guess.sign < 0 else ""
+        entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
+        doubt = _implausible(name, guess)
+        if doubt:
+            yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
+            yield f"# {entry}"
+            if name in NEEDED:
+                yield from _absent(name, place, "what the file has was not taken")
+            continue
+        yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
+    if unknown:
+        rest = [n for n in STANDARD_CHANNELS if n not in found]
+        yield "# Columns that nothing was guessed for. Names that are still free:"
+        for begin in range(0, len(rest), 10):
+            yield f"# {', '.join(rest[begin : begin + 10])}"
+    for column in unknown:
+        if column.values is None:
+            yield comment(f"{column.place}: no numbers")
+            continue
+        said = column.unit or (split_heading(column.label)[1] if column.label else None) or _of_spool(column)
+        unit = _text(canonical(said) or said)
+        yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
+    if headless:
+        yield "# The file has no header, so nothing can be guessed: say which column is what."
+
+
+def _of_spool(column: RawColumn) -> str:
+    """Unit of an engine speed, N1 or N2, by its size; "?" of anything else."""
+    if column.label is None or column.values is None or not SPOOL.search(column.label):
+        return "?"
+    size = float(np.nanmax(np.abs(column.values), initial=0.0))
+    return "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
+
+
+def _place(column: RawColumn) -> str:
+    return f"column = {column.number}" if column.label is None else f"label = {_text(column.label)}"
+
+
+def _range(values: np.ndarray) -> str:
+    sound = values[np.isfinite(values)]
+    return f"{sound.min():.5g} to {sound.max():.5g}" if len(sound) else "no finite number"
+
+
+def _absent(name: str, place: str, why: str = "was not found in the file") -> Iterator[str]:
+    standard = STANDARD_CHANNELS.get(name)
+    what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
+    if name in ACCELERATIONS:
+        yield comment(f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:")
+        yield f'# {name} = {{ {place} = "...", unit = "{unit}" }}'
+        return
+    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(f"{what}; {why}")}'
+
+
+def _implausible(name: str, guess: Guess) -> str:
+    if name not in STANDARD_CHANNELS:
+        return ""
+    low, high = STANDARD_CHANNELS[name].plausible
+    x = guess.si
+    if x.min() >= low and x.max() <= high:
+        return ""
+    return f"{x.min():.4g} to {x.max():.4g} {STANDARD_CHANNELS[name].unit} is beyond any flight"
+
+
+def _taken(found: Mapping[str, Guess]) -> set[str]:
+    """Channels whose guess stands on the card."""
+    return {name for name, guess in found.items() if not _implausible(name, guess)}
+
+
+def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
+    lines = []
+    if _both(found, "thrust"):
+        lines.append('thrust = ["thrust_left", "thrust_right"]')
+    if _both(found, "elevator"):
+        lines.append("elevator = { elevator_left = 0.5, elevator_right = 0.5 } # the mean of both")
+    elif _both(found, "elevon"):
+        lines.append("elevator = { elevon_left = 0.5, elevon_right = 0.5 } # guess: the mean of the elevons")
+    if _both(found, "aileron"):
+        lines.append("aileron = { aileron_right = 0.5, aileron_left = -0.5 } # guess: down is positive on either side")
+    if lines:
+        yield from ("[sums]", *lines, "")
+
+
+def _both(found: Mapping[str, Guess], name: str) -> bool:
+    """Whether the left and the right one were found and not what they make together."""
+    return name not in found and {f"{name}_left", f"{name}_right"} <= _taken(found)
+
+
+def _summed(found: Mapping[str, Guess]) -> set[str]:
+    """Needed channels that `_sums` makes."""
+    return {"elevator"} if "elevator" not in found and (_both(found, "elevator") or _both(found, "elevon")) else set()
+
+
+def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
+    """Channels that are not in the file and can be formed from it, each by the best rule."""
+    have = _taken(found)
+    best = {
+        name: next((rule for rule, needs in rules.items() if set(needs) <= have), None) for name, rules in RULES.items()
+    }
+    return {name: rule for name, rule in best.items() if rule is not None and name not in have}
+
+
+def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
+    """Channels that the file lacks, formed from others, or held for the whole record."""
+    derived = _derivable(found)
+    absent = [name for name in RULES if name not in found and name not in derived]
+    if not derived and absent:
+        yield "# Where the altitude is recorded these can be formed from it (standard atmosphere):"
+        yield "# [derived]"
+        yield from (f'# {name} = "{ATMOSPHERE}"' for name in absent)
+        yield ""
+    if derived:
+        yield "# Formed from other channels. The day's air is unlike a standard one by some per cent."
+        yield "[derived]"
+        for name, rule in derived.items():
+            yield f'{name} = "{rule}" # guess; {"what the file has was not taken" if name in found else "not found"}'
+        yield ""
+    lines = []
+    engine = next((name for name in ENGINE if name in found), None)
+    if engine and not any(name.startswith("thrust") for name in found):
+        yield f"# Thrust may be read off a table over {engine} instead; see [tables.NAME] in the reference of the card."
+    if "density" not in found and "density" not in derived:
+        lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
+    if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
+        lines.append(f'thrust = "TODO" # total net thrust, e.g. "2500 N"; {_thrust_of(found)}. Drag is as good as this')
+    lines += [
+        f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
+    ]
+    lines += _still(found)
+    if lines:
+        yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
+
+
+def _thrust_of(found: Mapping[str, Guess]) -> str:
+    """What the file has of the thrust."""
+    sides = [name for name in ("thrust_left", "thrust_right") if name in found]
+    if not sides:
+        return "was not found in the file"
+    return f"only {sides[0]} was" if len(sides) == 1 else "both sides were found, but not taken"
+
+
+def _still(found: Mapping[str, Guess]) -> Iterator[str]:
+    """What the flight path needs beside the recorded channels, where these say that it stood still."""
+    absent = [name for name in LEVEL if name not in found]
+    if not absent or "theta" not in found or "altitude" not in found:
+        return
+    if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
+        yield from (
+            f'{name} = "0 {LEVEL[name]}" # guess: found under no heading; it did not roll or yaw' for name in absent
+        )
+    else:
+        yield f"# {', '.join(absent)}: found under no heading, and it rolled or yawed. Sensors go unchecked."
+
+
+def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
+    yield "# Standard deviations of the sensors' white noise; data sheets know better."
+    yield "[sensors]"
+    asked = FORMED_FROM[Axis.LATERAL] if has_lateral(found) else REQUIRED
+    wanted = {n: g for n, g in found.items() if n in asked and not _implausible(n, g)}
+    if "time" in found:
+        for name, guess in wanted.items():
+            deviation = noise_of(guess.si)
+            if deviation > 0.5 * quantum(guess.si) and guess.unit is not None:  # less is rounding of a computed signal
+                unit = guess.unit
+                source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
+                size = abs(float(from_si(deviation, unit, name, source)))
+                yield f'{name} = "{size:.2g} {unit}" # guess: what is white in this record'
+    yield ""
+
+
+# --- The aircraft's constants on a starter card: nothing of them can be read off a record.
+
+MEANING = {
+    "mass": "of the flight, with fuel and crew",
+    "Ix": "moment of inertia about the roll axis",
+    "Iy": "moment of inertia about the pitch axis",
+    "Iz": "moment of inertia about the yaw axis",
+    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
+    "wing_area": "reference area of CL, CD and Cm",
+    "chord": "mean aerodynamic chord",
+    "span": "of the wing, from tip to tip",
+    "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
+}
+POSITION = '["0 m", "0 m", "0 m"]'
+PLACES = {
+    "reference_point": "that Cm is referred to, if it is not the centre of gravity",
+    "accelerometer": "where ax and az are measured",
+    "engine": "where the total thrust acts",
+}
+
+
+def aircraft_block() -> Iterator[str]:
+    """Lines of `[aircraft]`: what is needed as TODO with its unit, what is optional as a comment."""
+    yield "[aircraft]"
+    for key, meaning in MEANING.items():
+        yield f'{key} = "TODO" # {meaning}; write "... {AIRCRAFT_KEYS[key]}", or another unit of the kind'
+    yield "# aspect_ratio = 7.0 # left out, it is span squared over wing area"
+    yield "# Positions from the centre of gravity, x forward, y right, z down; left out, they are zero."
+    for key, meaning in PLACES.items():
+        yield f"# {key} = {POSITION} # {meaning}"
+    yield '# lateral_length = "10 m" # of rolling and yawing moment; left out, it is the span'
+    yield '# lateral_rate_length = "5 m" # l in p l/V and r l/V; left out, it is half the span: p b/2V'
+    yield '# engine_arm = "3 m" # of a left and a right engine from the plane of symmetry'
+    yield '# engine_inclination = "0 deg" # of the thrust line, nose up'
+
+
+# --- A starter card is read back by the card's own parser before it is written: what cannot be parsed is never a
+# file.
+
+
+def read_back(text: str, record: str) -> None:
+    """Parse a starter card with something plausible in place of every TODO.
+
+    Args:
+        text: the card.
+        record: the file it was made from, named in the error.
+
+    Raises:
+        DefectError: it is no card, TODO entries aside.
+    """
+    try:
+        parse_card(_filled(parse_table(text.encode(), "of a starter")), "starter", "of a starter")
+    except InputError as reason:
+        raise DefectError(
+            f"the starter card of {record} was not written, for the program could not read it back ({reason})",
+            "write the card by hand (docs/reference/card.md explains every key)",
+        ) from reason
+
+
+def _filled(table: dict[str, Any]) -> dict[str, Any]:
+    """The table with a value of the right unit for every TODO; a product of inertia is zero, as of some body."""
+    table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}
+    units = {
+        "aircraft": AIRCRAFT_KEYS,
+        "constants": {name: channel.unit for name, channel in STANDARD_CHANNELS.items()},
+    }
+    return {
+        section: {key: _value(value, units.get(section, {}).get(key, "1")) for key, value in entries.items()}
+        if isinstance(entries, dict)
+        else entries
+        for section, entries in table.items()
+    }
+
+
+def _value(given: Any, unit: str) -> Any:
+    if isinstance(given, dict):
+        return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
+    if given != UNFILLED:
+        return given
+    return 1.0 if unit == "1" else f"1 {unit}"
+
+
+# --- The section of a starter card that names the model's effects, those of a stall where the record seems to hold
+# one.
+
+ATTACHED = (
+    "attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag",
+)  # fmt: skip
+STALL = (
+    "reattachment_hysteresis", "flow_separation", "separation_lag", "kirchhoff_lift", "separated_drag",
+    "separated_moment", "separated_induced_drag",
+)  # fmt: skip
+TEMPLATE_MODEL_LATERAL = (
+    "side_force_offset", "sideslip_side_force", "roll_offset", "sideslip_roll", "roll_damping", "yaw_rate_roll",
+    "aileron_roll", "yaw_offset", "sideslip_yaw", "roll_rate_yaw", "yaw_damping", "rudder_yaw",
+)  # fmt: skip
+WINGS = ("roll_rate_incidence", "wing_asymmetry", "wing_lift_difference")
+MEASURED = ("ay", "beta", "p", "r", "rudder")
+REMARKS = {
+    "separated_induced_drag": " # induced_share 0: drag of the attached lift, as published; 1: of the lift that is left"
+}
+MACH_MOVES, SOUND = 0.05, 330.0  # a change of Mach number that tells its effect, and m/s
+ROLLS = np.deg2rad(1.0)  # rad/s of roll rate, in the mean square, that tell the lateral coefficients
+STALLED = np.deg2rad(12.0)  # alpha beyond which the record is taken to hold a stall
+
+
+def comment(words: str) -> str:
+    """A TOML comment on one line."""
+    return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
+
+
+def _mach_moves(found: Mapping[str, Guess]) -> bool:
+    """Whether a lift slope over Mach number can be told from one over nothing."""
+    if "mach" in found:
+        return float(np.ptp(found["mach"].si)) > MACH_MOVES
+    return "airspeed" in found and float(np.ptp(found["airspeed"].si)) / SOUND > MACH_MOVES
+
+
+def has_lateral(found: Mapping[str, Guess]) -> bool:
+    """Whether the channels of the lateral axis are there: six coefficients can be formed and explained."""
+    return all(name in found for name in MEASURED) and (
+        "aileron" in found or {"aileron_left", "aileron_right"} <= set(found)
+    )
+
+
+def _rolls(found: Mapping[str, Guess]) -> bool:
+    return float(np.nanstd(found["p"].si)) > ROLLS
+
+
+def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
+    """Lines of `[model]`: the demo aircraft's effects, as far as the record can tell them; `mach`: it is known."""
+    reached = float(found["alpha"].si.max()) if "alpha" in found else 0.0
+    stalled = reached > STALLED
+    lateral, mark = has_lateral(found), ""
+    yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
+    yield "[model]"
+    if lateral:
+        moves = _rolls(found)
+        mark = "" if moves else "# "
+        yield comment(f"guess: the aircraft {'rolls' if moves else 'hardly rolls'} in this record:")
+        yield f'{mark}axes = ["{Axis.LONGITUDINAL}", "{Axis.LATERAL}"]'
+    yield "effects = ["
+    for name in ATTACHED[:1]:
+        yield f'  "{name}",'
+    moves = mach and _mach_moves(found)
+    remark = "needs the Mach number" if not mach else "" if moves else "the Mach number hardly moves in this record"
+    yield ("" if moves else "# ") + '  "mach_lift",' + (f" # {remark}" if remark else "")
+    yield from (f'  "{name}",' for name in ATTACHED[1:])
+    said = "alpha was not found, so nobody knows whether a stall is in the record; if one is:"
+    yield comment(
+        said
+        if "alpha" not in found
+        else f"guess: alpha reaches {np.rad2deg(reached):.3g} deg, {'beyond' if stalled else 'not'} "
+        f"{np.rad2deg(STALLED):.0f} deg, so {'a' if stalled else 'no'} stall is in the record:"
+    )
+    for name in STALL:
+        yield ("" if stalled else "# ") + f'  "{name}",' + REMARKS.get(name, "")
+    if lateral:
+        yield "# Side force, rolling and yawing moment, with the axes above:"
+        yield from (f'{mark}  "{name}",' for name in TEMPLATE_MODEL_LATERAL)
+        yield from (f'{mark if stalled else "# "}  "{name}",' for name in WINGS)
+    yield "]"
+    yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"
+
+
+# --- The page of a starter card, beside it.
+
+
+def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, tuple[str, ...]]:
+    """Write CARD.report.html; its path, and a sentence on what of it cannot be made."""
+    taken = [
+        Taken(name, g.column.place, g.unit, g.sign, g.evidence, g.values, starter.doubt(name))
+        for name, g in starter.found.items()
+    ]
+    time = starter.found["time"].si if "time" in starter.found else None
+    unknown = [Rest(c.place, c.unit, c.values) for c in starter.unknown]
+    view = StarterView(record.name, card.name, time, taken, unknown, starter.todo, starter.blind)
+    source = provenance(None, [], None, {})
+    source["inputs"] = [
+        {"name": record.stem, "source": record.name, "sha256": hashlib.sha256(record.read_bytes()).hexdigest()}
+    ]
+    path = card.with_name(card.name + ".report.html")
+    return path, put_page(lambda: card_page(view, source), path.parent, path.name)

@@ -1,1 +1,0 @@
-"""Effects that a user can name."""

@@ -1,0 +1,477 @@
+"""The records of a finished result, found again: a result names them by their content, and does not repeat them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
+from bayes_aero.effect import Effect
+from bayes_aero.errors import InputError
+from bayes_aero.export.identified import Draws, Identified
+from bayes_aero.flight.card.card import Card, read_card, shipped_cards
+from bayes_aero.flight.card.tables import LinearCard
+from bayes_aero.flight.reading.read_record import read_again
+from bayes_aero.flight.reading.segments import segment_of
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs.io.result_file import read_result, result_file
+from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.model import Model, effect_named, own_effects
+from bayes_aero.physics.coefficient_names import COEFFICIENTS
+
+
+def fitted_records(
+    provenance: Mapping[str, Any],
+    result: Path,
+    card: Card,
+    *,
+    remedy: str,
+    files: Sequence[Path] = (),
+    folders: Sequence[Path] = (),
+) -> list[FlightRecord]:
+    """The records with which a result was made, in their order and read as they were.
+
+    Args:
+        provenance: of the result.
+        result: its file.
+        card: of the result.
+        remedy: what to do where one is not found, e.g. "give it with --fitted".
+        files: where they are looked for first, whatever their names.
+        folders: the same by their names; then at the paths that the result states, from the working directory, the
+            result's folder and the one above it.
+
+    Raises:
+        InputError: one is not found, or its samples differ.
+    """
+    found = []
+    for one in provenance["inputs"]:
+        _refuse_lost(one, result)
+        there = [path for path in _places(Path(one["read"]["path"]), result, files, folders) if path.is_file()]
+        record = _same(one, card, there)
+        if record is None:
+            changed = [path for path in there if path not in files]
+            where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
+            raise InputError(
+                f"record {changed[0]} has changed since {result} was made (its content differs); run the command "
+                f"again, or {remedy} as it was"
+                if changed
+                else f"record {Path(one['read']['path']).name} of {result} is not {where}; {remedy}"
+            )
+        found.append(replace(record, name=one["name"]))
+    return found
+
+
+def _refuse_lost(one: Mapping[str, Any], result: Path) -> None:
+    """Refuse a record that cannot be read again wherever it may be."""
+    if "content" not in one:
+        raise InputError(
+            f"{result} was written by an earlier version, which did not state how it read its records; run the command "
+            "again"
+        )
+    if one["read"] is None:
+        raise InputError(
+            f"record {one['name']} of {result} was made in memory, so that it cannot be read again; write it to a "
+            "file, and run the command with that"
+        )
+
+
+def _same(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
+    """The record from the first file that is unchanged; else from one with the same samples, as written anew."""
+    for path in there:
+        if hashlib.sha256(path.read_bytes()).hexdigest() == one["sha256"]:
+            return read_again(one["read"], path, card.channels)
+    for path in there:
+        try:
+            record = read_again(one["read"], path, card.channels)
+        except InputError:
+            continue
+        if record.content == one["content"]:
+            return record
+    return None
+
+
+def _places(path: Path, result: Path, files: Sequence[Path], folders: Sequence[Path]) -> Iterator[Path]:
+    """Where the file of a record may be."""
+    yield from (segment_of(file).file for file in files)
+    yield from (folder / path.name for folder in folders)
+    for folder in (Path(), result.parent, result.parent.parent):
+        yield from dict.fromkeys((folder / path, folder / path.name))
+
+
+# --- The identified model of a finished result, or of a card that states values.
+
+USABLE = ("converged", "at_bound")
+
+
+def read_identified(given: str, card: str | None = None) -> tuple[Identified, Path | None, Mapping[str, Any]]:
+    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`.
+
+    Raises:
+        InputError: also where the card states a linear system.
+    """
+    found, folder, told = read_finished(given, card)
+    if isinstance(found, IdentifiedLinear):
+        raise InputError(
+            f"card {found.name} states a linear system, which has no coefficients to export; use a result of a card "
+            "with [model]"
+        )
+    return found, folder, told
+
+
+def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
+    """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
+
+    Args:
+        given: path of the folder or file, or the name of a shipped card.
+        card: the card of the result, where it is not found by itself.
+
+    Returns:
+        The model with its values; the folder of the result (None: a card) and the result itself.
+
+    Raises:
+        InputError: there is no such folder or card, the fit did not converge, or a parameter has no value.
+    """
+    file = result_file(given)
+    if file is None:
+        return _of_card(read_card(given)), None, {}
+    told = read_result(file)
+    try:
+        found = _of_result(told, file, card_of(told["provenance"], file, card))
+    except (KeyError, TypeError, AttributeError, ValueError) as reason:
+        if isinstance(reason, InputError):
+            raise
+        raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
+    return found, file.parent, told
+
+
+def _of_card(card: Card) -> Identified:
+    model = Model.from_card(card)
+    stated = {name: change.start for name, change in card.changes.items() if change.start is not None}
+    values = dict(model.fixed) | {name: x for name, x in stated.items() if name not in dict(model.fixed)}
+    missing = [p.name for p in model.parameters if p.name not in values]
+    if missing:
+        raise InputError(
+            f"card {card.name} states no value of {', '.join(missing)}; give a result of identify, fly or diagnose, or "
+            f"state start under [parameters.{missing[0]}]"
+        )
+    sources = (f"Values: as card {card.name} states them ({card.source}); sha256 {card.sha256[:16]}.",)
+    return Identified(card.name, card.title, model, card.aircraft, values, sources)
+
+
+def _of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
+    kind = told["schema"].split("/")[1]
+    estimates, causes, how = {"results": _identified, "trajectories": _flown, "diagnosis": _diagnosed}[kind](told, file)
+    if card.linear is not None:
+        found = IdentifiedLinear(card, {}, (how, _origin(told, card)), len(told["records"]))
+        return replace(found, values=_complete({name: estimates.get(name) for name in found.names}, file))
+    model = _extended(_recorded(Model.from_card(card), card, estimates, told), card, causes)
+    values = dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free}
+    return Identified(
+        card.name,
+        card.title,
+        model,
+        card.aircraft,
+        _complete(values, file),
+        (how, _origin(told, card)),
+        _flown_ranges(told["records"]),
+    )
+
+
+def _complete(values: Mapping[str, float | None], file: Path) -> dict[str, float]:
+    """The same, with a value of every parameter."""
+    for name, x in values.items():
+        if x is None:
+            raise InputError(f"{file} has no value of {name}; run the command again with this version")
+    return {name: float(x) for name, x in values.items() if x is not None}
+
+
+def _identified(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
+    mle = told["mle"]
+    if mle["status"] not in USABLE:
+        raise InputError(f"the fit of {file} has not converged ({mle['advice']}); there is no model to export")
+    values = {name: p["estimate"] for name, p in mle["parameters"].items()}
+    return values, [], "Values: maximum likelihood on coefficients (identify)."
+
+
+def _flown(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
+    if not told["converged"]:
+        raise InputError(
+            f"the fit of {file} has not converged ({told['status'].replace('_', ' ')}); there is no model to export"
+        )
+    values = {name: p["estimate"] for name, p in told["parameters"].items()}
+    if with_process_noise(told):
+        values |= {name: x for name, (x, _) in told["process_noise"]["estimates"].items()}
+        return values, [], "Values: maximum likelihood on trajectories with process noise (fly)."
+    return values, [], "Values: output error, maximum likelihood on trajectories (fly)."
+
+
+def with_process_noise(told: Mapping[str, Any]) -> bool:
+    """Whether a fit with process noise describes the record better than output error does."""
+    filtered = told.get("process_noise")
+    return filtered is not None and bool(filtered["converged"]) and (filtered["gain"] or 0.0) > 0.0
+
+
+def _diagnosed(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
+    if not told["base_parameters"]:
+        raise InputError(f"{file} has no fitted parameters; there is no model to export")
+    values = {name: move["after"] for name, move in told["base_parameters"].items()}
+    causes = [cause for cause in told["causes"] if cause["confirmed"]]
+    for cause in causes:
+        values |= {name: size["mean"] for name, size in cause["parameters"].items()}
+    names = [cause["name"] for cause in causes]
+    added = f"the card's model with {', '.join(names)}" if names else "the card's model, to which nothing is added"
+    return values, names, f"Values: {added} (diagnose)."
+
+
+def _recorded(model: Model, card: Card, estimates: Mapping[str, Any], told: Mapping[str, Any]) -> Model:
+    """The card's model on the axes that were recorded: a fit leaves out the others."""
+    fixed = dict(model.fixed)
+    known = [e for e in model.effects if all(p.name in estimates or p.name in fixed for p in e.parameters)]
+    if len(known) == len(model.effects):
+        return model
+    fitted = told["mle"]["fit"] if "mle" in told else told.get("fitted_outputs", ())
+    axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(fitted))
+    if "mle" not in told:
+        axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in known))
+    own = {p.name for e in known for p in e.parameters}
+    kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= own]
+    names = {p.name for e in kept for p in e.parameters}
+    if not axes or not kept:
+        raise InputError(f"the result has values of no effect of card {card.name}; run the command again")
+    return replace(
+        model,
+        axes=axes,
+        effects=tuple(kept),
+        parameters=tuple(p for p in model.parameters if p.name in names),
+        fixed=tuple((name, x) for name, x in model.fixed if name in names),
+    )
+
+
+def _extended(model: Model, card: Card, causes: Sequence[str]) -> Model:
+    """The model with causes; an effect of the card that was held at neutral is freed."""
+    own = own_effects(card.effect_files)
+    there = {e.name for e in model.effects}
+    freed = {p.name for e in model.effects if e.name in causes for p in e.parameters}
+    model = replace(model, fixed=tuple((name, x) for name, x in model.fixed if name not in freed))
+    added: list[Effect] = [own.get(name) or effect_named(name) for name in causes if name not in there]
+    return model.extended(*added) if added else model
+
+
+def _origin(told: Mapping[str, Any], card: Card) -> str:
+    source = told["provenance"]
+    records = ", ".join(f"{one['name']} (sha256 {one['sha256'][:16]})" for one in source["inputs"])
+    made = source.get("versions", {}).get("bayes-aero", "of unknown version")
+    return f"Records: {records}. Card {card.name} (sha256 {card.sha256[:16]}). Result of bayes-aero {made}."
+
+
+def _flown_ranges(records: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each channel that all records have."""
+    ranges = [record.get("ranges", {}) for record in records]
+    shared = set.intersection(*(set(one) for one in ranges)) if ranges else set()
+    known = [n for n in sorted(shared) if all(None not in one[n] for one in ranges)]
+    return {n: (min(one[n][0] for one in ranges), max(one[n][1] for one in ranges)) for n in known}
+
+
+# --- Draws of the parameters of a finished result: of its posterior, or of the normal distribution of its estimates.
+
+SAMPLERS = ("nuts", "emcee")
+MOST_DRAWS = 10_000
+TRIES = 50  # times as many normal draws are made until enough lie within the bounds
+
+
+def exported(found: Identified) -> tuple[str, ...]:
+    """Free parameters that the exported coefficients need."""
+    return tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
+
+
+def drawn(
+    found: Finished, folder: Path | None, told: Mapping[str, Any], wanted: Sequence[str], count: int, seed: int
+) -> Draws:
+    """`count` draws of the parameters `wanted` that were fitted.
+
+    A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
+    normal distribution, of which draws beyond a parameter's bounds are left out.
+
+    Raises:
+        InputError: the result has neither, or `count` is no sensible number.
+    """
+    if not 1 <= count <= MOST_DRAWS:
+        raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
+    rng = np.random.default_rng(seed)
+    for sampler in SAMPLERS:
+        status = told.get("posterior", {}).get("status", {}).get(sampler)
+        file = None if folder is None else folder / f"posterior_{sampler}.nc"
+        if status is not None and status["status"] == "converged" and file is not None and file.is_file():
+            return _of_posterior(file, wanted, count, rng, f"posterior by {sampler} under {status['noise']} noise")
+    rows, matrix = _stored(told)
+    if matrix is None:
+        raise InputError(
+            f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
+            "of the result again with this version, or do without draws"
+        )
+    return _normal(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng, with_process_noise(told))
+
+
+def _stored(told: Mapping[str, Any]) -> tuple[Sequence[str], Sequence[Sequence[float]] | None]:
+    """The covariance of the estimates, and the names of its rows; None where the result has none."""
+    if "causes" in told:  # a diagnosis
+        stored = told.get("covariance")
+        return ((), None) if stored is None else (stored["parameters"], stored["matrix"])
+    filtered = with_process_noise(told)
+    part = told["process_noise"] if filtered else told.get("mle", told)
+    return tuple(part["estimates"] if filtered else part["parameters"]), part.get("covariance")
+
+
+def _of_posterior(file: Path, wanted: Sequence[str], count: int, rng: np.random.Generator, origin: str) -> Draws:
+    with xr.open_datatree(file, engine="h5netcdf") as tree:
+        posterior = tree["posterior"].to_dataset()
+        names = tuple(name for name in wanted if name in posterior)
+        values = np.stack([np.asarray(posterior[name]).reshape(-1) for name in names], axis=1)
+    if count > len(values):
+        raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
+    return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
+
+
+def _normal(
+    found: Finished,
+    wanted: Sequence[str],
+    rows: Sequence[str],
+    covariance: Float[np.ndarray, "k k"],
+    count: int,
+    rng: np.random.Generator,
+    filtered: bool,
+) -> Draws:
+    known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
+    names = tuple(name for name, one in zip(rows, known, strict=True) if one)
+    part = covariance[np.ix_(known, known)]
+    low, high = np.array([found.bounds[name] for name in names]).T
+    centre = np.array([found.values[name] for name in names])
+    values, vectors = np.linalg.eigh(part)
+    white = rng.standard_normal((TRIES * count, len(names)))
+    draws = centre + (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    draws = draws[np.all((draws >= low) & (draws <= high), axis=1)][:count]
+    if len(draws) < count:
+        raise InputError(
+            f"{found.name}: almost all normal draws of {', '.join(names)} lie beyond the bounds; sample the posterior "
+            "with identify, or fly --posterior"
+        )
+    held = [name for name in wanted if name not in names]
+    origin = "normal distribution of the estimates, " + (
+        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
+    )
+    return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
+
+
+# --- The card of a finished result: results name it by its hash, and do not repeat it.
+
+
+def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> Card:
+    """The card with which a result was made, and its effect files as they were.
+
+    Args:
+        provenance: of the result.
+        result: its file.
+        given: a card named by the user; None: the shipped card of that name, the path that the result states, or a
+            file of that name beside the result or in the working directory.
+
+    Raises:
+        InputError: it is not found, or it is not the one of the result.
+    """
+    name, sha256 = provenance["card"]["name"], provenance["card"]["sha256"]
+    if given is not None:
+        card = read_card(given)
+        if card.sha256 != sha256:
+            raise InputError(
+                f"card {given} is not the one with which {result} was made (its content differs); give that card with "
+                "--model, or run the command again"
+            )
+    else:
+        path = next(
+            (p for p in _places_identified_card(provenance, result) if p.is_file() and _hash(p) == sha256), None
+        )
+        if path is None:
+            raise InputError(
+                f"{result} was made with a card {name} that is not found here unchanged; give it with --model"
+            )
+        card = read_card(name if shipped_cards().get(name) == path else path)
+    now = {path.name: _hash(path) for path in card.effect_files if path.is_file()}
+    for file in provenance.get("effect_files", ()):
+        if now.get(file["name"]) != file["sha256"]:
+            raise InputError(f"effect file {file['name']} has changed since {result} was made; run the command again")
+    return card
+
+
+def _places_identified_card(provenance: Mapping[str, Any], result: Path) -> Iterator[Path]:
+    name = provenance["card"]["name"]
+    if name in shipped_cards():
+        yield shipped_cards()[name]
+    if provenance["card"].get("path"):
+        yield Path(provenance["card"]["path"])
+    for folder in (result.parent, result.parent.parent, Path()):
+        yield folder / f"{name}.toml"
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- The linear system of a card with the values that a finished result has found.
+
+
+@dataclass(frozen=True)
+class IdentifiedLinear:
+    """A linear system with values of its parameters, SI and radians; `sources` say where these come from.
+
+    `manoeuvres`: how many were fitted. Constants that differ between manoeuvres have a value for each of them.
+    """
+
+    card: Card
+    values: Mapping[str, float]
+    sources: tuple[str, ...]
+    manoeuvres: int
+
+    @property
+    def name(self) -> str:
+        """The card's."""
+        return self.card.name
+
+    @property
+    def title(self) -> str:
+        """The card's."""
+        return self.card.title
+
+    @property
+    def rows(self) -> LinearCard:
+        """The rows of the card."""
+        assert self.card.linear is not None
+        return self.card.linear
+
+    @cached_property
+    def fitted(self) -> LinearDynamics:
+        """The system of all manoeuvres, of whatever length."""
+        return linear_dynamics(self.card, (1,) * self.manoeuvres)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters."""
+        return self.fitted.names
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """By parameter."""
+        return {p.name: p.bounds for p in self.fitted.free}
+
+    def dynamics(self, flights: Flights) -> LinearDynamics:
+        """What flies these manoeuvres."""
+        return linear_dynamics(self.card, flights.lengths)
+
+
+Finished = Identified | IdentifiedLinear

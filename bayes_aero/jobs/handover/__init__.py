@@ -1,1 +1,0 @@
-"""The identified model of a finished result, handed to other simulators."""

@@ -1,0 +1,175 @@
+"""Where numbers come from: versions, inputs' hashes, seed, command, platform."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from enum import Enum
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import bayes_aero
+from bayes_aero.atomic_write import write_whole
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+
+PACKAGES = (
+    "bayes-aero",
+    "arviz-base",
+    "arviz-stats",
+    "emcee",
+    "equinox",
+    "jax",
+    "jaxlib",
+    "numpy",
+    "numpyro",
+    "pandas",
+    "pint",
+    "scipy",
+    "xarray",
+)
+
+
+def provenance(
+    card: Card | None,
+    records: Sequence[FlightRecord],
+    seed: int | None,
+    settings: dict[str, Any],
+    options: Any = None,
+) -> dict[str, Any]:
+    """All that is needed to make the run again; the only part of the results that names a time or a machine.
+
+    A card, records or a seed that the command did not need are absent. The command is for people: what reads a result
+    goes by inputs, card and `options` (a dataclass).
+    """
+    files = () if card is None else card.effect_files
+    return {
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "settings": settings,
+        **({} if seed is None else {"seed": seed}),
+        **({} if options is None else {"options": asdict(options)}),
+        "inputs": [
+            {
+                "name": r.name,
+                "source": Path(r.source).name,
+                "sha256": r.sha256,
+                "content": r.content,
+                "read": r.read or None,
+            }
+            for r in records
+        ],
+        **({} if card is None else {"card": {"name": card.name, "sha256": card.sha256, "path": card.path or None}}),
+        "effect_files": [
+            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in files
+        ],
+        "versions": {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES},
+        "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def write_json(content: dict[str, Any], path: Path) -> None:
+    """Write whole or not at all; a number that does not exist (NaN, infinity) becomes null."""
+    write_whole(as_json(content), path)
+
+
+def as_json(content: dict[str, Any]) -> str:
+    """The text of a JSON document, with its last newline."""
+    return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Enum):
+        return value.value
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+# --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.
+
+OWN = "bayes-aero"
+
+
+@cache
+def environment() -> dict[str, Any]:
+    """Versions of everything installed, and the SHA-256 of this package's own source."""
+    packages = {}
+    for distribution in metadata.distributions():
+        name = distribution.metadata["Name"]
+        if name and name.lower().replace("_", "-") != OWN:
+            packages[name] = distribution.version
+    return {
+        "python": platform.python_version(),
+        "implementation": sys.implementation.name,
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "bayes_aero": {"version": bayes_aero.__version__, "source_sha256": _source()},
+        "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
+    }
+
+
+def environment_id() -> str:
+    """Eight digits that tell one environment from another."""
+    return hashlib.sha256(json.dumps(environment(), sort_keys=True).encode()).hexdigest()[:8]
+
+
+def write_environment(out: Path) -> Path:
+    """Write requirements.txt and environment.json into `out`/environment, once; another environment gets its own.
+
+    Returns the folder that describes the present environment.
+    """
+    first = out / "environment"
+    known = first / "environment.json"
+    own = environment_id()
+    folder = first
+    if known.is_file():
+        try:
+            same = json.loads(known.read_text(encoding="utf-8"))["id"] == own
+        except (ValueError, KeyError, TypeError, RecursionError):
+            same = False
+        if not same:
+            folder = out / f"environment-{own}"
+    if not (folder / "environment.json").is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        here = environment()
+        lines = [
+            f"# Python {here['python']} on {here['platform']}",
+            "# Restore, in this folder: python -m venv env && env/bin/python -m pip install -r requirements.txt",
+            *(f"{name}=={version}" for name, version in here["packages"].items()),
+            f"# and bayes-aero {here['bayes_aero']['version']} (source_sha256 in environment.json)",
+        ]
+        write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
+        write_json(here | {"id": own}, folder / "environment.json")
+    return folder
+
+
+def _source() -> str:
+    root = Path(bayes_aero.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()

@@ -1,1 +1,0 @@
-"""What a result rests on: package, environment, inputs."""

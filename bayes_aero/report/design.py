@@ -1,0 +1,179 @@
+"""The test points that decide what the records leave open: a table, and what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
+from bayes_aero.report.html.page import Block, bullets
+from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
+from bayes_aero.report.text.phrases import several
+from bayes_aero.units import number
+
+UNITS = {"alpha": "deg", "beta": "deg", "phi": "deg", "airspeed": "m/s", "load_factor": "g", "altitude_loss": "m"}
+HEADS = {"alpha": "alpha", "airspeed": "airspeed", "load_factor": "load factor", "altitude_loss": "altitude loss"}
+
+
+def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """Test points in the order of flying: what is flown, and the ranges that it needs."""
+    columns = [
+        Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
+        Column([str(p["manoeuvre"]).replace("_", " ") for p in points], "manoeuvre", "manoeuvre", "manoeuvre"),
+        Column(
+            [p["amplitude"] for p in points], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"
+        ),
+        Column([p["airspeed"] for p in points], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
+        Column([p["altitude"] for p in points], "altitude", "from altitude\n[m]", form=".0f"),
+        Column([p["seconds"] for p in points], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
+    ]
+    for name, head in HEADS.items():
+        found = [p["excursion"].get(name) for p in points]
+        columns.append(Column([_of_people(name, x) for x in found], "", f"{head}\n[{UNITS[name]}]", form=str))
+        columns.append(Column([None if x is None else x[0] for x in found], f"{name}_least"))
+        columns.append(Column([None if x is None else x[1] for x in found], f"{name}_greatest"))
+    return columns
+
+
+def points_table(told: Mapping[str, Any]) -> Table:
+    """A row for each test point, in the order of flying, from `test_points` of diagnosis.json."""
+    points = told["points"]
+    columns = point_columns(points)
+    for k, question in enumerate(told["questions"]):
+        label = " or ".join(question["effects"])
+        values = [p["standard_errors"][k] for p in points]
+        columns.append(
+            Column(
+                values, f"standard_errors_{'_or_'.join(question['effects'])}", label, label, ".1f", group="then apart"
+            )
+        )
+    enough = max(q["enough"] for q in told["questions"])
+    note = (
+        "Amplitude: factor on the standard input. The last columns: by how many standard errors the rivals are "
+        "expected to differ with the records, this point and those before it, under the records' coloured noise; "
+        f"{enough:.0f} decide."
+    )
+    return Table(columns, "Test points that would decide what is open, in the order of flying", note)
+
+
+def _of_people(name: str, pair: Sequence[float] | None) -> str:
+    """A range as people read it; of the altitude loss the greatest alone."""
+    if pair is None:
+        return ""
+    factor = 180.0 / np.pi if UNITS[name] == "deg" else 1.0
+    low, high = (factor * x for x in pair)
+    if name == "altitude_loss":
+        return f"{max(high, 0.0):.0f}"
+    digits = 2 if name == "load_factor" else 0
+    return f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
+    """What to fly, in the order of flying."""
+    flown = [
+        f"{str(p['manoeuvre']).replace('_', ' ')} ({p['amplitude']:g} times the standard input, "
+        f"{p['airspeed']:.0f} m/s, {p['seconds']:.0f} s)"
+        for p in points
+    ]
+    return f"Next test points, in this order: {several(flown)}."
+
+
+def points_sentences(told: Mapping[str, Any]) -> tuple[str, ...]:
+    """What to fly next, for each question what it is expected to say, and the envelope."""
+    if not told:
+        return ()
+    points = told["points"]
+    questions = [
+        (
+            " or ".join(q["effects"]),
+            q["present"],
+            points[-1]["standard_errors"][k] if points else q["present"],
+            q["enough"],
+        )
+        for k, q in enumerate(told["questions"])
+    ]
+    sentences = []
+    if points:
+        sentences.append(order_sentence(points))
+    for label, before, after, enough in questions:
+        apart = f"{after:.1f} standard errors apart"
+        if after >= enough:
+            sentences.append(f"{label}: expected to be decided, {apart} with these points ({before:.1f} now).")
+        else:
+            sentences.append(
+                f"{label}: the manoeuvres of the list that the envelope permits are not expected to decide it: at most "
+                f"{apart}, {enough:.0f} needed. A value known from elsewhere would decide it: put it on the card."
+            )
+    if not told["stated"]:
+        sentences.append("The card states no [envelope]: manoeuvres stay inside the program's own, which is wide.")
+    return tuple(sentences)
+
+
+# --- What a diagnosis page shows of the next flight test, and of the causes in a band of frequencies.
+
+
+def test_point_blocks(told: Mapping[str, Any]) -> Iterator[Block]:
+    """What to fly next."""
+    yield from bullets(points_sentences(told))
+    if told and told["points"]:
+        yield page_table(points_table(told))
+
+
+def in_band_blocks(found: CausesInBand | None) -> tuple[Block, ...]:
+    """The third witness: sizes in a band of frequencies."""
+    table = (page_table(in_band_table(found)),) if found is not None and found.sizes else ()
+    return (*bullets(in_band_sentences(found)), *table)
+
+
+# --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
+
+LIMIT = 3.0  # standard errors of a difference from which two values differ
+
+
+def in_band_table(found: CausesInBand) -> Table:
+    """A row for each parameter of a cause that the band shows, SI and radians."""
+    sizes = found.sizes
+    both = (([s.coefficients for s in sizes], "coefficients"), ([s.in_band for s in sizes], "in the band"))
+    return Table(
+        [
+            Column([s.cause for s in sizes], "cause", "cause"),
+            *parameter_columns([s.parameter for s in sizes], [s.unit for s in sizes]),
+            *(Column([Estimate.normal(*x) for x in values], page=head, form=in_brackets) for values, head in both),
+            Column([s.apart for s in sizes], page="difference\n[standard errors]", form=".1f"),
+        ],
+        f"Sizes from {_band(found)}, where bias and drift drop out",
+        "In brackets: standard error in units of the last digit. SI and radians.",
+    )
+
+
+def in_band_sentences(found: CausesInBand | None) -> tuple[str, ...]:
+    """Whether the band confirms the causes."""
+    if found is None:
+        return ()
+    if not found.converged:
+        return (f"The causes could not be fitted from {_band(found)}: the band does not determine them.",)
+    sentences = []
+    apart = [s for s in found.sizes if s.apart > LIMIT]
+    agree = list(dict.fromkeys(s.cause for s in found.sizes if s.cause not in {a.cause for a in apart}))
+    if agree:
+        sentences.append(f"From {_band(found)}, where bias and drift drop out, the sizes agree: {several(agree)}.")
+    sentences += [
+        f"{one.cause}: from {_band(found)} its size is {_size(one.in_band, one)}, {one.apart:.1f} standard errors from "
+        f"{_size(one.coefficients, one)} of the whole record: a drift or a slow model error has a part in it."
+        for one in apart
+    ]
+    if found.unseen:
+        sentences.append(f"The band does not show {several(found.unseen)}.")
+    return tuple(sentences)
+
+
+def _band(found: CausesInBand) -> str:
+    low, high = found.band
+    return f"{number(low, 2)} to {number(high, 2)} Hz"
+
+
+def _size(value: tuple[float, float], one: SizeInBand) -> str:
+    return f"{in_brackets(Estimate.normal(*value))} {one.unit}"

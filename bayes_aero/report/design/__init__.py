@@ -1,1 +1,0 @@
-"""Test points that a diagnosis proposes, as a table and in sentences."""

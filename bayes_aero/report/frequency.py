@@ -1,0 +1,153 @@
+"""What the page of a fit to trajectories shows of the frequency domain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.inference.frequency_result import FrequencyFit
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.page import Block, bullets
+from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.style import NotDrawn, housed
+from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
+from bayes_aero.report.text.phrases import several
+from bayes_aero.units import number
+
+BODE = (
+    "Responses of the outputs to the inputs: measured by cross spectra, with 95 % bars, where the standard error is "
+    "below 30 %; modelled, with the 95 % band of the estimates. Coherence: the share of an output that all inputs "
+    "explain. Inputs that respond to others, as sideslip to the rudder, bias measured responses, not the fits."
+)
+
+
+def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
+    """Estimates in the band and responses; nothing where no band was asked for."""
+    if not flown.frequency:
+        return ()
+    coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
+    gallery = Gallery(figures, {"bode": (BODE, f"Bode plots. Median coherence: {coherent}.")})
+    said = [sentence for fit in flown.frequency for sentence in frequency_sentences(fit)]
+    return (*bullets(said), *gallery("bode"))
+
+
+# --- Estimates in the frequency domain: columns beside those of the time domain, and what is said of them.
+
+LIMIT = 3.0  # standard errors of a difference from which two values differ
+
+
+def band_text(fit: FrequencyFit) -> str:
+    """The band for people."""
+    return f"{number(fit.band[0], 2)} to {number(fit.band[1], 2)} Hz"
+
+
+def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None = None) -> list[Column]:
+    """Estimates, both standard errors, and differences from the time domain where they are known.
+
+    `head`: heading on a terminal; None leaves the estimates out there.
+    """
+    key = f"frequency_{fit.method.replace(' ', '_')}"
+    group = f"{fit.method}, {band_text(fit)}"
+
+    def of(sd: np.ndarray) -> list[Estimate | None]:
+        found = {n: Estimate.normal(x, s) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+        return [found.get(name) for name in names]
+
+    columns = [
+        Column(of(fit.crb), (key, f"{key}_crb"), "Cramér–Rao", group=group),
+        Column(of(fit.crb_corrected), ("", f"{key}_crb_corrected"), "corrected", head, "", in_brackets, group=group),
+    ]
+    if fit.apart:
+        apart = [fit.apart.get(name) for name in names]
+        columns.append(Column(apart, f"{key}_difference", "difference\n(standard errors)", "diff.", ".1f", group=group))
+    return columns
+
+
+def band_table(
+    names: Sequence[str], units: Sequence[str], time: Sequence[Estimate], fits: Sequence[FrequencyFit]
+) -> Table:
+    """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
+    heads = (fit.method.replace(" ", "\n", 1) for fit in fits)
+    return Table(
+        [
+            *parameter_columns(names, units),
+            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
+            *(c for fit, head in zip(fits, heads, strict=True) for c in frequency_columns(names, fit, head)),
+        ],
+        terminal_title=f"Frequency domain, {band_text(fits[0])}",
+        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
+    )
+
+
+def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:
+    """What drops out of a fit in a band, and whether it agrees with the time domain."""
+    what = f"{fit.method.capitalize()} in the frequency domain, {band_text(fit)}, {fit.lines} frequencies"
+    if not fit.converged:
+        return (f"{what}: the parameters are not determined there; use a wider band.",)
+    gone = f": {several(fit.unseen)} drop{'s' if len(fit.unseen) == 1 else ''} out with bias and drift"
+    told = [f"{what}{gone if fit.unseen else ''}."]
+    if fit.at_bound:
+        told.append(f"In the band {several(fit.at_bound)} went to a bound and stayed there.")
+    differ = [f"{name} ({number(x, 2)} standard errors)" for name, x in fit.apart.items() if x > LIMIT]
+    if differ:
+        told.append(f"Time and frequency domain differ on {several(differ)}: suspect drift or a slow model error.")
+    elif fit.apart:
+        worst = max(fit.apart, key=lambda name: fit.apart[name])
+        told.append(f"Time and frequency domain agree within {number(fit.apart[worst], 2)} standard errors ({worst}).")
+    return tuple(told)
+
+
+# --- Frequency responses of a linear card.
+
+BAND = 1.96  # standard errors
+KNOWN = 0.3  # largest standard error, of the value, with which a measured response is shown
+DECIBEL = 20.0 / math.log(10.0)  # of a relative change
+MOST_RESPONSES = 8
+
+
+@housed
+def bode(found: TrajectoryFit) -> Figure:
+    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output.
+
+    Raises:
+        NotDrawn: no band was asked for, or too many responses for one figure.
+    """
+    if not found.frequency_responses:
+        raise NotDrawn("no band was asked for")
+    if len(found.frequency_responses) > MOST_RESPONSES:
+        raise NotDrawn(f"more than {MOST_RESPONSES} responses")
+    figure = Figure(figsize=(2.6 * len(found.frequency_responses) + 1.2, 5.6), layout="constrained")
+    axes = figure.subplots(3, len(found.frequency_responses), squeeze=False, sharex=True, sharey="row")
+    for (magnitude, phase, coherence), one in zip(axes.T, found.frequency_responses, strict=True):
+        f, seen = one.frequency, np.where(one.error < KNOWN * np.abs(one.measured), 1.0, np.nan)
+        middle = np.rad2deg(np.unwrap(np.angle(one.modelled)))
+        around = middle + np.angle(one.draws / one.modelled, deg=True)
+        for axis, low, centre in (
+            (magnitude, 20.0 * np.log10(np.abs(one.draws)), 20.0 * np.log10(np.abs(one.modelled))),
+            (phase, around, middle),
+        ):
+            edges = np.percentile(low, [2.5, 97.5], axis=0)
+            axis.fill_between(f, *edges, color=COLOURS["after"], alpha=0.25, linewidth=0.0)
+            axis.plot(f, centre, color=COLOURS["after"], label="modelled, with 95 % band")
+        dots = {"color": COLOURS["measured"], "linestyle": "none", "marker": "o", "markersize": 3.0, "elinewidth": 0.8}
+        share = seen * BAND * one.error / np.abs(one.measured)
+        magnitude.errorbar(f, seen * 20.0 * np.log10(np.abs(one.measured)), DECIBEL * share, **dots, label="measured")
+        phase.errorbar(f, seen * middle + np.angle(one.measured / one.modelled, deg=True), np.rad2deg(share), **dots)
+        coherence.plot(f, one.coherence, color=COLOURS["measured"])
+        coherence.set_ylim(0.0, 1.05)
+        coherence.set_xlabel("frequency [Hz]")
+        magnitude.set_xscale("log")
+        magnitude.set_title(f"{one.output} / {one.input}".replace(" and ", ",\n"), fontsize=8.5)
+    for axis, label in zip(axes[:, 0], ("magnitude [dB, SI]", "phase [deg]", "coherence"), strict=True):
+        axis.set_ylabel(label)
+    axes[0][0].legend(loc="best", fontsize=7.0)
+    return figure
+
+
+FREQUENCY_FIGURES = {"bode": bode}
+"""What a fit of trajectories shows of a band."""

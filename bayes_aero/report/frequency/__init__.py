@@ -1,1 +1,0 @@
-"""Estimates in the frequency domain: page, tables and figures."""

@@ -1,1 +1,0 @@
-"""Modes of motion: tables and sentences."""

@@ -1,1 +1,0 @@
-"""Manoeuvres beside each other and pooled: tables."""

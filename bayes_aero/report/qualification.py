@@ -1,0 +1,447 @@
+"""The page that an evaluator signs or refuses: verdicts, strips, tests, extrapolation, and the rule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.qualification.result import (
+    Chance,
+    Further,
+    Kind,
+    OpenTolerance,
+    Outside,
+    Qualification,
+    Strip,
+    Test,
+    Verdict,
+)
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.design import order_sentence, point_columns
+from bayes_aero.report.html.page import (
+    MOST_SHOWN,
+    Block,
+    Facts,
+    Fold,
+    HtmlTable,
+    Page,
+    Plot,
+    Points,
+    Text,
+    bullets,
+    doubts,
+    filled,
+    histories,
+    provenance_blocks,
+    section,
+)
+from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.tables.table import Column, Table, columns_of
+from bayes_aero.report.text.phrases import GREEK, axis_label, for_people, several, short
+from bayes_aero.units import number
+
+BLANK = "\u00a0" * 30
+FLIGHTS = "#56B4E9"
+
+
+@dataclass(frozen=True)
+class QualificationContext:
+    """What the page needs beside the qualification."""
+
+    card: Card
+    source: Mapping[str, Any]
+
+
+def qualification_page(found: Qualification, context: QualificationContext) -> Page:
+    """The page; its first screen is what is signed."""
+    return Page(
+        title=f"Qualification: {context.card.title}",
+        subtitle="Probability that the simulation stays inside its tolerances",
+        verdict=verdict_sentence(found),
+        lead=(
+            *doubts(found.health, found.consistency, corrects=False),
+            page_table(verdict_table(found)),
+            *bullets(sentences(found)),
+            _signature(),
+        ),
+        sections=filled(
+            section("further", "What would decide the rest", lambda: _further(found)),
+            section("strips", "Strips", lambda: _strips(found)),
+            section("tests", "Every test", lambda: (page_table(test_table(found)),)),
+            section("region", "Extrapolation", lambda: _region(found)),
+            section("counted", "What is counted", lambda: _counted(found)),
+            section("rule", "The rule, and what of it was read", lambda: _rule(found)),
+            section("provenance", "Provenance", lambda: _provenance(context.source)),
+        ),
+    )
+
+
+def _signature() -> HtmlTable:
+    """Lines for the evaluator."""
+    return HtmlTable(
+        "Decision of the evaluator",
+        ("", "name", "signature", "date"),
+        (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK)),
+        words=(1, 2, 3),
+    )
+
+
+def _strips(found: Qualification) -> tuple[Block, ...]:
+    flown = [s for s in found.strips if s.kind is not Kind.NEXT]
+    following = [s for s in found.strips if s.kind is Kind.NEXT]
+    shown = flown[:MOST_SHOWN]
+    more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
+    text = (
+        "Grey: the tolerance about the simulation with the estimates. Blue: the central 95 % of flights at each "
+        "instant, with all that is counted. A test is passed where the flight stays in the grey band throughout; the "
+        "record is black."
+    )
+    hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[:MOST_SHOWN]))
+    return (
+        Text(text),
+        *more,
+        *(_strip(s, found, f"flown-{k}") for k, s in enumerate(shown)),
+        *((Fold("The same manoeuvres on the next flight", hidden),) if hidden else ()),
+    )
+
+
+def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
+    """A panel for each output with a tolerance."""
+    panels = []
+    for output, (tolerance, _) in found.tolerances.items():
+        unit = STANDARD_CHANNELS[output].unit
+        factor = for_people(unit)[1]
+        simulated, measured, low, high = (
+            factor * x[output] for x in (strip.simulated, strip.measured, strip.low, strip.high)
+        )
+        lines = [
+            Line("simulation", COLOURS["after"], simulated),
+            Line("record", COLOURS["measured"], measured, width=1.0),
+        ]
+        lines += [Line(f"flights, {end}", FLIGHTS, x, width=0.6) for end, x in (("2.5 %", low), ("97.5 %", high))]
+        if strip.kind is Kind.NEXT:
+            lines[1] = Line("record of the manoeuvre", COLOURS["prior"], measured, width=1.0)
+        panels.append(
+            Panel(axis_label(output, unit), tuple(lines), shade=((2, 3),), band=factor * tolerance, height=LOW)
+        )
+    legend = (
+        ("simulation", COLOURS["after"], "solid"),
+        (lines[1].label, lines[1].colour, "solid"),
+        ("95 % of flights", FLIGHTS, "area"),
+        ("tolerance", "#999999", "area"),
+    )
+    what = "Simulation with its tolerance, record and central 95 % of flights"
+    name = f"{strip.manoeuvre}, {SHOWN[strip.kind]}"
+    return histories(name, f"time-{key}", strip.time, panels, legend, what)
+
+
+def _further(found: Qualification) -> tuple[Block, ...]:
+    table = (page_table(further_table(found.further)),) if found.further is not None and found.further.points else ()
+    return (*bullets(further_sentences(found.further)), *table)
+
+
+def _region(found: Qualification) -> tuple[Block, ...]:
+    if not found.outside:
+        return bullets([s for s in sentences(found) if "flown region" in s])
+    return (page_table(outside_table(found)),)
+
+
+def _counted(found: Qualification) -> tuple[Block, ...]:
+    return (
+        Text(DEFINITION),
+        Facts(tuple((name.capitalize(), text) for name, text in found.origins.items())),
+        Points(
+            (
+                f"{found.draws} flights are drawn for every test.",
+                "Gusts and parameters, if the errors of the records hold them, are taken out of the errors of the "
+                "structure by their mean squares.",
+                "The errors of different outputs are drawn independently: a test of one output is a probability, all "
+                "outputs together are not.",
+            )
+        ),
+        *bullets(found.notes),
+    )
+
+
+def _rule(found: Qualification) -> tuple[Block, ...]:
+    sources = tuple((name, source) for name, (_, source) in found.tolerances.items())
+    return (
+        Text("Read:"),
+        Points(READ),
+        Text("Not read, or not of the rule:"),
+        Points(UNREAD),
+        Fold("Origin of the tolerances", (Facts(sources),)),
+    )
+
+
+def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
+    return (Fold("Inputs, versions and the command that repeat the run", provenance_blocks(source)),)
+
+
+# --- Flights that would decide undecided tolerances: a table, and what it says.
+
+MOST = 6  # tests that are named in a sentence
+
+
+def further_table(found: Further) -> Table:
+    """A row for each test point, in the order of flying."""
+    columns = point_columns([asdict(p) for p in found.points])
+    decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
+    for k, test in decidable:
+        head = _label(test).replace(" of ", "\n", 1)
+        columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
+    return Table(
+        columns,
+        "Test points that would decide tolerances, in the order of flying",
+        "Amplitude: factor on the standard input. The last columns: probability to pass, expected with the records, "
+        "this point and those before it, if the estimates do not move.",
+    )
+
+
+def further_sentences(found: Further | None) -> tuple[str, ...]:
+    """What to fly, and which tests no flight decides."""
+    if found is None:
+        return ()
+    if found.why_not:
+        return (f"No test points for the undecided tolerances: {found.why_not}.",)
+    said = []
+    open_ = [t for t in found.tests if not t.decidable]
+    if found.points:
+        last = found.points[-1].expected
+        said.append(order_sentence([asdict(p) for p in found.points]))
+        chances = [
+            f"{_label(t)} {x:.2f} (now {t.present:.2f})" for t, x in zip(found.tests, last, strict=True) if t.decidable
+        ]
+        said.append(f"Expected probabilities to pass with these points: {several(chances[:MOST])}.")
+    elif len(open_) < len(found.tests):
+        said.append("No standard manoeuvre inside the envelope narrows the undecided tests enough to be worth flying.")
+    if open_:
+        listed = several(map(_label, open_[:MOST]))
+        more = f" and {len(open_) - MOST} more" if len(open_) > MOST else ""
+        said.append(
+            f"Undecided even if the parameters were known: {listed}{more}. Errors of the model's structure or gusts "
+            "leave them open, not parameters: improve the model (diagnose)."
+        )
+    return tuple(said)
+
+
+def _label(test: OpenTolerance) -> str:
+    """Output, manoeuvre, and whether it is flown on the next flight."""
+    ahead = " on the next flight" if test.kind is Kind.NEXT else ""
+    return f"{GREEK.get(test.output, test.output)} of {test.manoeuvre}{ahead}"
+
+
+# --- Tables of a qualification: a verdict for each tolerance, every test, and where the flown region is left.
+
+SHOWN = {Kind.AGAIN: "fitted, flown again", Kind.TEST: "not fitted", Kind.NEXT: "next flight"}
+NEGLIGIBLE = 1e-3  # of an excess, in the units of people
+COUNTED = ("parameters", "structure", "gusts")
+
+
+def band(output: str, tolerance: float) -> str:
+    """An output with its band in the units of people."""
+    unit, factor = for_people(STANDARD_CHANNELS[output].unit)
+    return f"{GREEK.get(output, output)} ± {number(factor * tolerance)} {unit}"
+
+
+def chance_text(chance: Chance | None) -> str:
+    """0.873 ± 0.017, and what Monte Carlo cannot resolve as a bound."""
+    if chance is None:
+        return "–"
+    if chance.value in (0.0, 1.0):
+        return f"{'<' if chance.value == 0.0 else '>'} {abs(chance.value - 3.0 * chance.error):.3f}"
+    return f"{chance.value:z.3f} ± {chance.error:.3f}"
+
+
+def weakest(tests: Iterable[Test]) -> Chance | None:
+    """The least probability of some tests."""
+    return min((test.chance for test in tests), key=lambda chance: chance.value, default=None)
+
+
+def verdict_table(found: Qualification) -> Table:
+    """A row for each tolerance."""
+    rows = list(found.tolerances)
+    column = columns_of(rows)
+
+    def least(kind: Kind):
+        return lambda output: chance_text(weakest(t for t in found.of(output) if t.kind is kind))
+
+    def records(output: str) -> str:
+        beside = [t.recorded for t in found.of(output) if t.recorded is not None]
+        return f"{sum(one.passed for one in beside)} of {len(beside)}"
+
+    new = any(test.kind is Kind.TEST for test in found.tests)
+    columns = [
+        column(lambda n: band(n, found.tolerances[n][0]), "", "tolerance", "tolerance"),
+        column(lambda n: found.verdict(n).value, "", "verdict", "verdict"),
+        column(records, "", "records\ninside", "records inside"),
+        column(least(Kind.AGAIN), "", "fitted,\nflown again", "again"),
+        *([column(least(Kind.TEST), "", "not fitted", "not fitted")] if new else []),
+        column(least(Kind.NEXT), "", "next flight", "next flight"),
+    ]
+    note = (
+        "Probability that a flight stays inside the tolerance about the simulation from start to end, of the weakest "
+        "manoeuvre, ± Monte Carlo standard error. Records inside: of the simulation with the estimates, as recorded."
+    )
+    return Table(columns, "Verdict for each tolerance", note, terminal_note=note)
+
+
+def test_table(found: Qualification) -> Table:
+    """A row for each manoeuvre and output."""
+    rows = list(found.tests)
+    column = columns_of(rows)
+    away = {(one.manoeuvre, one.motion) for one in found.outside}
+
+    def part(name: str):
+        return lambda t: chance_text(t.chances.get(name))
+
+    def largest(test: Test) -> str:
+        if test.recorded is None:
+            return "–"
+        unit, factor = for_people(STANDARD_CHANNELS[test.output].unit)
+        return f"{short(factor * test.recorded.largest)} {unit}"
+
+    columns = [
+        column(lambda t: t.kind.value, "kind"),
+        column(lambda t: t.manoeuvre, "manoeuvre"),
+        column(lambda t: t.output, "output"),
+        column(lambda t: band(t.output, t.tolerance), "", "tolerance"),
+        column(lambda t: t.tolerance, "tolerance"),
+        column(largest, "", "largest", group="record beside simulation"),
+        column(lambda t: t.recorded and t.recorded.largest, "record_largest"),
+        column(
+            lambda t: t.recorded and t.recorded.within,
+            "record_within",
+            "time inside",
+            form=".0%",
+            group="record beside simulation",
+        ),
+        *[column(part(n), "", n, group="probability, counting also") for n in COUNTED],
+        *[column(lambda t, n=n: t.chances[n].value if n in t.chances else None, f"probability_{n}") for n in COUNTED],
+        column(lambda t: t.chance.value, "probability"),
+        column(lambda t: t.chance.error, "standard_error"),
+        column(lambda t: t.within, "expected_within", "time inside,\nexpected", form=".0%"),
+        column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
+        column(lambda t: "yes" if _leaves(t, away) else "no", "extrapolation", "extra-\npolation"),
+    ]
+    note = (
+        "Every column of probabilities counts one thing more: the parameters, then errors of the model's structure and "
+        "noise, then gusts. Decided where the probability with all of it lies two Monte Carlo standard errors beyond "
+        "0.95 or 0.05. Extrapolation: the manoeuvre leaves the flown region."
+    )
+    below = [f"{t.manoeuvre}, {SHOWN[t.kind]}" for t in rows]
+    return Table(columns, "Every test", note, index=3, below=below)
+
+
+def _leaves(test: Test, away: set[tuple[str, str]]) -> bool:
+    return any((test.manoeuvre, motion) in away for motion in ("recorded", "simulated"))
+
+
+def outside_table(found: Qualification) -> Table:
+    """A row for each motion that leaves the flown region."""
+    rows = list(found.outside)
+    column = columns_of(rows)
+    return Table(
+        [
+            column(lambda o: o.manoeuvre, "manoeuvre", "manoeuvre"),
+            column(lambda o: o.motion, "motion", "motion", words=True),
+            column(lambda o: o.share, "share", "samples\noutside", form=".0%"),
+            column(lambda o: o.distance, "distance", "farthest", form=".2f"),
+            column(lambda o: o.time, "time", "at, s", form=".1f"),
+            column(excess, "", "from the nearest flown point", words=True),
+        ],
+        "Extrapolation: samples outside the flown region",
+        f"The flown region is the convex hull of all fitted samples in {several(found.channels)}. Samples count from a "
+        "distance of 0.1. Distances are in units of half the flown range of each channel.",
+    )
+
+
+def excess(one: Outside) -> str:
+    """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
+    parts = []
+    for name, x in one.excess.items():
+        unit, factor = for_people(STANDARD_CHANNELS[name].unit)
+        if abs(factor * x) >= NEGLIGIBLE:
+            parts.append(f"{GREEK.get(name, name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
+    return ", ".join(parts)
+
+
+# --- What a qualification says, and what the rule says: what of its text was read, and what was not.
+
+WHOLE = {
+    Verdict.PASSES: "The model qualifies: it passes every tolerance.",
+    Verdict.UNDECIDED: "It is not decided whether the model qualifies.",
+    Verdict.FAILS: "The model does not qualify.",
+}
+DEFINITION = (
+    "A test is passed if the flight stays inside the tolerance about the simulation from start to end. The simulation "
+    "has the estimated parameters, the recorded inputs and the measured initial state. The flight has parameters drawn "
+    "from their distribution, errors of the model's structure with the size and autocorrelation that flights showed, "
+    "noise of the sensors, and gusts where they are counted. When a fitted manoeuvre is flown again, a part of its own "
+    "error repeats. Errors of the initial state are among the errors that flights showed."
+)
+READ = (
+    "14 CFR Part 60 (edition of 2019, volume 2, page 182), Attachment 7: “For stall recovery training tasks, "
+    "satisfactory aerodynamic model fidelity must be shown through at least 10 degrees beyond the stall identification "
+    "angle of attack.”",
+    "The same, page 178, FSTD Directive No. 2, names the test of a full stall: “Table A2A, Objective Testing "
+    "Requirements, Test 2.c.8.a (Stall Characteristics)”.",
+    "Table A2A, 2.c.10 (edition of 2014, page 57), short period: “±1.5° pitch angle or ±2°/sec pitch rate, ±0.10g "
+    "acceleration”.",
+    "Appendix B, 2.c.8 (edition of 2014, page 161), stall warning: “±3 kts. airspeed, ±2° bank for speeds greater than "
+    "actuation of stall warning device or initial buffet”.",
+)
+UNREAD = (
+    "Table A2A, 2.c.8.a, was not read: the 2 deg of angle of attack and pitch angle, and the 3 kt for a simulator (not "
+    "a training device) were not checked against the text. Neither was when in the manoeuvre they hold.",
+    "Of Attachment 7 the beginning was read (pages 181 and 182), not the rest.",
+    "The rule compares given tests, partly snapshots. That a tolerance holds for a whole time history is the choice "
+    "of this program, and a probability is nothing that the rule asks for.",
+)
+
+
+def verdict_sentence(found: Qualification) -> str:
+    """The model's verdict, and the tolerances that decide it."""
+    by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in Verdict}
+    marks = {Verdict.PASSES: "Passes", Verdict.UNDECIDED: "Undecided", Verdict.FAILS: "Fails"}
+    listed = [
+        f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
+    ]
+    return f"{WHOLE[found.whole]} {'. '.join(listed)}."
+
+
+def sentences(found: Qualification) -> tuple[str, ...]:
+    """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
+    said = []
+    for kind, words in ((Kind.AGAIN, "fitted manoeuvre flown again"), (Kind.TEST, "manoeuvre that was not fitted")):
+        tests = [t for t in found.tests if t.kind is kind]
+        if not tests:
+            continue
+        expected, passed = (
+            sum(t.chance.value for t in tests),
+            sum(t.recorded is not None and t.recorded.passed for t in tests),
+        )
+        said.append(
+            f"{len(tests)} tests of a {words}: {expected:.1f} are expected to pass, {passed} of the records do."
+        )
+    following = [t for t in found.tests if t.kind is Kind.NEXT]
+    if following:
+        least = min(following, key=lambda t: t.chance.value)
+        said.append(
+            f"On the next flight {band(least.output, least.tolerance)} is the weakest, in {least.manoeuvre}: "
+            f"probability {chance_text(weakest([least]))}."
+        )
+    for one in found.outside:
+        said.append(
+            f"Extrapolation: {one.manoeuvre}, as {one.motion}, is outside the flown region in {one.share:.0%} of the "
+            f"samples, farthest by {one.distance:.2f} of half the flown ranges at {one.time:.1f} s ({excess(one)})."
+        )
+    if not found.outside:
+        said.append(f"No manoeuvre leaves the flown region of {several(found.channels)}.")
+    if found.unjudged:
+        said.append(f"Not recorded, so not part of the flown region: {several(found.unjudged)}.")
+    return tuple(said)

@@ -1,1 +1,0 @@
-"""The page, tables and sentences of a qualification."""
