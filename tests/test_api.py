@@ -122,5 +122,5 @@ def test_whatever_reads_records_makes_the_same_checks():
         "jobs/steps/record_checks.py",
     }
     makes = {name for name, text in source.items() if "record_checks(" in text}
-    jobs = {f"jobs/{name}.py" for name in ("check", "identify", "fly", "diagnose", "handover/qualify")}
+    jobs = {f"jobs/{name}.py" for name in ("check", "identify", "fly", "diagnose", "qualify")}
     assert makes == {"jobs/steps/record_checks.py", "explore/opened.py", "api.py", *jobs}
