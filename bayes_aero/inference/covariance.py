@@ -10,8 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.fft import next_fast_len
 from scipy.optimize import nnls
-from scipy.signal import lfilter
-from scipy.stats import norm, t
 
 BLOCK = 0.2  # s; smoothed residuals vary no faster
 MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, blocks count as independent
@@ -58,6 +56,8 @@ def robust_covariance(
     HC3 and the larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly
     Harmless Econometrics*, 2009, ch. 8.
     """
+    from scipy.stats import norm, t  # here, for commands that only read records do without it
+
     begins = np.flatnonzero(np.asarray(start) | np.append(True, np.diff(manoeuvre) != 0))
     stretches = [
         _blocks(S[one], residual[one], max(1, round(BLOCK / dt)))
@@ -101,6 +101,8 @@ def _whitened(
     one: _Stretch, phi: Float[np.ndarray, "c p"], R: Float[np.ndarray, " c"]
 ) -> tuple[Float[np.ndarray, "b c"], Float[np.ndarray, "b c k"]]:
     """Innovations e = A r, and A^-T of the weighed sensitivities: their product is the score."""
+    from scipy.signal import lfilter  # here, for commands that only read records do without it
+
     weighed = one.slope * one.samples[:, None, None] / R[:, None]
     innovation, shaped = np.empty_like(one.residual), np.empty_like(weighed)
     for c, own in enumerate(phi):
