@@ -18,8 +18,6 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 
-__all__ = ["canonical", "from_si", "instant", "quantity_to_si", "same_kind", "same_unit", "si_unit", "to_si"]
-
 # Only products of named units with one-digit powers reach pint, whose parser would evaluate "9**9**9**9" for
 # ever.
 _SAFE = re.compile(r"(?:1(?![\w.])|[A-Za-z%°µμΩ][A-Za-z_µμ0-9]*|\*\*-?\d(?!\d)|[*/·() ])*")
@@ -248,7 +246,6 @@ def number(value: float, digits: int = 3) -> str:
 # --- Spellings of units: what files, headings and cards write, as the one spelling that cards are given.
 # Capitals do not matter, except where they tell two units apart: "mPa" and "MPa", "ms" and "Ms", "kN" and "kn".
 
-__all___unit_word = ["spellings", "unclear", "words"]
 
 _WORDS: dict[str, str] = {
     "s": "s sec secs second seconds",

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 60310,
+    "bayes_aero: lines": 60225,
     "bayes_aero: files": 295,
     "bayes_aero: private helpers used once": 877,
     "bayes_aero: class names with several meanings": 33,

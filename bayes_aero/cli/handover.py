@@ -1,4 +1,4 @@
-"""bayes-aero export."""
+"""bayes-aero export, open and qualify: what is done with a finished result."""
 
 from __future__ import annotations
 

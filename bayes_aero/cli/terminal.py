@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, the bar, JSON on stdout, and the words of an interruption."""
+"""What all commands share: exit codes, the bar, JSON on stdout, choices of options, and options that are gone."""
 
 from __future__ import annotations
 

@@ -8,8 +8,6 @@ from enum import StrEnum
 
 from bayes_aero.units import canonical, spellings
 
-__all__ = ["STANDARD_CHANNELS", "Channel", "StandardChannel"]
-
 
 @dataclass(frozen=True)
 class Channel:
@@ -139,7 +137,6 @@ class Axis(StrEnum):
 
 # --- What people call channels and units in the headers of their files.
 
-__all___aliase = ["ALIASES", "is_command", "plain_heading", "side_of", "split_heading", "symbol_of"]
 
 _NAMES: dict[str, str] = {
     "time": "t time utc utctime sec seconds elapsed elapsedtime timestamp tsec gpstime reltime realtime "

@@ -1,4 +1,4 @@
-"""Compiled programs of this process: their limit, and how to free them."""
+"""The process that computes: its compiled programs, its threads, and its end with its parent."""
 
 from __future__ import annotations
 

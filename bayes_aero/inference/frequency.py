@@ -1,4 +1,4 @@
-"""Gauss-Newton on residuals in a band, with Cramer-Rao bounds from the residuals of its lines.
+"""Fits in a band of frequencies: lines of the band, Gauss-Newton with Cramer-Rao bounds, frequency responses.
 
 The cost is that of `inference.likelihood.mle`, det R with a diagonal R. The estimates are real, so the real and the
 imaginary part of a line count as two residuals. Published bounds count the line as one and are larger by sqrt(2).

@@ -394,7 +394,7 @@ STALL = (
     "reattachment_hysteresis", "flow_separation", "separation_lag", "kirchhoff_lift", "separated_drag",
     "separated_moment", "separated_induced_drag",
 )  # fmt: skip
-TEMPLATE_MODEL_LATERAL = (
+LATERAL_EFFECTS = (
     "side_force_offset", "sideslip_side_force", "roll_offset", "sideslip_roll", "roll_damping", "yaw_rate_roll",
     "aileron_roll", "yaw_offset", "sideslip_yaw", "roll_rate_yaw", "yaw_damping", "rudder_yaw",
 )  # fmt: skip
@@ -461,7 +461,7 @@ def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
         yield ("" if stalled else "# ") + f'  "{name}",' + REMARKS.get(name, "")
     if lateral:
         yield "# Side force, rolling and yawing moment, with the axes above:"
-        yield from (f'{mark}  "{name}",' for name in TEMPLATE_MODEL_LATERAL)
+        yield from (f'{mark}  "{name}",' for name in LATERAL_EFFECTS)
         yield from (f'{mark if stalled else "# "}  "{name}",' for name in WINGS)
     yield "]"
     yield ("" if stalled else "# ") + "fixed = { tau1 = 0.0 } # quasi-steady"

@@ -1,4 +1,4 @@
-"""The catalogue of effects as a folder: a page for people, a document for machines."""
+"""The catalogue of effects as a folder, and the sizes that users state for effects."""
 
 from __future__ import annotations
 

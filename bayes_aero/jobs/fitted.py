@@ -1,4 +1,4 @@
-"""The records of a finished result, found again: a result names them by their content, and does not repeat them."""
+"""A finished result, found again: its records, its card, its model and its draws."""
 
 from __future__ import annotations
 
@@ -394,9 +394,7 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
                 "--model, or run the command again"
             )
     else:
-        path = next(
-            (p for p in _places_identified_card(provenance, result) if p.is_file() and _hash(p) == sha256), None
-        )
+        path = next((p for p in _card_places(provenance, result) if p.is_file() and _hash(p) == sha256), None)
         if path is None:
             raise InputError(
                 f"{result} was made with a card {name} that is not found here unchanged; give it with --model"
@@ -409,7 +407,7 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
     return card
 
 
-def _places_identified_card(provenance: Mapping[str, Any], result: Path) -> Iterator[Path]:
+def _card_places(provenance: Mapping[str, Any], result: Path) -> Iterator[Path]:
     name = provenance["card"]["name"]
     if name in shipped_cards():
         yield shipped_cards()[name]

@@ -320,7 +320,7 @@ def qualification_results(
         "tests": [_test(one) for one in found.tests],
         "flown_region": {"channels": list(found.channels), "not_recorded": list(found.unjudged)},
         "outside": [asdict(one) for one in found.outside],
-        "further": None if found.further is None else _further_qualification_json(found.further),
+        "further": None if found.further is None else _further_flights(found.further),
         "origins": dict(found.origins),
         "health": health_results(found.health),
         "consistency": {} if found.consistency is None else consistency_results(found.consistency),
@@ -330,7 +330,7 @@ def qualification_results(
     }
 
 
-def _further_qualification_json(found: Further) -> dict[str, Any]:
+def _further_flights(found: Further) -> dict[str, Any]:
     points = [asdict(p) for p in found.points]
     return {
         "tests": [asdict(t) | {"kind": t.kind.value} for t in found.tests],

@@ -1,4 +1,4 @@
-"""Table of modes of motion."""
+"""Modes of motion as a table and in sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sentences on manoeuvres fitted alone that differ by more than their intervals."""
+"""Manoeuvres side by side: those that differ by more than their intervals, and the flight not yet flown."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ class AddedToFilter(AddedCoefficients):
             part = series[:, begin : begin + COLUMNS]
             wide = np.zeros((2, COLUMNS, series.shape[2]))
             wide[:, : part.shape[1]] = part
-            slope = _slopes_added_to_filter(responses, self.theta, self.known, own, jnp.asarray(wide))
+            slope = _innovation_slopes(responses, self.theta, self.known, own, jnp.asarray(wide))
             found.append(-np.moveaxis(np.asarray(slope), -1, 0)[: part.shape[1]])
         return np.concatenate(found)
 
@@ -182,7 +182,7 @@ def _by_input(responses: FilterError, theta: Any, before: Array, known: StateDer
 
 
 @eqx.filter_jit
-def _slopes_added_to_filter(
+def _innovation_slopes(
     responses: FilterError, theta: Any, known: StateDerivatives, own: InputDerivatives, series: Float[Array, "2 d n"]
 ) -> Float[Array, "m c d"]:
     flown = responses.flown

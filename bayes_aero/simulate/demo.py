@@ -1,4 +1,4 @@
-"""Two simulated stall manoeuvres, made anew from this recipe whenever no record is given."""
+"""Simulated stall manoeuvres: those of the demo, and any manoeuvre that is asked for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of the effects that are in, fitted to the residuals of any folds by Gauss-Newton."""
+"""Parameters fitted to the residuals of any folds by Gauss-Newton; regressions with other columns projected out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for missing effects in coefficients: the flight path first, then the model, then what has no name."""
+"""The search for missing effects in coefficients, in innovations and in trajectories."""
 
 from __future__ import annotations
 
@@ -311,9 +311,7 @@ def search_trajectories(
     if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
         raise InputError(f"card {card.name}: {fit.status.value}")
     whole = candidate_model(model, flights, extra, settings)
-    state = _state_search_trajectorie(
-        without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True))
-    )
+    state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
     found = plausible_selection(state, seed=seed, progress=progress)
     lagged, failures = _asked_of_a_lag(whole, found, seed, progress)
     found = lagged or found
@@ -359,7 +357,7 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
     return min(found, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
 
 
-def _state_search_trajectorie(
+def _first_state(
     full: CandidateModel,
     flights: Flights,
     base: AircraftDynamics,
@@ -395,7 +393,7 @@ def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Prog
     assert isinstance(responses, OutputError)
     dynamics = responses.windows.dynamics
     assert isinstance(dynamics, AircraftDynamics)
-    state, fit = refitted(_state_search_trajectorie(whole, responses.flights, dynamics, values, (lag.name,)))
+    state, fit = refitted(_first_state(whole, responses.flights, dynamics, values, (lag.name,)))
     among = found.steps[0].screening
     gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)

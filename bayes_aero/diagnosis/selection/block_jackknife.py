@@ -1,4 +1,4 @@
-"""Do the stretches of a flight agree about an error of a sensor?
+"""Do the stretches of a flight agree about an error of a sensor, and what do the causes leave of the residuals?
 
 Gusts are in the vane and in the airspeed, and what integrates them wanders off as slowly as an error of a sensor would
 make it: no autoregression tells the two apart over a record of a minute or two. In short stretches, each from where it

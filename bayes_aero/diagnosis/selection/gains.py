@@ -1,4 +1,4 @@
-"""What every cause of a stage gains on left-out data, beside the confirmed causes before it."""
+"""What every cause gains on hold-out data beside the causes before it, and whether its size is plausible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constants that a control at rest takes up.
+"""What else explains a cause: constants, collinear effects, and errors of sensors that a record leaves undecided.
 
 A rudder that is held aside makes a yawing moment that stays, as uneven engines do. Where it does not move, its
 derivative is known from that constant alone. It takes up what else is constant, and the selection finds nothing. The
@@ -246,7 +246,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     """
     state = found.state
     effects = [e for e in state.full.candidates if _felt(state, e)]
-    gram, right = _information_undecided_error(state, found.fit, effects)
+    gram, right = _information_of_errors(state, found.fit, effects)
     columns = _columns(state, effects)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
     covariance = inverse(gram + np.diag(state.precision[columns]))
@@ -258,7 +258,7 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         parameter = effect.parameters[0]
         standing = None if effect.name in state.active else screening.of(effect.name)
         asked = standing is not None and _asked(state, effect, standing)
-        mean, sd = _size_undecided_error(found, effect, standing)
+        mean, sd = _size_of_error(found, effect, standing)
         wide = max(sd, float(among[place]))
         least, _ = effect.sizes[parameter.name]
         there = max(least, abs(mean)) if standing is None else least
@@ -296,7 +296,7 @@ def _columns(state: SelectionState, effects: Sequence[Effect]) -> Int[np.ndarray
     return state.full.columns([e.parameters[0].name for e in effects])
 
 
-def _information_undecided_error(
+def _information_of_errors(
     state: SelectionState, fit: Fit, effects: Sequence[Effect]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
     """Information on one parameter of each effect, where integrals begin being free, and the right side of what is
@@ -315,7 +315,7 @@ def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionStat
     Offset and scale of an airspeed come one by one. Neither gains what an offset of its pitot pressure does.
     """
     effects = [e for e in state.full.candidates if _felt(state, e)]
-    gram, _ = _information_undecided_error(state, fit, effects)
+    gram, _ = _information_of_errors(state, fit, effects)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:
             continue
@@ -339,7 +339,7 @@ def _asked(state: SelectionState, effect: Effect, standing: CandidateScore) -> b
     return clear and explained(state, standing) >= state.settings.open_share
 
 
-def _size_undecided_error(found: Extension, effect: Effect, standing: CandidateScore | None) -> tuple[float, float]:
+def _size_of_error(found: Extension, effect: Effect, standing: CandidateScore | None) -> tuple[float, float]:
     """What the record says of an error, were it the only one."""
     if standing is not None:
         return float(standing.step[0]), float(standing.sd[0])

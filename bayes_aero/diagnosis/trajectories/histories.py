@@ -1,4 +1,4 @@
-"""Simulated manoeuvres beside the recorded ones: their errors, and the chance that they stay inside tolerances."""
+"""Simulated manoeuvres beside the recorded ones, and the growth of their errors by process noise."""
 
 from __future__ import annotations
 

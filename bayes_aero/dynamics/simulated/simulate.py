@@ -263,7 +263,7 @@ def fly_rigid(
     pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
     gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
     body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
-    inputs = _inputs_rigid_pilot(pilot, trim, chosen)
+    inputs = _piloted_inputs(pilot, trim, chosen)
     condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
     sideslipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
     for name in LATERAL_CONTROLS:
@@ -284,7 +284,7 @@ def fly_rigid(
 _integrate = eqx.filter_jit(integrate)
 
 
-def _inputs_rigid_pilot(
+def _piloted_inputs(
     pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]
 ) -> dict[str, Float[Array, " n"]]:
     """Inputs of `PilotedBody`: commands about the trim, and thrust."""

@@ -1,4 +1,4 @@
-"""[aircraft] of a card: constants with their units; what follows from others need not be stated."""
+"""The tables of a card: aircraft, channels, envelope, fly and linear."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ PAIRS = {"p_dot": "p", "q_dot": "q", "r_dot": "r", "alpha_dot": "alpha", "beta_d
 SECONDS = 0.3  # of the mean that both are smoothed by
 EXCITED = 5.0  # standard deviations of the noise, smoothed and differentiated, that the derivative must have
 ALIKE = 0.8  # correlation from which the two are one motion
-DERIVATIVES_OFF = 1.5  # as a logarithm: a factor of 4.5, where degrees for radians are one of 57
+OFF_DERIVATIVE = 1.5  # as a logarithm: a factor of 4.5, where degrees for radians are one of 57
 
 
 def derivatives(record: FlightRecord, card: Card) -> list[HealthFinding]:
@@ -258,7 +258,7 @@ def _against(record: FlightRecord, card: Card, name: str, of: str) -> list[Healt
             f"at {name} on the card"
         )
         return [found(record, name, "sign", sentence, at=(0, record.n - 1), grave=flown)]
-    return off_by_factor(record, card, k, {name: 1}, meant, off=DERIVATIVES_OFF, near=0.7, grave=flown, explained=True)
+    return off_by_factor(record, card, k, {name: 1}, meant, off=OFF_DERIVATIVE, near=0.7, grave=flown, explained=True)
 
 
 def _smooth(x: np.ndarray, width: int) -> np.ndarray:

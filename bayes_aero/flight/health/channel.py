@@ -1,4 +1,4 @@
-"""Dropouts: samples at one constant (0, -9999, 99999 ...) far from what stands before and after them."""
+"""Faults of one channel: dropouts, frozen, held, idle, quantised, saturated and wrapped samples."""
 
 from __future__ import annotations
 

@@ -15,11 +15,6 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 
-__all__ = [
-    "MAX_VALUES", "MOST_HEADINGS", "MOST_VALUES_IN_ALL", "PACKING", "Column", "Heading", "Lookup", "Opened",
-    "foreign", "located", "refuse_huge", "stated_unit", "unpacked", "vector",
-]  # fmt: skip
-
 MAX_VALUES = 20_000_000
 """Most samples that one channel may have; held against the file's header before memory is taken."""
 
@@ -280,7 +275,6 @@ def foreign(kind: str) -> Iterator[None]:
 
 # --- Cells of text to numbers: decimal commas, thousands separators, Fortran's exponents, blanks.
 
-__all___number = ["Marks", "is_blank", "is_value", "marks_of", "number_of"]
 
 BLANKS = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "nd", "invalid"))
 """What recorders and their tools write where there is no value, in lower case; also a cell of asterisks (Fortran)."""
@@ -385,7 +379,6 @@ def thousands(cells: Sequence[str], marks: Marks) -> str:
 
 # --- Clock times and dates to seconds since the first sample.
 
-__all___clock = ["looks_like_clock", "seconds"]
 
 DAY = 86400.0
 _TIME = re.compile(r"(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d*)?")

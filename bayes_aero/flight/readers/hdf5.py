@@ -30,8 +30,6 @@ from bayes_aero.flight.readers.base import (
     vector,
 )
 
-__all__ = ["HDF5", "HDF5File", "open_hdf5"]
-
 HDF5 = b"\x89HDF\r\n\x1a\n"
 """What such a file begins with; MATLAB's has 512 bytes of its own before it."""
 
@@ -136,8 +134,6 @@ def _ask(data: bytes, wanted: Sequence[tuple[str, int | None]], kind: str) -> tu
 
 
 # --- NetCDF, one variable a channel: classic files by scipy, NetCDF-4 by h5py.
-
-__all___netcdf = ["open_netcdf"]
 
 
 def open_netcdf(data: bytes) -> Opened:

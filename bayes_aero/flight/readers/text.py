@@ -28,8 +28,6 @@ from bayes_aero.flight.readers.base import (
 )
 from bayes_aero.units import spellings
 
-__all__ = ["TextTable", "open_text"]
-
 MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
 """Far beyond any record; each line costs some hundred bytes of memory beside its own."""
 
@@ -165,7 +163,6 @@ def _no_number(body: Lines, name: str, cell: str, sample: int, heading: Heading,
 # are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
 # them.
 
-__all___layout = ["CELL", "Layout", "Lines", "laid_out", "separator_of", "split"]
 
 T = TypeVar("T")
 

@@ -21,8 +21,6 @@ from bayes_aero.flight.reading.segments import GAP, SHORTEST, cut, parts_of, sam
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant, si_unit
 
-__all__ = ["ChannelReport", "RecordReport", "inspect_record"]
-
 
 @dataclass(frozen=True)
 class ChannelReport:
@@ -131,7 +129,6 @@ def _report(channel: Channel, column: RawColumn, own: slice) -> ChannelReport:
 
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
 
-__all___proposal = ["Proposal", "proposals"]
 
 WINDOW = 2.0  # s over which a control or a rate must move
 PAUSE = 4.0  # s of rest that divide two manoeuvres

@@ -28,21 +28,7 @@ from bayes_aero.flight.reading.checks import check_record, without_bad_options
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import cut, expanded, segment_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
 from bayes_aero.units import canonical, same_kind, same_unit, to_si
-
-__all__ = [
-    "bytes_of",
-    "format_of",
-    "in_si",
-    "manoeuvres",
-    "present",
-    "read_again",
-    "read_record",
-    "read_records",
-    "unit_in_file",
-    "write_record",
-]
 
 MAX_BYTES = 1 << 30
 """Largest file that is taken for one manoeuvre: 1 GiB."""
@@ -254,7 +240,6 @@ def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | No
 
 # --- Everything that a file holds, before any card says what it means.
 
-__all___raw = ["RawColumn", "RawFile", "read_raw"]
 
 MOST = 20_000
 """Columns beyond this are not looked at."""
@@ -346,8 +331,6 @@ def _read(opened: Opened, places: Mapping[str, Heading]) -> dict[str, Column]:
 
 
 # --- Samples that a recorder wrote twice.
-
-__all___repeat = ["repeats", "without_repeats"]
 
 
 def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray, " n"]:

@@ -20,8 +20,6 @@ from scipy.linalg import get_lapack_funcs, solve_triangular
 from bayes_aero.inference.compiled_programs import blas_threads
 from bayes_aero.inference.gp.kernel import scaled_distance_kernel
 
-__all__ = ["Emulator", "ExactPoint", "fit_emulator"]
-
 DEGREE = 4  # also the order of the coefficient tensor below
 # With fewer rows than this times its terms, a degree is too high.
 ROWS_PER_TERM = (0.0, 2.0, 2.0, 2.0, 3.0)
@@ -156,16 +154,6 @@ def fit_emulator(
 
 DEPENDENT = 1e-6  # of singular values: its square is lost in the rounding of a gram that R^-1 stretches
 dpotrf, dpotrs, dpotri = get_lapack_funcs(("potrf", "potrs", "potri"), dtype=np.float64)
-
-__all___reduced = [
-    "Factor",
-    "ReducedData",
-    "ReducedGradient",
-    "ReducedStats",
-    "factorise",
-    "reduced_stats",
-    "stats_and_gradient",
-]
 
 
 class ReducedData(NamedTuple):

@@ -27,8 +27,6 @@ from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, di
 from bayes_aero.inference.gp.posterior import Budget, Sampled, posterior_tree, sample_posterior, systematic_resample
 from bayes_aero.inference.gp.sampling import SampleStatus
 
-__all__ = ["MAX_SAMPLES", "GPFit", "fit_gp"]
-
 MAX_SAMPLES = 8000
 Matrix = Float[np.ndarray, "n d"] | Float[jax.Array, "n d"]
 Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
@@ -187,7 +185,6 @@ def too_many(n: int) -> str:
 # draws; its quantiles are those of the mixture, not of a Gaussian with the mixture's sd. All are of the *measured*
 # output: latent function plus white noise (see the caveat in `kernel.py` on what white noise means here).
 
-__all___predict = ["Prediction", "gaussian_parts", "mixture"]
 
 LEVELS = (0.5, 0.9, 0.95)
 

@@ -26,8 +26,6 @@ from numpyro.distributions.transforms import ExpTransform
 
 from bayes_aero.errors import InputError
 
-__all__ = ["Scaling", "hyper_names", "length_slice", "noise_to_signal", "scaled_distance_kernel"]
-
 
 def length_slice(d: int) -> slice:
     """Positions of the d log length scales in theta."""
@@ -105,8 +103,6 @@ class Scaling:
 # Each prior speaks of a positive hyperparameter x (a standard deviation or a length scale); the engine works with t
 # = log x, so every density here carries the Jacobian x. Scaled units: inputs have training mean 0 and sd 1, the
 # output has training rms 1, so that one set of numbers serves every coefficient and no prior depends on units.
-
-__all___prior = ["FLAT", "HyperPrior", "Priors"]
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,6 @@ from bayes_aero.inference.gp.sampling import (
     thin,
 )
 
-__all__ = ["Budget", "Sampled", "sample_posterior"]
-
 DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplace approximation
 # A stand-in whose log density scatters by more is trained further, 12 gradients, before 128 exact draws judge it: on
 # CD a scatter of 0.16 was refused after them.
@@ -155,7 +153,6 @@ def _points(weighted: Weighted) -> list[ExactPoint]:
 
 # --- The sampled hyperparameters as an ArviZ DataTree, in physical units.
 
-__all___group = ["posterior_tree", "systematic_resample"]
 
 PRIOR_DRAWS = 2000
 

@@ -18,9 +18,6 @@ from scipy.special import logsumexp
 from bayes_aero.inference.gp.emulator import Emulator, ReducedData, ReducedStats, reduced_stats, stats_and_gradient
 from bayes_aero.inference.gp.kernel import Priors, length_slice, noise_to_signal
 
-__all__ = ["Chains", "Settings", "emulated_density", "join", "laplace_root", "sample_emulated"]
-
-
 # The stand-in is sampled to this power: draws then reach a little further out than the posterior does, so the weights
 # that bring them back are bounded where a stand-in without would miss a tail. Costs 5 % of the draws in 11 dimensions.
 TEMPER = 0.9
@@ -144,8 +141,6 @@ def sample_emulated(
 # ratios, exact minus stand-in, are Pareto-smoothed (PSIS, Vehtari et al. 2024, JMLR 25(72)) by ArviZ. The Pareto k
 # says whether that works: above 0.7 the stand-in is refused.
 
-__all___reweight = ["SampleStatus", "Weighted", "pareto_smooth", "reweight", "thin"]
-
 
 K_LIMIT = 0.7
 ESS_SHARE = 0.3  # k judges the tail of the weights only; a stand-in beside the posterior shows in their ESS
@@ -258,8 +253,6 @@ def reweight(
 # dK/dtheta], a = K^-1 y, is assembled in two steps: the n x n step has hand-written derivatives (`reduced.py`,
 # through LAPACK), the (d + 2) x (d + 2) step is small enough for autodiff. Nothing differentiates through an n x n
 # Cholesky.
-
-__all___density = ["LogDensity", "log_density", "small_likelihood"]
 
 
 def small_likelihood(

@@ -1,4 +1,4 @@
-"""Probability integral transform of each measured coefficient under its predictive distribution.
+"""Whether a posterior predicts what was measured (PIT), and how much it leans on its priors.
 
 Under a correct model the values are uniform. Each sample is predicted one step ahead, given those before it in its
 manoeuvre; under white noise they carry no information, and the values are those of the predictive distribution.

@@ -1,4 +1,4 @@
-"""The fits that `fly` begins with: coefficients, first values from them, and output error."""
+"""Fits of flights: coefficients, first values from them, output error, process noise, pooled manoeuvres."""
 
 from __future__ import annotations
 

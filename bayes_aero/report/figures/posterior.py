@@ -1,4 +1,4 @@
-"""Mixing of the chains and shape of the posterior: trace, rank and pair plots, by arviz_plots."""
+"""Figures of the posterior: mixing and shape, calibration of predictions, measured against predicted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prior against posterior of the model's parameters and of the GP's hyperparameters."""
+"""Figures of priors against posteriors, of an effect, and of the steady stall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seed paper's figures over time: the manoeuvres, the GP's fit, and the validation of each coefficient."""
+"""Figures over time: manoeuvres, fits of coefficients, simulated trajectories, innovations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folded lists: effects that a record cannot test, sensor errors that others imitate."""
+"""Parts of a page: folded lists, the glossary, and tables of numbers."""
 
 from __future__ import annotations
 

@@ -273,7 +273,7 @@ def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
 
 # --- Simulated trajectories on the page: errors before and after, and time histories with tolerance bands.
 
-TRAJECTORIES_MODELS = (
+COMPARED_MODELS = (
     ("card", "card's model", COLOURS["before"], "dashed"),
     ("extended", "extended model", COLOURS["after"], "solid"),
 )
@@ -304,7 +304,7 @@ def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
         page_table(hold_out_error_table(flown)),
         page_table(hold_out_tolerance_table(flown)),
     ]
-    unseen, fitted = (_flights_trajectorie(flown, split) for split in ("hold_out", "fitted"))
+    unseen, fitted = (_flight_plots(flown, split) for split in ("hold_out", "fitted"))
     blocks += unseen
     if fitted:
         blocks.append(Fold("The same, fitted to all flights", fitted))
@@ -326,14 +326,12 @@ def _names(flown: Trajectories, split: str) -> list[str]:
     return list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
 
 
-def _flights_trajectorie(flown: Trajectories, split: str) -> tuple[Block, ...]:
+def _flight_plots(flown: Trajectories, split: str) -> tuple[Block, ...]:
     shown, remark = first(_names(flown, split))
     plots: list[Block] = [*remark]
     units = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}
     for order, name in enumerate(shown):
-        curves = [
-            Curve(p, *how) for key, *how in TRAJECTORIES_MODELS if (p := flown.path(name, key, split)) is not None
-        ]
+        curves = [Curve(p, *how) for key, *how in COMPARED_MODELS if (p := flown.path(name, key, split)) is not None]
         what = f"{SPLITS[split]}: measured and simulated outputs"
         plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
         caption = f"{SPLITS[split]}. {plot.caption}"

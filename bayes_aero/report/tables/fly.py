@@ -379,7 +379,7 @@ def hold_out_error_table(flown: Trajectories) -> Table:
     """Root mean square error of every output, fitted jointly and on hold-out flights: card's model, extended model."""
     flights, columns = _flights(flown)
     for output in flown.outputs:
-        label, factor = _label_trajectorie(output), _factor(output)
+        label, factor = _output_label(output), _factor(output)
         errors = _changes(flown, flights, output, lambda e, factor=factor: factor * e.rms)
         columns.append(Column(errors, "", BOTH, label, short, group=label))
     return Table(
@@ -402,7 +402,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
     banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
     for output in banded:
         inside = _changes(flown, flights, output, lambda e: e.within)
-        columns.append(Column(inside, "", BOTH, form=".0%", group=_label_trajectorie(output)))
+        columns.append(Column(inside, "", BOTH, form=".0%", group=_output_label(output)))
     least = []
     for split, name in flights:
         path = flown.path(name, "extended", split)
@@ -421,7 +421,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
     """Errors of one model's simulation by flight and output."""
     columns = [Column([path.manoeuvre for path in paths], page="flight")]
     for output in paths[0].errors:
-        errors, factor, label = [path.errors[output] for path in paths], _factor(output), _label_trajectorie(output)
+        errors, factor, label = [path.errors[output] for path in paths], _factor(output), _output_label(output)
         columns += [
             Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
             Column([error.within for error in errors], page="inside", form=".0%", group=label),
@@ -455,7 +455,7 @@ def _changes(flown: Trajectories, flights: Flights, output: str, get: Callable[[
     return [Change(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
 
 
-def _label_trajectorie(output: str) -> str:
+def _output_label(output: str) -> str:
     return axis_label(output, STANDARD_CHANNELS[output].unit)
 
 

@@ -236,10 +236,10 @@ def _imitated(error: OpenError) -> str:
 def among_text(error: OpenError) -> str:
     """The standard error of an error with its imitators possible, as people read it."""
     unit, factor = for_people(error.unit)
-    return f"{factor * error.among:.2g}{_behind_consistency(unit)}"
+    return f"{factor * error.among:.2g}{_with_unit_behind(unit)}"
 
 
-def _behind_consistency(unit: str) -> str:
+def _with_unit_behind(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
 
 

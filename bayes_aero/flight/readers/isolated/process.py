@@ -14,8 +14,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.readers.base import MOST_VALUES_IN_ALL
 from bayes_aero.flight.readers.rates import Group, Series, SeveralRates, several_rates
 
-__all__ = ["parsed_apart"]
-
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
 """Seconds for the child, and more of them for each MB of the file; sound files take a tenth of that."""
 
@@ -76,8 +74,6 @@ def _unpacked(listed: list[dict], payload: bytes, start: int) -> list[Group]:
 
 # --- Libraries that only some file formats need, and that not everybody has.
 
-__all___extra = ["require"]
-
 
 def require(suffix: str, *libraries: str) -> None:
     """Refuse a file whose format needs a library that is not there.
@@ -96,8 +92,6 @@ def require(suffix: str, *libraries: str) -> None:
 
 # --- ArduPilot DataFlash logs, read by pymavlink: a column is a field of a message, as in "ATT.Roll".
 
-__all___dataflash = ["open_dataflash"]
-
 
 def open_dataflash(data: bytes) -> SeveralRates:
     """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX".
@@ -112,8 +106,6 @@ def open_dataflash(data: bytes) -> SeveralRates:
 
 
 # --- ASAM MDF version 4, read by asammdf: a column is a signal of a channel group.
-
-__all___mdf = ["open_mdf"]
 
 
 def open_mdf(data: bytes) -> SeveralRates:
@@ -132,8 +124,6 @@ def open_mdf(data: bytes) -> SeveralRates:
 
 
 # --- PX4 ULog, read by pyulog: a column is a field of a topic, as in "vehicle_attitude.q[0]".
-
-__all___ulog = ["open_ulog"]
 
 
 def open_ulog(data: bytes) -> SeveralRates:
