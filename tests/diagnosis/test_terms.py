@@ -141,8 +141,9 @@ def test_an_effect_file_states_what_the_library_evaluates_and_nothing_else(tmp_p
         assert np.asarray(added["Cm"]) == pytest.approx(2.0 * term.evaluate(SIGNALS, AIRCRAFT), rel=1e-12)
         assert set(effect.channels) == set(term.channels)
         assert effect.sizes[parameter.name] == (0.5, 60.0)
-    assert "was not written" in write_effects([MEMORY], ["run1"], path)
-    assert not path.exists()
+    unstated = tmp_path / "unstated.py"
+    assert "was not written" in write_effects([MEMORY], ["run1"], unstated)
+    assert not unstated.exists()
     write_effects([FOUND], ['x"""\nraise SystemExit("run")\n"""{0}'], path)
     (effect,) = own_effects([path]).values()
     assert effect.name == "cm_alpha_qhat_separated"
