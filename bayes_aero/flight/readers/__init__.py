@@ -6,11 +6,9 @@ import pkgutil
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
-from bayes_aero.flight.readers.base import Opened
+from bayes_aero.flight.readers.base import OpenedFile
 
-__all__ = ["READERS"]
-
-Opens = Callable[[bytes], Opened]
+Opens = Callable[[bytes], OpenedFile]
 
 
 def _discover() -> dict[str, Opens]:

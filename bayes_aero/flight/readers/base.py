@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ MOST_HEADINGS = 20_000
 
 
 @dataclass(frozen=True)
-class Column:
+class FileColumn:
     """One channel as in the file: (n,) values in the file's unit, NaN where it has none, and the unit it states."""
 
     values: np.ndarray
@@ -50,43 +50,33 @@ class Heading:
     formed: bool = False
 
 
-@runtime_checkable
-class Opened(Protocol):
-    """A file whose columns are known and whose values are still to be read. All columns have the same length."""
+@dataclass(frozen=True)
+class OpenedFile:
+    """A file whose columns are known and whose values are still to be read. All columns have the same length.
 
-    @property
-    def kind(self) -> str:
-        """What a column is called there: "column", "variable"."""
-        ...
+    Attributes:
+        headings: all columns, in the file's order.
+        read: gives the values of some headings, each under the name of the channel that it was taken for. A column of
+            several rates has NaN at the samples that it lacks. Raises InputError, in words of the channel, where its
+            values are no numbers.
+        kind: what a column is called there: "column", "variable".
+        remarks: how the file was understood, where it could be read in more than one way; one sentence each. Reading
+            may add to them.
+    """
 
-    @property
-    def headings(self) -> Sequence[Heading]:
-        """All columns, in the file's order."""
-        ...
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """How the file was understood, where it could be read in more than one way; one sentence each."""
-        ...
-
-    def read(self, wanted: Mapping[str, Heading]) -> dict[str, Column]:
-        """The values of some headings, each under the name of the channel that it was taken for.
-
-        A column of several rates has NaN at the samples that it lacks.
-
-        Raises:
-            InputError: in words of the channel, where its values are no numbers.
-        """
-        ...
+    headings: Sequence[Heading]
+    read: Callable[[Mapping[str, Heading]], dict[str, FileColumn]]
+    kind: str = "variable"
+    remarks: list[str] = field(default_factory=list)
 
 
-def located(channels: Sequence[Channel], opened: Opened) -> dict[str, Heading]:
+def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Heading]:
     """The heading of each channel, see `candidates`. A required one must be there, and none may be twice."""
     if len(opened.headings) > MOST_HEADINGS:
         raise InputError(
             f"it has {len(opened.headings)} {opened.kind}s, more than {MOST_HEADINGS}; is it a flight record?"
         )
-    look = Lookup(opened.headings)
+    look = HeadingIndex(opened.headings)
     found = {}
     for channel in channels:
         there = look.candidates(channel)
@@ -102,7 +92,7 @@ def located(channels: Sequence[Channel], opened: Opened) -> dict[str, Heading]:
     return found
 
 
-class Lookup:
+class HeadingIndex:
     """Headings by name and by number."""
 
     def __init__(self, headings: Sequence[Heading]) -> None:
@@ -194,16 +184,9 @@ _NEVER_WRITTEN = {
 
 
 def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.ndarray:
-    """The numbers that a NetCDF variable stands for, float64; NaN where it is missing or outside its valid range.
+    """The numbers that (n,) stored ones stand for by the variable's `attributes`, of which those of `PACKING` count.
 
-    Args:
-        raw: (n,) numbers as stored.
-        attributes: of the variable; those of `PACKING` count.
-        name: of the channel.
-
-    Raises:
-        InputError: it holds flags, or its packing is no numbers.
-
+    NaN where they are missing or outside the valid range; flags and packing that is no numbers are refused.
     Source: CF conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A.
     """
     if any(key.startswith("flag_") for key in PACKING if key in attributes):
@@ -306,6 +289,12 @@ def is_value(cell: str) -> bool:
     return _VALUE.fullmatch(cell) is not None or (_CLOCK.fullmatch(cell) is not None and cell.count(".") < 3)
 
 
+def value_share(cells: Sequence[str]) -> float:
+    """Values among the cells that are not blank; zero where all are."""
+    told = [cell for cell in cells if not is_blank(cell)]
+    return sum(map(is_value, told)) / len(told) if told else 0.0
+
+
 def marks_of(cells: Iterable[str]) -> Marks:
     """Tell decimal commas from commas between thousands, over all cells that are wanted of a file.
 
@@ -370,13 +359,6 @@ def number_of(cell: str, marks: Marks) -> float:
     return float(_FORTRAN.sub("e", plain))
 
 
-def thousands(cells: Sequence[str], marks: Marks) -> str:
-    """The first cell with a thousands separator; empty if there is none."""
-    if not marks.thousands:
-        return ""
-    return next((cell for cell in cells if marks.thousands in cell), "")
-
-
 # --- Clock times and dates to seconds since the first sample.
 
 
@@ -389,9 +371,7 @@ _WEIGHTS = {2: (60.0, 1.0), 3: (3600.0, 60.0, 1.0), 4: (DAY, 3600.0, 60.0, 1.0)}
 
 def looks_like_clock(cell: str) -> bool:
     """Whether a cell is a clock time (10:23:45.12, 127:10:23:45, 23:45.1) or a date with one."""
-    return (
-        _TIME.fullmatch(cell) is not None or _DATED.fullmatch(cell) is not None or _OF_DAY.fullmatch(cell) is not None
-    )
+    return any(pattern.fullmatch(cell) for pattern in (_TIME, _DATED, _OF_DAY))
 
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
@@ -400,13 +380,9 @@ def seconds(cells: Sequence[str]) -> np.ndarray:
     Raises:
         InputError: a cell is no time.
     """
-    if all(_TIME.fullmatch(cell) for cell in cells):
-        return _clock(cells)
-    return _dates(cells)
-
-
-def _clock(cells: Sequence[str]) -> np.ndarray:
-    """h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it."""
+    if not all(_TIME.fullmatch(cell) for cell in cells):
+        return _dates(cells)
+    # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it
     parts = [cell.replace(",", ".").split(":") for cell in cells]
     if len({len(part) for part in parts}) > 1:
         raise InputError("clock times of different forms stand in one column; write time in seconds")

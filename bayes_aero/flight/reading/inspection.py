@@ -14,7 +14,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.health.air import grounded
 from bayes_aero.flight.health.signals import runs_of
-from bayes_aero.flight.readers.base import Column
+from bayes_aero.flight.readers.base import FileColumn
 from bayes_aero.flight.reading.checks import JITTER, failures, without_bad_options
 from bayes_aero.flight.reading.read_record import RawColumn, in_si, read_raw, read_record, without_repeats
 from bayes_aero.flight.reading.segments import GAP, SHORTEST, cut, parts_of, samples_of, segment_of
@@ -114,7 +114,7 @@ def _read(path: str | os.PathLike[str], card: Card, resample: float | None) -> t
 def _converted(channel: Channel, column: RawColumn) -> np.ndarray:
     if column.values is None:
         raise InputError(f"channel {channel.name}: {column.place} holds something else than numbers; repair the file")
-    return in_si(channel, Column(column.values, column.unit), column.heading)
+    return in_si(channel, FileColumn(column.values, column.unit), column.heading)
 
 
 def _report(channel: Channel, column: RawColumn, own: slice) -> ChannelReport:

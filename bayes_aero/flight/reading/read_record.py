@@ -23,7 +23,7 @@ from jaxtyping import Bool
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.readers.base import Column, Heading, Lookup, Opened, located
+from bayes_aero.flight.readers.base import FileColumn, Heading, HeadingIndex, OpenedFile, located
 from bayes_aero.flight.reading.checks import check_record, without_bad_options
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import cut, expanded, segment_of
@@ -158,7 +158,7 @@ def present(path: Path) -> None:
         raise InputError(f"{path}: {_no_such_file(file)}")
 
 
-def format_of(path: Path) -> Callable[[bytes], Opened]:
+def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
     opens = READERS.get(path.suffix.lower())
     if opens is None:
@@ -208,7 +208,7 @@ def _no_such_file(path: Path) -> str:
     return "no such file; " + (f"did you mean {' or '.join(close)}?" if close else "correct the path")
 
 
-def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
+def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
     """A channel's values in SI, (n,), with the card's sign.
 
     Raises:
@@ -224,7 +224,7 @@ def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
     return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
 
 
-def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | None:
+def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str | None:
     """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)").
 
     What a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro.
@@ -276,7 +276,7 @@ class RawFile:
 
     def find(self, channel: Channel) -> RawColumn | None:
         """The column that a card's channel names."""
-        there = Lookup([column.heading for column in self.columns]).candidates(channel)
+        there = HeadingIndex([column.heading for column in self.columns]).candidates(channel)
         return next((column for column in self.columns if column.heading in there[:1]), None)
 
 
@@ -309,12 +309,12 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
     return RawFile(tuple(columns), repeated, tuple(opened.remarks))
 
 
-def _read(opened: Opened, places: Mapping[str, Heading]) -> dict[str, Column]:
+def _read(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
     """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
 
     When `PATIENCE` is over, whatever has not been read is taken for no numbers.
     """
-    found: dict[str, Column] = {}
+    found: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
     began = time.monotonic()
