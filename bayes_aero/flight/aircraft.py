@@ -59,46 +59,24 @@ class Aircraft:
 
 AIRCRAFT_UNITS: dict[str, str] = {
     "mass": "kg",
-    "Ix": "kg m^2",
-    "Iy": "kg m^2",
-    "Iz": "kg m^2",
-    "Ixz": "kg m^2",
+    **dict.fromkeys(("Ix", "Iy", "Iz", "Ixz"), "kg m^2"),
     "wing_area": "m^2",
-    "chord": "m",
-    "half_span": "m",
+    **dict.fromkeys(("chord", "half_span"), "m"),
     "aspect_ratio": "1",
-    "tail_arm": "m",
-    "reference_point": "m",
-    "accelerometer": "m",
-    "engine": "m",
+    **dict.fromkeys(("tail_arm", "reference_point", "accelerometer", "engine"), "m"),
     "engine_inclination": "rad",
     "reference_speed": "m/s",
-    "rate_length": "m",
-    "lateral_length": "m",
-    "lateral_rate_length": "m",
-    "engine_arm": "m",
-    "Ixy": "kg m^2",
-    "Iyz": "kg m^2",
+    **dict.fromkeys(("rate_length", "lateral_length", "lateral_rate_length", "engine_arm"), "m"),
+    **dict.fromkeys(("Ixy", "Iyz"), "kg m^2"),
 }
 AIRCRAFT_KEYS: dict[str, str] = {**AIRCRAFT_UNITS, "span": "m"}
 """Keys of a card's [aircraft]: the constants, and the span in place of half of it."""
-OPTIONAL = (
-    "aspect_ratio",  # span squared over wing area where it is not stated
-    "reference_point",
-    "accelerometer",
-    "engine",
-    "engine_inclination",
-    "reference_speed",
-    "rate_length",
-    "lateral_length",
-    "lateral_rate_length",
-    "engine_arm",
-    "Ixy",
-    "Iyz",
-)
+OPTIONAL = (  # the aspect ratio is the span squared over the wing area where it is not stated
+    "aspect_ratio", "reference_point", "accelerometer", "engine", "engine_inclination", "reference_speed",
+    "rate_length", "lateral_length", "lateral_rate_length", "engine_arm", "Ixy", "Iyz",
+)  # fmt: skip
 
-_NAN = float("nan")
-NO_AIRCRAFT = Aircraft(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN)
+NO_AIRCRAFT = Aircraft(*(float("nan"),) * 10)
 """Stands on cards that state none: whatever is computed from it is not a number."""
 
 

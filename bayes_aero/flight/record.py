@@ -16,8 +16,6 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.units import instant
 
-__all__ = ["FlightRecord"]
-
 
 def _frozen(values: Any, label: str, n: int | None = None) -> np.ndarray:
     """A private, read-only float64 vector; `n` is the length it must have."""

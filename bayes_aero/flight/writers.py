@@ -16,8 +16,6 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import from_si
 
-__all__ = ["WRITERS", "write_record"]
-
 Columns = list[tuple[Channel, np.ndarray]]
 """Channels to write, each with its (n,) values in the file's unit."""
 
@@ -85,9 +83,8 @@ def _mat(columns: Columns) -> bytes:
     for channel, _ in columns:
         if re.fullmatch(r"[A-Za-z]\w{0,62}", channel.heading, re.ASCII) is None:
             raise InputError(
-                f"channel {channel.name}: {channel.heading!r} cannot be a MATLAB name; give it a label of "
-                f"letters, "
-                f"digits and underscores"
+                f"channel {channel.name}: {channel.heading!r} cannot be a MATLAB name; give it a label of letters, "
+                "digits and underscores"
             )
     buffer = io.BytesIO()
     savemat(buffer, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
@@ -116,9 +113,7 @@ def _netcdf(columns: Columns) -> bytes:
 
 
 WRITERS: Mapping[str, Callable[[Columns], bytes]] = {
-    ".asc": _asc,
-    ".txt": _asc,
-    ".dat": _asc,
+    **dict.fromkeys((".asc", ".txt", ".dat"), _asc),
     ".csv": _csv,
     ".mat": _mat,
     ".parquet": _parquet,

@@ -63,7 +63,12 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
     """The whole file in SI, unchecked, without samples that were written twice."""
     segment = segment_of(path)
     opens = format_of(segment.file)
-    _refuse_odd_cards(channels)
+    names = [channel.name for channel in channels]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
+    if "time" not in names:
+        raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
     data = bytes_of(segment.file)
     opened = opens(data)
     places = located(channels, opened)
@@ -90,13 +95,7 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
 
 
 def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel]) -> FlightRecord:
-    """The record that was read before, from `file`, where it is now.
-
-    Args:
-        read: how (`FlightRecord.read`).
-        file: the whole file.
-        channels: what the card maps.
-    """
+    """The record that was `read` before (see `FlightRecord.read`), from the whole `file`, where it is now."""
     part = f"@{read['part']}" if read["part"] else ""
     record = read_record(f"{file}{part}", channels, resample=read["resample"])
     for begin, end in read["windows"]:
@@ -134,17 +133,14 @@ def manoeuvres(
     split: bool = False,
 ) -> list[Path]:
     """The paths of single manoeuvres that `paths` stand for, see `read_records`."""
-    times = {os.fspath(path): _time_of(path, channels) for path in paths} if split else None
-    return expanded(paths, segments or {}, times)
-
-
-def _time_of(path: str | os.PathLike[str], channels: Sequence[Channel]) -> np.ndarray:
-    """(n,) time of the whole file, s."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
-    try:
-        return _as_filed(segment_of(path).file, clock).time
-    except InputError as reason:
-        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+    times: dict[str, np.ndarray] = {}
+    for path in paths if split else ():
+        try:
+            times[os.fspath(path)] = _as_filed(segment_of(path).file, clock).time
+        except InputError as reason:
+            raise InputError(f"{os.fspath(path)}: {reason}") from reason
+    return expanded(paths, segments or {}, times if split else None)
 
 
 def present(path: Path) -> None:
@@ -167,15 +163,6 @@ def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
             f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
         )
     return opens
-
-
-def _refuse_odd_cards(channels: Sequence[Channel]) -> None:
-    names = [channel.name for channel in channels]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
-    if "time" not in names:
-        raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
 
 
 def bytes_of(path: Path) -> bytes:
@@ -293,23 +280,21 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
             for number, heading in headings.items()
             if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
         }
-        found = _read(opened, places)
+        found = _numeric(opened, places)
     except InputError as reason:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
     columns = []
     for number, heading in places.items():
-        column = found.get(number)
-        if column is not None and not heading.names and not np.isfinite(column.values).any():
+        column = found.get(number, FileColumn(np.empty(0)))
+        if number in found and not heading.names and not np.isfinite(column.values).any():
             continue  # what follows a separator too many
         at = heading.column if heading.column is not None else int(number)
-        values, unit = (column.values, column.unit) if column else (None, None)
-        columns.append(
-            RawColumn(heading.names[0] if heading.names and not heading.formed else None, at, values, unit, heading)
-        )
+        label = heading.names[0] if heading.names and not heading.formed else None
+        columns.append(RawColumn(label, at, column.values if number in found else None, column.unit, heading))
     return RawFile(tuple(columns), repeated, tuple(opened.remarks))
 
 
-def _read(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
+def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
     """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
 
     When `PATIENCE` is over, whatever has not been read is taken for no numbers.
@@ -351,13 +336,11 @@ def without_repeats(record: FlightRecord) -> FlightRecord:
         return record
     count = int(again.sum())
     what = "1 sample repeats" if count == 1 else f"{count} samples repeat"
-    remark = f"{what} the one before in time and in every channel of the card, and {_are(count)} left out"
+    remark = (
+        f"{what} the one before in time and in every channel of the card, and {'is' if count == 1 else 'are'} left out"
+    )
     channels = {name: x[~again] for name, x in record.channels.items()}
     return replace(record, time=record.time[~again], channels=channels, remarks=(*record.remarks, remark))
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"
 
 
 # --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
-
-__all__ = ["GAP", "Segment", "cut", "expanded", "parts_of", "samples_of", "segment_of"]
 
 GAP = 1.5
 """A step longer than this many median steps is a gap: at least one sample is lost."""
@@ -27,21 +26,13 @@ _SPAN = re.compile(rf"(?P<file>.+)@(?:(?P<begin>{_NUMBER})?:(?P<end>{_NUMBER})?|
 
 @dataclass(frozen=True)
 class Segment:
-    """A file, and the part of it that is meant.
+    """A file, and the part of it that is meant."""
 
-    Attributes:
-        file: without the part.
-        begin: first time, s; None from the beginning.
-        end: last time, s; None to the end.
-        part: number of the part between gaps, counted from 1, instead of times.
-        words: the part as it was written behind "@"; empty for the whole file.
-    """
-
-    file: Path
-    begin: float | None = None
-    end: float | None = None
-    part: int | None = None
-    words: str = ""
+    file: Path  # without the part
+    begin: float | None = None  # first time, s; None from the beginning
+    end: float | None = None  # last time, s; None to the end
+    part: int | None = None  # number of the part between gaps, counted from 1, instead of times
+    words: str = ""  # the part as it was written behind "@"; empty for the whole file
 
     @property
     def whole(self) -> bool:
@@ -63,7 +54,7 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
     """What a path means; a file whose whole name looks like a segment is that file."""
     text = os.fspath(path)
     match = _SPAN.fullmatch(text)
-    if match is None or _is_file(Path(text)):
+    if match is None or is_file(Path(text)):
         return Segment(Path(text))
     begin, end = (None if match[key] is None else float(match[key]) for key in ("begin", "end"))
     if begin is not None and end is not None and not begin < end:
@@ -73,13 +64,6 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
         )
     part, words = match["part"], text[len(match["file"]) + 1 :]
     return Segment(Path(match["file"]), begin, end, None if part is None else int(part), words)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
@@ -153,17 +137,14 @@ def expanded(
         if own:
             found += [Path(f"{text}@{part}") for part in own]
         elif segment.whole and times is not None:
-            found += [Path(text) if part is None else Path(f"{text}@{part}") for part in _named(times[text])]
+            time, all_parts = times[text], parts_of(times[text])
+            long = [(k, a, b) for k, (a, b) in enumerate(all_parts, 1) if b - a >= SHORTEST]
+            if len(all_parts) == 1:
+                found.append(Path(text))
+            elif (np.diff(time) <= 0.0).any():
+                found += [Path(f"{text}@#{k}") for k, _, _ in long]
+            else:
+                found += [Path(f"{text}@{time[a]:.15g}:{time[b - 1]:.15g}") for _, a, b in long]
         else:
             found.append(Path(text))
     return found
-
-
-def _named(time: np.ndarray) -> list[str | None]:
-    """The parts of a file as they are written behind "@"; None where it has one only."""
-    parts = [(k, a, b) for k, (a, b) in enumerate(parts_of(time), 1) if b - a >= SHORTEST]
-    if len(parts) < 2 and len(parts_of(time)) == 1:
-        return [None]
-    if (np.diff(time) <= 0.0).any():
-        return [f"#{k}" for k, _, _ in parts]
-    return [f"{time[a]:.15g}:{time[b - 1]:.15g}" for _, a, b in parts]
