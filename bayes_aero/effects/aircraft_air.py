@@ -20,7 +20,7 @@ from bayes_aero.effect import (
     effect,
     parameter,
 )
-from bayes_aero.effects.sources import OUR_WIDTH, RELATIVE_ERROR
+from bayes_aero.effects.derivatives import OUR_WIDTH, RELATIVE_ERROR
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Prior

@@ -20,66 +20,47 @@ MOVED = ((0.03, 0.0, -0.01, -0.06), (-0.03, -0.01, -0.05, 0.0))
 """Worked examples of a delay: the channel, and each next sample less this one; nothing is known beyond the last."""
 
 
+# Entries are packed; one argument a line would make the module twice as long:
+# effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
+# fmt: off
+
+
 def bias(
-    name: str,
-    channel: str,
-    what: str,
-    unit: str,
-    *,
-    sd: float,
-    sizes: tuple[float, float],
+    name: str, channel: str, what: str, unit: str, *, sd: float, sizes: tuple[float, float],
     example: tuple[float, float, float, str],
 ) -> Effect:
     """A constant error of a channel. `sd`: of its prior. `example`: error, recorded value, what corrects it, why."""
     error, recorded, correction, by_hand = example
     return effect(
-        name,
-        f"The recorded {what} is off by a constant.",
+        name, f"The recorded {what} is off by a constant.",
         f"Recorded = true + {name}.",
         lambda v, s, *_: {channel: -v[name] + xp.zeros_like(s[channel])},
         parameter(name, unit, f"constant error of the recorded {what}", Prior("normal", 0.0, sd), sizes),
         example=Example({name: error}, {channel: recorded}, {channel: correction}, f"{by_hand}, by hand"),
-        source=SENSOR_ERRORS,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
+        source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
     )
 
 
 def scale(
-    name: str,
-    channel: str,
-    what: str,
-    *,
-    sd: float,
-    sizes: tuple[float, float],
-    example: tuple[float, float, float, str],
-    axis: Axis | None = None,
+    name: str, channel: str, what: str, *, sd: float, sizes: tuple[float, float],
+    example: tuple[float, float, float, str], axis: Axis | None = None,
 ) -> Effect:
     """A proportional error of a channel. `sd`: of its prior. `example`: as of `bias`."""
     error, recorded, correction, by_hand = example
     prior = Prior("normal", 0.0, sd)
     return effect(
-        name,
-        f"The recorded {what} is too large or too small in proportion.",
+        name, f"The recorded {what} is too large or too small in proportion.",
         f"Recorded = (1 + {name}) true.",
         lambda v, s, *_: {channel: s[channel] / (1.0 + v[name]) - s[channel]},
         parameter(name, "1", f"relative error of the recorded {what}", prior, sizes, (-0.5, 1.0)),
         example=Example({name: error}, {channel: recorded}, {channel: correction}, f"{by_hand}, by hand"),
-        source=SENSOR_ERRORS,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
-        axis=axis,
+        source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=axis,
     )
 
 
 def delay(
-    name: str,
-    channel: str,
-    what: str,
-    example: tuple[tuple[float, ...], tuple[float, ...]],
-    *,
-    candidate: bool = True,
-    axis: Axis | None = None,
+    name: str, channel: str, what: str, example: tuple[tuple[float, ...], tuple[float, ...]], *,
+    candidate: bool = True, axis: Axis | None = None,
 ) -> Effect:
     """A delay of a channel. `example`: four samples 0.04 s apart, and what corrects a delay of one sample."""
     recorded, correction = example
@@ -90,49 +71,27 @@ def delay(
         return {channel: advance(x, xp.asarray(v[name]), s["dt"], s["first"], s["last"]) - x}
 
     return effect(
-        name,
-        f"The {what} is recorded late (or early, where negative).",
+        name, f"The {what} is recorded late (or early, where negative).",
         f"Recorded(t) = true(t - {name}).",
         increments,
         parameter(
-            name,
-            "s",
-            f"delay of the recorded {what}; positive is late",
-            Prior("normal", 0.0, 0.25),
-            (0.02, 0.5),
-            (-2.0, 2.0),
-            role=Role.DELAY,
+            name, "s", f"delay of the recorded {what}; positive is late", Prior("normal", 0.0, 0.25), (0.02, 0.5),
+            (-2.0, 2.0), role=Role.DELAY,
         ),
         example=Example(
-            {name: 0.04},
-            {channel: recorded, **marks},
-            {channel: correction},
+            {name: 0.04}, {channel: recorded, **marks}, {channel: correction},
             "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
         ),
-        source=DELAY,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
-        candidate=candidate,
-        axis=axis,
+        source=DELAY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, candidate=candidate, axis=axis,
     )
 
 
-# Entries are packed; one argument a line would make the module twice as long:
-# effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
-# fmt: off
-
 # Air data.
 
-ALPHA_BIAS = bias(
-    "alpha_bias", "alpha", "angle of attack", "rad", sd=0.017, sizes=(0.002, 0.035),
-    example=(0.01, 0.21, -0.01, "recorded 0.21, true 0.20"),
-)
-
-ALPHA_SCALE = scale(
-    "alpha_scale", "alpha", "angle of attack", sd=0.1, sizes=(0.01, 0.2),
-    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.20"),
-)
-
+ALPHA_BIAS = bias("alpha_bias", "alpha", "angle of attack", "rad", sd=0.017, sizes=(0.002, 0.035),
+    example=(0.01, 0.21, -0.01, "recorded 0.21, true 0.20"))
+ALPHA_SCALE = scale("alpha_scale", "alpha", "angle of attack", sd=0.1, sizes=(0.01, 0.2),
+    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.20"))
 ALPHA_DELAY = delay("alpha_delay", "alpha", "angle of attack", RISING)
 
 
@@ -278,21 +237,12 @@ PITOT_POSITION = effect(
     candidate=False,
 )
 
-ALTITUDE_SCALE = scale(
-    "altitude_scale", "altitude", "altitude", sd=0.05, sizes=(0.005, 0.1),
-    example=(0.02, 5100.0, -100.0, "recorded 5100 = 1.02 x 5000"),
-)
-
-SIDESLIP_BIAS = bias(
-    "sideslip_bias", "beta", "sideslip", "rad", sd=0.0175, sizes=(0.002, 0.035),
-    example=(0.01, 0.03, -0.01, "recorded 0.03, true 0.02"),
-)
-
-SIDESLIP_SCALE = scale(
-    "sideslip_scale", "beta", "sideslip", sd=0.1, sizes=(0.02, 0.2),
-    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.2"),
-)
-
+ALTITUDE_SCALE = scale("altitude_scale", "altitude", "altitude", sd=0.05, sizes=(0.005, 0.1),
+    example=(0.02, 5100.0, -100.0, "recorded 5100 = 1.02 x 5000"))
+SIDESLIP_BIAS = bias("sideslip_bias", "beta", "sideslip", "rad", sd=0.0175, sizes=(0.002, 0.035),
+    example=(0.01, 0.03, -0.01, "recorded 0.03, true 0.02"))
+SIDESLIP_SCALE = scale("sideslip_scale", "beta", "sideslip", sd=0.1, sizes=(0.02, 0.2),
+    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.2"))
 SIDESLIP_DELAY = delay("sideslip_delay", "beta", "sideslip", RISING, axis=Axis.LATERAL)
 
 SIDESLIP_VANE_POSITION = effect(
@@ -331,57 +281,29 @@ SIDESLIP_VANE_HEIGHT = effect(
 
 # Rates.
 
-PITCH_RATE_BIAS = bias(
-    "pitch_rate_bias", "q", "pitch rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.050"),
-)
-
-PITCH_RATE_SCALE = scale(
-    "pitch_rate_scale", "q", "pitch rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.040"),
-)
-
-ROLL_RATE_BIAS = bias(
-    "roll_rate_bias", "p", "roll rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"),
-)
-
-ROLL_RATE_SCALE = scale(
-    "roll_rate_scale", "p", "roll rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"),
-)
-
-YAW_RATE_BIAS = bias(
-    "yaw_rate_bias", "r", "yaw rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"),
-)
-
-YAW_RATE_SCALE = scale(
-    "yaw_rate_scale", "r", "yaw rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"),
-)
+PITCH_RATE_BIAS = bias("pitch_rate_bias", "q", "pitch rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.050"))
+PITCH_RATE_SCALE = scale("pitch_rate_scale", "q", "pitch rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.040"))
+ROLL_RATE_BIAS = bias("roll_rate_bias", "p", "roll rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"))
+ROLL_RATE_SCALE = scale("roll_rate_scale", "p", "roll rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"))
+YAW_RATE_BIAS = bias("yaw_rate_bias", "r", "yaw rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"))
+YAW_RATE_SCALE = scale("yaw_rate_scale", "r", "yaw rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"))
 
 # Specific forces.
 
-ACCEL_X_BIAS = bias(
-    "accel_x_bias", "ax", "longitudinal specific force", "m/s^2", sd=0.25, sizes=(0.01, 0.5),
-    example=(0.05, 1.25, -0.05, "recorded 1.25, true 1.20"),
-)
-
-ACCEL_Y_BIAS = bias(
-    "accel_y_bias", "ay", "lateral specific force", "m/s^2", sd=0.25, sizes=(0.02, 0.5),
-    example=(0.1, 0.4, -0.1, "recorded 0.4, true 0.3"),
-)
-
-ACCEL_Z_BIAS = bias(
-    "accel_z_bias", "az", "normal specific force", "m/s^2", sd=0.5, sizes=(0.08, 1.0),
-    example=(-0.2, -9.9, 0.2, "recorded -9.9, true -9.7"),
-)
-
-ACCEL_Y_SCALE = scale(
-    "accel_y_scale", "ay", "lateral specific force", sd=0.1, sizes=(0.02, 0.3),
-    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"),
-)
+ACCEL_X_BIAS = bias("accel_x_bias", "ax", "longitudinal specific force", "m/s^2", sd=0.25, sizes=(0.01, 0.5),
+    example=(0.05, 1.25, -0.05, "recorded 1.25, true 1.20"))
+ACCEL_Y_BIAS = bias("accel_y_bias", "ay", "lateral specific force", "m/s^2", sd=0.25, sizes=(0.02, 0.5),
+    example=(0.1, 0.4, -0.1, "recorded 0.4, true 0.3"))
+ACCEL_Z_BIAS = bias("accel_z_bias", "az", "normal specific force", "m/s^2", sd=0.5, sizes=(0.08, 1.0),
+    example=(-0.2, -9.9, 0.2, "recorded -9.9, true -9.7"))
+ACCEL_Y_SCALE = scale("accel_y_scale", "ay", "lateral specific force", sd=0.1, sizes=(0.02, 0.3),
+    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"))
 
 # All three accelerometers; `accel_y_position` and `accel_y_height` move the lateral one by itself.
 ACCELEROMETER_POSITION = effect(
@@ -413,9 +335,9 @@ ACCELEROMETER_HEIGHT = effect(
 )
 
 
-def _accel_y_position(v: Values, s: Signals, *_: Any) -> Increments:
-    r_dot = differentiate_joined(s["r"], s["dt"], s["first"], s["last"])
-    return {"ay": -v["accel_y_position"] * (r_dot + s["p"] * s["q"])}
+def slope(s: Signals, name: str) -> Any:
+    """Time derivative of a channel."""
+    return differentiate_joined(s[name], s["dt"], s["first"], s["last"])
 
 
 ACCEL_Y_POSITION = effect(
@@ -423,7 +345,7 @@ ACCEL_Y_POSITION = effect(
     "The lateral specific force was recorded ahead of where the card says (or behind it, where negative), and "
     "still contains what yaw acceleration does there.",
     "Recorded = true + x (r_dot + p q).",
-    _accel_y_position,
+    lambda v, s, *_: {"ay": -v["accel_y_position"] * (slope(s, "r") + s["p"] * s["q"])},
     parameter(
         "accel_y_position", "m", "distance of the lateral accelerometer ahead of the place on the card",
         Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0),
@@ -438,18 +360,12 @@ ACCEL_Y_POSITION = effect(
     axis=Axis.LATERAL,
 )
 
-
-def _accel_y_height(v: Values, s: Signals, *_: Any) -> Increments:
-    p_dot = differentiate_joined(s["p"], s["dt"], s["first"], s["last"])
-    return {"ay": -v["accel_y_height"] * (p_dot - s["q"] * s["r"])}
-
-
 ACCEL_Y_HEIGHT = effect(
     "accel_y_height",
     "The lateral specific force was recorded higher than the card says (or lower, where negative), and still "
     "contains what roll acceleration does there.",
     "Recorded = true + h (p_dot - q r) at the height h = -z.",
-    _accel_y_height,
+    lambda v, s, *_: {"ay": -v["accel_y_height"] * (slope(s, "p") - s["q"] * s["r"])},
     parameter(
         "accel_y_height", "m", "height of the lateral accelerometer above the place on the card",
         Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0),
@@ -466,42 +382,22 @@ ACCEL_Y_HEIGHT = effect(
 
 # Attitudes.
 
-PITCH_ATTITUDE_BIAS = bias(
-    "pitch_attitude_bias", "theta", "pitch attitude", "rad", sd=0.025, sizes=(0.002, 0.05),
-    example=(0.02, 0.1, -0.02, "recorded 0.10, true 0.08"),
-)
-
-BANK_ANGLE_BIAS = bias(
-    "bank_angle_bias", "phi", "bank angle", "rad", sd=0.025, sizes=(0.002, 0.05),
-    example=(0.02, 0.5, -0.02, "recorded 0.5, true 0.48"),
-)
-
-BANK_ANGLE_SCALE = scale(
-    "bank_angle_scale", "phi", "bank angle", sd=0.05, sizes=(0.01, 0.15),
-    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"),
-)
-
+PITCH_ATTITUDE_BIAS = bias("pitch_attitude_bias", "theta", "pitch attitude", "rad", sd=0.025, sizes=(0.002, 0.05),
+    example=(0.02, 0.1, -0.02, "recorded 0.10, true 0.08"))
+BANK_ANGLE_BIAS = bias("bank_angle_bias", "phi", "bank angle", "rad", sd=0.025, sizes=(0.002, 0.05),
+    example=(0.02, 0.5, -0.02, "recorded 0.5, true 0.48"))
+BANK_ANGLE_SCALE = scale("bank_angle_scale", "phi", "bank angle", sd=0.05, sizes=(0.01, 0.15),
+    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"))
 HEADING_DELAY = delay("heading_delay", "psi", "heading", RISING, candidate=False)
 
 # Deflections of the control surfaces.
 
-ELEVATOR_SCALE = scale(
-    "elevator_scale", "elevator", "elevator deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"),
-)
-
+ELEVATOR_SCALE = scale("elevator_scale", "elevator", "elevator deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"))
 ELEVATOR_DELAY = delay("elevator_delay", "elevator", "elevator deflection", MOVED)
-
-AILERON_SCALE = scale(
-    "aileron_scale", "aileron", "aileron deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL,
-)
-
+AILERON_SCALE = scale("aileron_scale", "aileron", "aileron deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL)
 AILERON_DELAY = delay("aileron_delay", "aileron", "aileron deflection", MOVED, axis=Axis.LATERAL)
-
-RUDDER_SCALE = scale(
-    "rudder_scale", "rudder", "rudder deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL,
-)
-
+RUDDER_SCALE = scale("rudder_scale", "rudder", "rudder deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL)
 RUDDER_DELAY = delay("rudder_delay", "rudder", "rudder deflection", MOVED, axis=Axis.LATERAL)

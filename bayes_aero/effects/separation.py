@@ -6,7 +6,7 @@ import math
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Example, Increments, Known, Signals, Stage, Values, effect, parameter
-from bayes_aero.effects.sources import OUR_WIDTH, STALL_MODEL
+from bayes_aero.effects.derivatives import OUR_WIDTH, STALL_MODEL, derivative
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Length, Prior, Role
 from bayes_aero.physics.rates import reduced, reduced_lateral
@@ -230,17 +230,16 @@ SEPARATED_ROLL_DAMPING = effect(
 
 # A left and a right wing that stall at different angles: see `Model.flow`.
 
-WING_ASYMMETRY = effect(
+WING_ASYMMETRY = derivative(
     "wing_asymmetry",
     "One wing stalls at a smaller angle of attack than the other (the right one first where positive).",
-    "incidence_difference += wing_asymmetry.",
-    lambda v, s, *_: {"incidence_difference": v["wing_asymmetry"] + xp.zeros_like(s["alpha"])},
+    "incidence_difference", "1",
     parameter(
         "wing_asymmetry", "rad", "angle by which the right wing stalls before the left",
         Prior("normal", 0.0, 0.0175, "one degree; our choice of width"), (0.003, 0.06), (-0.2, 0.2),
     ),
-    example=Example({"wing_asymmetry": 0.01}, {"alpha": 0.2}, {"incidence_difference": 0.01}, "by definition"),
-    source="a difference of twist, or of the stall angles of the two wings, by definition", stage=Stage.INCIDENCE,
+    (0.01, 0.2, 0.01), source="a difference of twist, or of the stall angles of the two wings, by definition",
+    stage=Stage.INCIDENCE,
 )
 
 ROLL_RATE_INCIDENCE = effect(
@@ -258,29 +257,24 @@ ROLL_RATE_INCIDENCE = effect(
     source="velocity of a point of a rigid body", stage=Stage.INCIDENCE,
 )
 
-AILERON_INCIDENCE = effect(
-    "aileron_incidence", "The wing whose aileron goes down stalls first.",
-    "incidence_difference += aileron_incidence da.",
-    lambda v, s, *_: {"incidence_difference": v["aileron_incidence"] * s["aileron"]},
+AILERON_INCIDENCE = derivative(
+    "aileron_incidence", "The wing whose aileron goes down stalls first.", "incidence_difference", "aileron",
     parameter(
         "aileron_incidence", "1", "difference of incidence, right less left wing, per aileron deflection",
         Prior("normal", 0.0, 0.5, OUR_WIDTH), (0.04, 2.0),
     ),
-    example=Example(
-        {"aileron_incidence": 0.4}, {"aileron": -0.05}, {"incidence_difference": -0.02}, "0.4 x -0.05, by hand",
-    ),
-    source="a flap that goes down lowers the stall angle of its section; our choice of form", stage=Stage.INCIDENCE,
+    (0.4, -0.05, -0.02), source="a flap that goes down lowers the stall angle of its section; our choice of form",
+    stage=Stage.INCIDENCE,
 )
 
-SIDESLIP_INCIDENCE = effect(
-    "sideslip_incidence", "In sideslip the windward wing stalls before the other (after it, where negative).",
-    "incidence_difference += sideslip_incidence beta.",
-    lambda v, s, *_: {"incidence_difference": v["sideslip_incidence"] * s["beta"]},
+SIDESLIP_INCIDENCE = derivative(
+    "sideslip_incidence",
+    "In sideslip the windward wing stalls before the other (after it, where negative).", "incidence_difference", "beta",
     parameter(
         "sideslip_incidence", "1", "difference of incidence, right less left wing, per sideslip",
         Prior("normal", 0.0, 0.5, "twice the dihedral angle, and sweep; our choice of width"), (0.05, 2.0),
     ),
-    example=Example({"sideslip_incidence": 0.2}, {"beta": 0.05}, {"incidence_difference": 0.01}, "0.2 x 0.05, by hand"),
+    (0.2, 0.05, 0.01),
     source="a wing with dihedral meets sideslip at an incidence, by geometry; sweep lumped with it is our choice",
     stage=Stage.INCIDENCE,
 )
@@ -307,14 +301,12 @@ WING_LIFT_DIFFERENCE = effect(
 )
 
 
-def _wing_drag_difference(v: Values, s: Signals, a: Aircraft, known: Known) -> Increments:
-    return moments_of_difference(xp.zeros_like(s["alpha"]), -v["CDX"] * known["X_difference"], s["alpha"], a)
-
-
 WING_DRAG_DIFFERENCE = effect(
     "wing_drag_difference", "The wing with more separated flow is dragged back.",
     "Cl, Cn of CDX (X left less right), half of it on either wing (see `moments_of_difference`).",
-    _wing_drag_difference,
+    lambda v, s, a, known: moments_of_difference(
+        xp.zeros_like(s["alpha"]), -v["CDX"] * known["X_difference"], s["alpha"], a
+    ),
     example=Example(
         {"CDX": 0.12}, {"alpha": 0.2},
         {"Cl": -0.03 / (3.0 * math.pi) * math.sin(0.2), "Cn": 0.03 / (3.0 * math.pi) * math.cos(0.2)},

@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
-from bayes_aero.units import canonical, spellings
+import numpy as np
+
+from bayes_aero.units import canonical, from_si, si_unit, spellings
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,16 @@ class Channel:
     def heading(self) -> str:
         """The name to look for in a file with headers."""
         return self.name if self.label is None else self.label
+
+    @property
+    def si(self) -> str:
+        """The unit that it is held in: the program's, or the SI unit of the file's."""
+        standard = STANDARD_CHANNELS.get(self.name)
+        return standard.unit if standard else si_unit(self.unit, f"channel {self.name}")
+
+    def filed(self, values: Any) -> np.ndarray:
+        """SI values in the unit and with the sign of the file."""
+        return np.asarray(self.sign * from_si(values, self.unit, self.name, self.si))
 
 
 @dataclass(frozen=True)

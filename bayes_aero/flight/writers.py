@@ -14,7 +14,6 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import from_si
 
 Columns = list[tuple[Channel, np.ndarray]]
 """Channels to write, each with its (n,) values in the file's unit."""
@@ -35,13 +34,8 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     writer = WRITERS.get(target.suffix.lower())
     if writer is None:
         raise InputError(f"{target}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
-    columns = []
-    for channel in channels:
-        if not record.has(channel.name) and not channel.required:
-            continue
-        standard = STANDARD_CHANNELS.get(channel.name)
-        values = from_si(record[channel.name], channel.unit, channel.name, standard.unit if standard else None)
-        columns.append((channel, channel.sign * values))
+    written = [channel for channel in channels if record.has(channel.name) or channel.required]
+    columns = [(channel, channel.filed(record[channel.name])) for channel in written]
     try:
         write_whole(writer(columns), target)
     except InputError as reason:

@@ -9,50 +9,56 @@ import numpy as np
 from scipy.ndimage import binary_closing, median_filter, uniform_filter1d
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import GAMMA, GAS, HealthFinding, declared, found
+from bayes_aero.flight.health.finding import GAMMA, GAS, Findings, HealthFinding, declared, found, other_units
 from bayes_aero.flight.health.readings import AGREES, DENSITY0, THIN, thinness
 from bayes_aero.flight.health.signals import noise_of, runs_of
 from bayes_aero.flight.record import GRAVITY, FlightRecord
-from bayes_aero.units import instant, same_unit, to_si
+from bayes_aero.units import instant
 
 
-def air_data(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def air_data(record: FlightRecord, card: Card) -> Findings:
     """A finding for each relation between air data that does not hold."""
     have = frozenset(n for n in record.channels if np.all(np.isfinite(record[n])))
     median = {n: float(np.median(record[n])) for n in have}
-    said = []
     if {"static_pressure", "density", "static_temperature"} <= have and median["static_temperature"] > 0.0:
         k = median["static_pressure"] / (median["density"] * GAS * median["static_temperature"])
-        said += off_by_factor(record, card, k, {"static_pressure": 1, "density": -1}, "density times R T")
+        yield from off_by_factor(record, card, k, {"static_pressure": 1, "density": -1}, "density times R T")
     if {"mach", "airspeed", "static_temperature"} <= have and median["static_temperature"] > 0.0:
         moving = record["mach"] > 0.05
         if moving.mean() > 0.5:
             sound = np.sqrt(GAMMA * GAS * median["static_temperature"])
             k = float(np.median(record["airspeed"][moving] / record["mach"][moving])) / sound
             meant = "Mach number times the speed of sound"
-            said += as_calibrated(record, k, meant) or off_by_factor(
+            yield from as_calibrated(record, k, meant) or off_by_factor(
                 record, card, k, {"airspeed": 1, "mach": -1}, meant
             )
     ratio = thinness(record.channels, have)
     if {"calibrated_airspeed", "airspeed"} <= have and ratio is not None and median["airspeed"] > 0.0:
         moving = record["airspeed"] > 0.5 * median["airspeed"]
         k = float(np.median(record["calibrated_airspeed"][moving] / (record["airspeed"] * ratio)[moving]))
-        said += _calibrated(record, card, k, float(np.median(ratio)))
+        thin = float(np.median(ratio))
+        if thin < THIN and abs(np.log(k * thin)) < 0.01:
+            sentence = (
+                "airspeed and calibrated_airspeed are the same numbers, and at this density true airspeed is "
+                f"{1.0 / thin:.3g} times calibrated airspeed; map each to its own column"
+            )
+            yield found(record, "airspeed", "airspeed_kind", sentence, at=(0, record.n - 1))
+        else:
+            meant = f"true airspeed times the root of density over {DENSITY0} kg/m^3"
+            yield from off_by_factor(record, card, k, {"calibrated_airspeed": 1}, meant, grave=False)
     if {"static_pressure", "altitude"} <= have and 1000.0 < median["static_pressure"] < 1.2e5:
-        said += _pressure_altitude(record, card, median)
-    return said
+        # that of the static pressure in a standard atmosphere; the ground pressure may differ by 5 %
+        height = (1.0 - (median["static_pressure"] / 101325.0) ** 0.190263) / 2.25577e-5
+        if height >= 500.0 and median["altitude"] >= 150.0:
+            k, meant = median["altitude"] / height, "the altitude of the static pressure"
+            yield from off_by_factor(record, card, k, {"altitude": 1}, meant, explained=True)
 
 
 def as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFinding]:
     """True airspeed that is what calibrated airspeed would be."""
     ratio = thinness(record.channels, frozenset(record.channels))
-    if (
-        ratio is None
-        or not (middle := float(np.median(ratio))) < THIN
-        or abs(np.log(k / middle)) > AGREES
-        or abs(np.log(k)) < AGREES
-    ):
+    middle = 1.0 if ratio is None else float(np.median(ratio))
+    if not middle < THIN or abs(np.log(k / middle)) > AGREES or abs(np.log(k)) < AGREES:
         return []
     sentence = (
         f"airspeed is {k:.3g} times {meant}, as calibrated airspeed is at this density ({middle:.3g}): true airspeed "
@@ -92,11 +98,11 @@ DROPOUTS = 7  # samples of a median, for a dropout is no landing
 FEWEST = 50  # samples of flight that the other checks need
 
 
-def on_ground(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def on_ground(record: FlightRecord, card: Card) -> Findings:
     """A finding if the airspeed is too low to fly for a second or more."""
     runs = grounded(record, card)
     if not runs:
-        return []
+        return
     parts = " and ".join(f"{instant(record.time[a])} to {instant(record.time[b])} s" for a, b in runs[:3])
     seconds = sum(b - a + 1 for a, b in runs) * record.dt
     slow = np.median(np.concatenate([record["airspeed"][a : b + 1] for a, b in runs]))
@@ -104,7 +110,7 @@ def on_ground(record: FlightRecord, card: Card) -> list[HealthFinding]:
         f"airspeed is too low to fly from {parts} ({seconds:.3g} s, median {slow:.3g} m/s): the aircraft is on the "
         "ground there; cut these parts out of the record"
     )
-    return [found(record, "airspeed", "ground", sentence, at=(runs[0][0], runs[-1][1]))]
+    yield found(record, "airspeed", "ground", sentence, at=(runs[0][0], runs[-1][1]))
 
 
 def in_flight(record: FlightRecord, card: Card) -> FlightRecord:
@@ -177,21 +183,18 @@ def off_by_factor(
 ) -> list[HealthFinding]:
     """A finding if a channel is k times what it must be, with the units that would explain it.
 
-    Args:
-        record: the record.
-        card: what its channels are said to be.
-        k: the factor.
-        powers: channels and the power with which each enters k; the first is the one that is talked of.
-        meant: what it must be, in words.
-        off: departure, as a logarithm, that still passes.
-        near: how near to one, as a logarithm, a unit must bring the factor.
-        grave: whether the finding is; None: if it is about a channel of `GRAVE`.
-        explained: whether nothing is said where no unit explains the factor.
+    powers: channels and the power with which each enters k; the first is the one that is talked of. meant: what it must
+    be, in words. off: departure, as a logarithm, that still passes. near: how near to one, as a logarithm, a unit must
+    bring the factor. grave: None: if the finding is about a channel of `GRAVE`. explained: whether nothing is said
+    where no unit explains the factor.
     """
     if not np.isfinite(k) or k <= 0.0 or abs(np.log(k)) < off:
         return []
     name = next(iter(powers))
-    culprits = [(n, unit) for n, power in powers.items() for unit in _explains(card, n, k, power, near)]
+    culprits = []
+    for n, power in powers.items():
+        left = {unit: abs(np.log(k * factor**power)) for unit, factor in other_units(card, n, UNITS.get(n, ()))}
+        culprits += [(n, unit) for unit in sorted(left, key=lambda unit: left[unit]) if left[unit] < near]
     if explained and not culprits:
         return []
     if culprits:
@@ -206,19 +209,6 @@ def off_by_factor(
     return [found(record, channel, fault, sentence, at=(0, record.n - 1), grave=grave)]
 
 
-def _explains(card: Card, name: str, k: float, power: int, near: float) -> list[str]:
-    """Units of a channel, other than the card's, that would make the factor one; the nearest first."""
-    has, standard = declared(card, name).unit, STANDARD_CHANNELS[name].unit
-    fit = {}
-    for unit in UNITS.get(name, ()):
-        if same_unit(unit, has) is not False:
-            continue
-        factor = float(to_si(1.0, unit, name, standard) / to_si(1.0, has, name, standard))
-        if (left := abs(np.log(k * factor**power))) < near:
-            fit[unit] = left
-    return sorted(fit, key=lambda unit: fit[unit])
-
-
 # --- Recorded rates of change against the change of what they belong to: q-dot and the derivative of q.
 
 PAIRS = {"p_dot": "p", "q_dot": "q", "r_dot": "r", "alpha_dot": "alpha", "beta_dot": "beta"}
@@ -228,37 +218,31 @@ ALIKE = 0.8  # correlation from which the two are one motion
 OFF_DERIVATIVE = 1.5  # as a logarithm: a factor of 4.5, where degrees for radians are one of 57
 
 
-def derivatives(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def derivatives(record: FlightRecord, card: Card) -> Findings:
     """A finding for each recorded derivative in another unit, or of the other sign, than the derivative itself."""
-    said = []
     for name, of in PAIRS.items():
-        if record.has(name) and record.has(of) and np.isfinite(record[name]).all() and np.isfinite(record[of]).all():
-            said += _against(record, card, name, of)
-    return said
-
-
-def _against(record: FlightRecord, card: Card, name: str, of: str) -> list[HealthFinding]:
-    width = max(3, round(SECONDS / record.dt))
-    x, slope = _smooth(record[name], width), _smooth(np.gradient(record[of], record.dt), width)
-    if len(x) < 3 * width or not np.std(x) > 0.0:
-        return []
-    # The derivative of noise, over a mean of two times `width` samples.
-    noise = noise_of(record[of]) / (record.dt * width**1.5)
-    if np.std(slope) < EXCITED * noise or not np.std(slope) > 0.0:
-        return []
-    alike = float(np.corrcoef(x, slope)[0, 1])
-    if abs(alike) < ALIKE:
-        return []
-    k, meant = float(np.std(x) / np.std(slope)), f"the derivative of {of}"
-    flown = card.linear is not None and name in {*card.linear.states, *card.linear.outputs}
-    if alike < 0.0:
-        sign = -declared(card, name).sign
-        sentence = (
-            f"{name} counts the other way than {meant} does throughout (correlation {alike:.2g}); write sign = {sign} "
-            f"at {name} on the card"
-        )
-        return [found(record, name, "sign", sentence, at=(0, record.n - 1), grave=flown)]
-    return off_by_factor(record, card, k, {name: 1}, meant, off=OFF_DERIVATIVE, near=0.7, grave=flown, explained=True)
+        if not all(record.has(n) and np.isfinite(record[n]).all() for n in (name, of)):
+            continue
+        width = max(3, round(SECONDS / record.dt))
+        x, slope = _smooth(record[name], width), _smooth(np.gradient(record[of], record.dt), width)
+        if len(x) < 3 * width or not np.std(x) > 0.0:
+            continue
+        # The derivative of noise, over a mean of two times `width` samples.
+        noise = noise_of(record[of]) / (record.dt * width**1.5)
+        if np.std(slope) < EXCITED * noise or not np.std(slope) > 0.0:
+            continue
+        alike = float(np.corrcoef(x, slope)[0, 1])
+        k, meant = float(np.std(x) / np.std(slope)), f"the derivative of {of}"
+        flown = card.linear is not None and name in {*card.linear.states, *card.linear.outputs}
+        if alike <= -ALIKE:
+            sentence = (
+                f"{name} counts the other way than {meant} does throughout (correlation {alike:.2g}); write sign = "
+                f"{-declared(card, name).sign} at {name} on the card"
+            )
+            yield found(record, name, "sign", sentence, at=(0, record.n - 1), grave=flown)
+        elif alike >= ALIKE:
+            limits = {"off": OFF_DERIVATIVE, "near": 0.7}
+            yield from off_by_factor(record, card, k, {name: 1}, meant, **limits, grave=flown, explained=True)
 
 
 def _smooth(x: np.ndarray, width: int) -> np.ndarray:

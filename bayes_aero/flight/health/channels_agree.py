@@ -11,7 +11,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.air import UNITS, as_calibrated, off_by_factor
-from bayes_aero.flight.health.finding import GAS, HealthFinding, declared, found, shown, standard_air
+from bayes_aero.flight.health.finding import GAS, Findings, declared, found, other_units, shown, standard_air
 from bayes_aero.flight.health.signals import channels_of
 from bayes_aero.flight.record import GRAVITY, FlightRecord
 from bayes_aero.units import same_unit, to_si
@@ -29,17 +29,14 @@ CONSTANTS = {"mass": ("lb", "slug", "kg"), "wing_area": ("ft^2", "m^2")}
 View = Mapping[str, np.ndarray]
 
 
-def across(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def across(record: FlightRecord, card: Card) -> Findings:
     """A finding for each such relation that does not hold."""
     view = _view(record, card)
-    if len(view.get("airspeed", ())) < 2:
-        return [*_density(record, card, view)]
-    return [
-        *_density(record, card, view),
-        *_dynamic_pressure(record, card, view),
-        *_mach(record, card, view),
-        *_level_flight(record, card, view),
-    ]
+    yield from _density(record, card, view)
+    if len(view.get("airspeed", ())) > 1:
+        yield from _dynamic_pressure(record, card, view)
+        yield from _mach(record, card, view)
+        yield from _level_flight(record, card, view)
 
 
 def _view(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
@@ -69,116 +66,97 @@ def _made_of(card: Card, record: FlightRecord) -> dict[str, int]:
     return powers.get(rule, {})
 
 
-def _density(record: FlightRecord, card: Card, view: View) -> list[HealthFinding]:
-    """Density against that of a standard atmosphere at the altitude."""
+def _density(record: FlightRecord, card: Card, view: View) -> Findings:
+    """Density against that of a standard atmosphere at the altitude: a unit of what makes it, or of the altitude, or
+    none explains it."""
     powers = _made_of(card, record)
     if "density" not in view or "altitude" not in view or not powers or not len(view["density"]):
-        return []
+        return
     k = _middle(view["density"] / standard_air(view["altitude"])[0])
     meant = "that of a standard atmosphere at the altitude"
     if "density" not in powers:
         meant = f"what a standard atmosphere at the altitude would need ({card.derived['density']} on the card)"
-    said = off_by_factor(record, card, k, powers, meant, off=DAY, near=NEAR, grave=True, explained=True)
-    return said or _other_altitude(record, card, view, k) or _no_such_air(record, card, view, powers, k)
-
-
-def _other_altitude(record: FlightRecord, card: Card, view: View, k: float) -> list[HealthFinding]:
-    """Altitude in another unit, at which the density is that of the day."""
-    if abs(np.log(max(k, 1e-9))) < DAY or not record.has("altitude") or "density" in card.constants:
-        return []
-    has = declared(card, "altitude").unit
-    for unit in UNITS["altitude"]:
-        if same_unit(unit, has) is not False:
-            continue
-        factor = float(to_si(1.0, unit, "altitude", "m") / to_si(1.0, has, "altitude", "m"))
-        if abs(np.log(_middle(view["density"] / standard_air(factor * view["altitude"])[0]))) < NEAR:
-            sentence = (
-                f"altitude, {has} on the card, looks like {unit}: the density is {k:.3g} times that of a standard "
-                f'atmosphere there; set unit = "{unit}" for altitude on the card'
-            )
-            return [found(record, "altitude", "unit", sentence, grave=not record.has("density"))]
-    return []
-
-
-def _no_such_air(
-    record: FlightRecord, card: Card, view: View, powers: Mapping[str, int], k: float
-) -> list[HealthFinding]:
-    """A density that neither weather nor a unit explains; grave if it is the card's, or off by a factor of e."""
-    if not np.isfinite(k) or k <= 0.0 or abs(np.log(k)) < DAY:
-        return []
-    name, rho = next(iter(powers)), _middle(view["density"])
-    sentence = (
-        f"the density, {rho:.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere at the altitude, "
-        f"{shown(card, 'altitude', _middle(view['altitude']))}; no unit explains it: correct {name} or altitude"
-    )
+    if said := off_by_factor(record, card, k, powers, meant, off=DAY, near=NEAR, grave=True, explained=True):
+        yield from said
+        return
+    off = abs(np.log(max(k, 1e-9)))
     stated = not record.has("density") and "density" in card.constants
-    return [found(record, name, "density", sentence, grave=stated or abs(np.log(k)) > 1.0)]
+    for unit, factor in other_units(card, "altitude", UNITS["altitude"]):
+        near = abs(np.log(_middle(view["density"] / standard_air(factor * view["altitude"])[0]))) < NEAR
+        if near and off >= DAY and record.has("altitude") and "density" not in card.constants:
+            sentence = (
+                f"altitude, {declared(card, 'altitude').unit} on the card, looks like {unit}: the density is {k:.3g} "
+                f'times that of a standard atmosphere there; set unit = "{unit}" for altitude on the card'
+            )
+            yield found(record, "altitude", "unit", sentence, grave=not record.has("density"))
+            return
+    if np.isfinite(k) and k > 0.0 and off >= DAY:  # grave if it is the card's, or off by a factor of e
+        name, height = next(iter(powers)), shown(card, "altitude", _middle(view["altitude"]))
+        sentence = (
+            f"the density, {_middle(view['density']):.3g} kg/m^3, is {k:.3g} times that of a standard atmosphere at "
+            f"the altitude, {height}; no unit explains it: correct {name} or altitude"
+        )
+        yield found(record, name, "density", sentence, grave=stated or abs(np.log(k)) > 1.0)
 
 
-def _dynamic_pressure(record: FlightRecord, card: Card, view: View) -> list[HealthFinding]:
+def _dynamic_pressure(record: FlightRecord, card: Card, view: View) -> Findings:
     """Dynamic pressure against half of density times true airspeed squared."""
     if "dynamic_pressure" not in view or not record.has("dynamic_pressure"):
-        return []
+        return
     recorded = "density" in view and _made_of(card, record) == {"density": 1}
     if recorded:
         rho, off, near = view["density"], 0.10, 0.06
     elif "altitude" in view:
         rho, off, near = standard_air(view["altitude"])[0], DAY, NEAR
     else:
-        return []
+        return
     k = _middle(view["dynamic_pressure"] / (0.5 * rho * view["airspeed"] ** 2))
     if not k > 0.0:
-        return []
+        return
     powers = {"dynamic_pressure": 1, **({"density": -1} if recorded else {"airspeed": -2})}
     if recorded:
         powers["airspeed"] = -2
     meant = "half of density times airspeed squared"
     rests = True if card.derived.get("density") == "dynamic pressure" and not recorded else None
     said = off_by_factor(record, card, k, powers, meant, off=off, near=near, grave=rests, explained=True)
-    if said or abs(np.log(k)) < off:
-        return said
-    grave = bool(rests or abs(np.log(k)) > DAY)  # density or airspeed may be what is wrong
-    kind = as_calibrated(record, k**-0.5, "what dynamic pressure and density make")
-    return kind or _impact(record, k, view) or off_by_factor(record, card, k, powers, meant, off=off, grave=grave)
+    if not said and abs(np.log(k)) >= off:
+        said = as_calibrated(record, k**-0.5, "what dynamic pressure and density make")
+        # Impact pressure, which the pitot tube measures, is larger than dynamic pressure at high Mach number.
+        M = _middle(view["mach"]) if "mach" in view else 0.0
+        impact = ((1.0 + 0.2 * M**2) ** 3.5 - 1.0) / (0.7 * M**2) if M > 0.0 else 1.0
+        if not said and "mach" in view and abs(np.log(k / impact)) <= 0.04:
+            sentence = (
+                f"dynamic_pressure is {k:.3g} times half of density times airspeed squared, as impact pressure is at "
+                f"Mach {M:.2g}: map the dynamic pressure, or take it off the card"
+            )
+            said = [found(record, "dynamic_pressure", "unit", sentence, grave=False)]
+        grave = bool(rests or abs(np.log(k)) > DAY)  # density or airspeed may be what is wrong
+        said = said or off_by_factor(record, card, k, powers, meant, off=off, grave=grave)
+    yield from said
 
 
-def _impact(record: FlightRecord, k: float, view: View) -> list[HealthFinding]:
-    """Impact pressure, which the pitot tube measures, is larger than dynamic pressure at high Mach number."""
-    if "mach" not in view:
-        return []
-    M = _middle(view["mach"])
-    expected = ((1.0 + 0.2 * M**2) ** 3.5 - 1.0) / (0.7 * M**2) if M > 0.0 else 1.0
-    if abs(np.log(k / expected)) > 0.04:
-        return []
-    sentence = (
-        f"dynamic_pressure is {k:.3g} times half of density times airspeed squared, as impact pressure is at Mach "
-        f"{M:.2g}: map the dynamic pressure, or take it off the card"
-    )
-    return [found(record, "dynamic_pressure", "unit", sentence, grave=False)]
-
-
-def _mach(record: FlightRecord, card: Card, view: View) -> list[HealthFinding]:
+def _mach(record: FlightRecord, card: Card, view: View) -> Findings:
     """Mach number against airspeed over the standard speed of sound, where no temperature was recorded."""
     if not {"mach", "altitude"} <= set(view) or "static_temperature" in view or not record.has("mach"):
-        return []
+        return
     flying = view["mach"] > 0.05
     if not flying.mean() > 0.5:
-        return []
+        return
     sound = standard_air(view["altitude"])[1]
     k = _middle((view["airspeed"] / (view["mach"] * sound))[flying])
     meant = "Mach number times the speed of sound at the altitude"
     said = off_by_factor(record, card, k, {"airspeed": 1, "mach": -1}, meant, off=COLD, near=0.1, explained=True)
-    return said or (as_calibrated(record, k, meant) if abs(np.log(k)) > COLD else [])
+    yield from said or (as_calibrated(record, k, meant) if abs(np.log(k)) > COLD else [])
 
 
-def _level_flight(record: FlightRecord, card: Card, view: View) -> list[HealthFinding]:
+def _level_flight(record: FlightRecord, card: Card, view: View) -> Findings:
     """The lift coefficient of level flight, which mass, wing area, density and airspeed make together."""
     mass, area = float(card.aircraft.mass), float(card.aircraft.wing_area)
     if not (np.isfinite(mass) and np.isfinite(area)) or "density" not in view or not len(view["airspeed"]):
-        return []
+        return
     CL = _middle(mass * GRAVITY / np.maximum(0.5 * view["density"] * view["airspeed"] ** 2 * area, 1e-9))
     if LEAST <= CL <= MOST:
-        return []
+        return
     rho, V = _middle(view["density"]), _middle(view["airspeed"])
     suspects = list(_suspects(card, CL, rho))
     why = f"looks as if {' or '.join(suspects)}" if suspects else "no one unit explains it"
@@ -186,7 +164,7 @@ def _level_flight(record: FlightRecord, card: Card, view: View) -> list[HealthFi
         f"level flight would need a lift coefficient of {CL:.3g} (mass {mass:.4g} kg, wing area {area:.4g} m^2, "
         f"density {rho:.3g} kg/m^3, airspeed {V:.4g} m/s): {why}; correct the unit on the card"
     )
-    return [found(record, "airspeed" if THINNEST < rho < THICKEST else "density", "load", sentence)]
+    yield found(record, "airspeed" if THINNEST < rho < THICKEST else "density", "load", sentence)
 
 
 def _suspects(card: Card, CL: float, rho: float) -> Iterator[str]:

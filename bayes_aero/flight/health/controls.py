@@ -12,7 +12,7 @@ from scipy.optimize import fminbound
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.health.finding import HealthFinding, declared, found
+from bayes_aero.flight.health.finding import Findings, declared, found
 from bayes_aero.flight.health.signals import CONTROLS, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
 
@@ -88,13 +88,22 @@ LATERAL = (
 )  # fmt: skip
 
 
-def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def control_responses(record: FlightRecord, card: Card) -> Findings:
     """Findings where an angular acceleration answers a positive deflection the wrong way.
 
     Aileron and rudder are looked at for cards of the lateral axis alone: others leave their sign to the user.
     """
-    controls = (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ()))
-    return [finding for control in controls for finding in _answers(control, record, card)]
+    for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
+        fitted, surface = _fitted(control, record), control.surface
+        if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
+            continue
+        if record.has(surface):
+            sign = -declared(card, surface).sign
+            mend = f"so if the file counts {control.otherwise} write sign = {sign} at {surface} on the card"
+        else:
+            mend = f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
+        sentence = f"{surface}: {control.answer} with it ({fitted.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+        yield found(record, surface, "sign", sentence, at=(0, record.n - 1))
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
@@ -209,18 +218,7 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
     return _Fit(rows, left, used, float(fit[0]), float(np.sqrt(np.mean(left[used] ** 2) / free)), spread)
 
 
-def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
-    fitted = _fitted(control, record)
-    if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
-        return []
-    mend = _mend(control, record, card)
-    sentence = (
-        f"{control.surface}: {control.answer} with it ({fitted.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
-    )
-    return [found(record, control.surface, "sign", sentence, at=(0, record.n - 1))]
-
-
-def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]:
+def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
     """Findings for surfaces that follow the outputs, to within noise, in every record in which they move.
 
     Then the law of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface
@@ -228,10 +226,14 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
 
     Source: L. Ljung, System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft).
     """
-    said = []
-    for surface in _surfaces(card):
+    if card.linear is not None:
+        surfaces = [name for name in card.linear.inputs if name in CONTROLS]
+    else:
+        controls = ((Axis.LONGITUDINAL, ELEVATOR), *((Axis.LATERAL, control) for control in LATERAL))
+        surfaces = [control.surface for axis, control in controls if axis in card.axes]
+    for surface in surfaces:
         flown = [r for r in records if (u := _deflection(surface, r)) is not None and np.ptp(u) > 0.0]
-        moved = [(record, law) for record in flown if (law := _law(surface, record, card)) is not None]
+        moved = [(record, law) for record in flown if (law := law_of(surface, record, card)) is not None]
         # A record that cannot be judged may hold the pilot's input.
         if not moved or len(moved) < len(flown) or not all(names for _, (names, _) in moved):
             continue
@@ -242,19 +244,10 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
                 f"the pilot (a doublet, a multisine) to the {surface} beside the feedback, join a record that has one, "
                 "or fix the derivatives on the card that are known"
             )
-            said.append(found(record, surface, "feedback", sentence, at=(0, record.n - 1)))
-    return said
+            yield found(record, surface, "feedback", sentence, at=(0, record.n - 1))
 
 
-def _surfaces(card: Card) -> list[str]:
-    """Surfaces by which the card's model moves the aircraft."""
-    if card.linear is not None:
-        return [name for name in card.linear.inputs if name in CONTROLS]
-    controls = ((Axis.LONGITUDINAL, ELEVATOR), *((Axis.LATERAL, control) for control in LATERAL))
-    return [control.surface for axis, control in controls if axis in card.axes]
-
-
-def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
+def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
     """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own.
 
     Integrals of the outputs are tried where the outputs themselves do not make the motion and the record is long
@@ -369,7 +362,12 @@ def _followed(
     at_limits = 0.0
     if limits is not None and not free.all():
         asked = np.concatenate([np.full(delay, u[0]), (weights @ rows)[: len(u) - delay]])
-        whole = _mean(_limited(asked, u[0], lag, dt, limits), window)[inside]
+        # from the surface's first position, it follows what is asked for behind the lag, within the limits
+        share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, [u[0]]
+        for goal in asked:
+            to = followed[-1] + min(max((goal - followed[-1]) * share, -step), step)
+            followed.append(min(max(to, limits.low), limits.high))
+        whole = _mean(np.array(followed[1:]), window)[inside]
         fast = [(x - _mean(x, SLOW / dt))[~free] for x in (target, target - whole)]
         at_limits = float(np.mean(fast[1] ** 2) / np.mean(fast[0] ** 2))
     made = made * columns.std(axis=1) / float(np.std(target))
@@ -396,22 +394,6 @@ def _late(
     driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
     *late, own = solve_banded((1, 0), bands, driven.T).T
     return np.array(late), own
-
-
-def _limited(asked: np.ndarray, u: float, lag: float, dt: float, limits: _Limits) -> np.ndarray:
-    """The position of a surface that starts at `u` and follows what is asked for behind a lag, within limits."""
-    share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, []
-    for goal in asked:
-        u = min(max(u + min(max((goal - u) * share, -step), step), limits.low), limits.high)
-        followed.append(u)
-    return np.array(followed)
-
-
-def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
-    if not record.has(control.surface):
-        return f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
-    sign = -declared(card, control.surface).sign
-    return f"so if the file counts {control.otherwise} write sign = {sign} at {control.surface} on the card"
 
 
 def _deflection(surface: str, record: FlightRecord) -> Float[np.ndarray, " n"] | None:

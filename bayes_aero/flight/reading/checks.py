@@ -280,13 +280,9 @@ def implausible(record: FlightRecord, known: StandardChannel, channel: Channel |
     if not outside.any():
         return None
     own = channel or Channel(known.name, known.unit)
-
-    def filed(value: float) -> float:
-        return float(own.sign * from_si(value, own.unit, known.name, known.unit))
-
     count, i = int(outside.sum()), int(np.argmax(outside))
     values, counts = np.unique(x[outside], return_counts=True)
-    fills = [float(f"{filed(v):.6g}") for v in values] if len(values) <= FEW else []
+    fills = [float(f"{float(own.filed(v)):.6g}") for v in values] if len(values) <= FEW else []
     usual = all(value in FILLS for value in fills)
     if fills and (usual or (counts.max() >= 2 and outside.mean() <= 0.5)):  # it stands where there was no value
         named = " and ".join(f"{value:.10g}" for value in fills)
@@ -298,7 +294,7 @@ def implausible(record: FlightRecord, known: StandardChannel, channel: Channel |
         )
     if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: another check reports these
         return None
-    as_filed = "" if own.unit == known.unit else f" ({filed(x[i]):.6g} {own.unit} in the file)"
+    as_filed = "" if own.unit == known.unit else f" ({float(own.filed(x[i])):.6g} {own.unit} in the file)"
     return (
         f"channel {known.name} is {x[i]:.6g} {known.unit}{as_filed} at {at(record, i)}, outside {lo:g} to {hi:g} "
         f"{known.unit}, {count} of {record.n} samples in all; {_unit_hint(x, known, own.unit)}"

@@ -11,7 +11,6 @@ from scipy.ndimage import binary_closing, binary_dilation, uniform_filter1d
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.air import grounded
 from bayes_aero.flight.health.signals import runs_of
 from bayes_aero.flight.readers.base import FileColumn
@@ -19,7 +18,7 @@ from bayes_aero.flight.reading.checks import JITTER, failures, without_bad_optio
 from bayes_aero.flight.reading.read_record import in_si, read_raw, read_record, without_repeats
 from bayes_aero.flight.reading.segments import GAP, SHORTEST, cut, parts_of, samples_of, segment_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import instant, si_unit
+from bayes_aero.units import instant
 
 
 @dataclass(frozen=True)
@@ -99,9 +98,8 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
             continue
         sound = column.values[own][np.isfinite(column.values[own])]
         low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
-        standard = STANDARD_CHANNELS.get(channel.name)
-        si = standard.unit if standard else si_unit(channel.unit)
-        reports.append(ChannelReport(channel.name, column.place, channel.unit, si, channel.sign, low, high, low < high))
+        where = channel.name, column.place, channel.unit, channel.si, channel.sign
+        reports.append(ChannelReport(*where, low, high, low < high))
     return RecordReport(
         path=os.fspath(path),
         samples=len(time),

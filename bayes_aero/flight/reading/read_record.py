@@ -208,7 +208,7 @@ def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
             f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
             f'card; correct the card: unit = "{canonical(unit, standard.unit if standard else None) or unit}"'
         )
-    return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
+    return channel.sign * to_si(column.values, channel.unit, channel.name, channel.si)
 
 
 def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str | None:
