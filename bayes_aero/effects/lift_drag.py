@@ -34,20 +34,16 @@ ATTACHED_LIFT = effect(
 
 PITCH_RATE_LIFT = derivative(
     "pitch_rate_lift", "Pitch rate makes lift, mostly at the tail.", "CL_attached", "q",
-    parameter(
-        "CLq", "1", "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
-        lengths=(Length.RATE,),
-    ),
+    parameter("CLq", "1", "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
+        lengths=(Length.RATE,)),
     (4.0, 0.05, 75.0, 0.008), remark=" (not q c/2V)",
 )
 
 ALPHA_DOT_LIFT = derivative(
     "alpha_dot_lift",
     "A changing angle of attack makes lift: downwash needs time to reach the tail.", "CL_attached", "alpha_dot",
-    parameter(
-        "CLadot", "1", "lift due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
-        lengths=(Length.RATE,),
-    ),
+    parameter("CLadot", "1", "lift due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
+        lengths=(Length.RATE,)),
     (2.0, 0.04, 80.0, 0.003),
 )
 
@@ -82,9 +78,8 @@ FLAP_LIFT = derivative(
 
 DLC_LIFT = derivative(
     "dlc_lift", "The direct-lift flaps change the lift.", "CL_attached", "dlc",
-    parameter(
-        "CLdlc", "1/rad", "lift per mean deflection of the direct-lift flaps", Prior("normal", 0.0, 1.5), (0.1, 3.0),
-    ),
+    parameter("CLdlc", "1/rad", "lift per mean deflection of the direct-lift flaps", Prior("normal", 0.0, 1.5),
+        (0.1, 3.0)),
     (1.2, -0.05, -0.15, -0.12),
 )
 
@@ -121,10 +116,8 @@ PROFILE_DRAG = effect(
     "profile_drag", "The aircraft has drag at zero lift.",
     "CD += CD0.",
     lambda v, s, *_: {"CD": v["CD0"] + 0.0 * s["alpha"]},
-    parameter(
-        "CD0", "1", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2), start=0.04,
-        limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11,
-    ),
+    parameter("CD0", "1", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2), start=0.04,
+        limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11),
     example=Example({"CD0": 0.04}, {"alpha": 0.1}, {"CD": 0.04}, "by hand"),
     source=STALL_MODEL,
 )
@@ -134,15 +127,11 @@ INDUCED_DRAG = effect(
     "induced_drag", "Drag grows with the square of the lift.",
     "CD += CL_attached^2/(e pi AR): the published model squares the attached lift, not the Kirchhoff lift.",
     lambda v, _s, a, known: {"CD": xp.square(known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)},
-    parameter(
-        "e", "1", "Oswald efficiency factor", Prior("lognormal", 0.8, 0.5, "around 0.8 for a transport; our choice"),
-        (0.02, 3.0), (0.05, 10.0), neutral=math.inf, start=0.8,
-        limits=Limits(0.0, 1.5, "no wing has so little induced drag"), place=12,
-    ),
-    example=Example(
-        {"e": 0.8}, {"alpha": 0.1}, {"CD": 1.0 / (0.8 * math.pi * 7.0)}, "by hand, aspect ratio 7",
-        known={"CL_attached": 1.0},
-    ),
+    parameter("e", "1", "Oswald efficiency factor",
+        Prior("lognormal", 0.8, 0.5, "around 0.8 for a transport; our choice"), (0.02, 3.0), (0.05, 10.0),
+        neutral=math.inf, start=0.8, limits=Limits(0.0, 1.5, "no wing has so little induced drag"), place=12),
+    example=Example({"e": 0.8}, {"alpha": 0.1}, {"CD": 1.0 / (0.8 * math.pi * 7.0)}, "by hand, aspect ratio 7",
+        known={"CL_attached": 1.0}),
     source=STALL_MODEL, stage=Stage.TOTAL, scan={"e": (0.8,)},
 )
 
@@ -153,10 +142,8 @@ DRAG_OFFSET = effect(
         "CD": v["CLmin"] * (v["CLmin"] - 2.0 * known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)
     },
     parameter("CLmin", "1", "lift at least drag", Prior("normal", 0.0, 0.25), (0.02, 0.5)),
-    example=Example(
-        {"CLmin": 0.2, "e": 0.8}, {"alpha": 0.1}, {"CD": -0.36 / (0.8 * math.pi * 7.0)},
-        "0.2^2 - 2 x 1 x 0.2 = -0.36, by hand, aspect ratio 7", known={"CL_attached": 1.0},
-    ),
+    example=Example({"CLmin": 0.2, "e": 0.8}, {"alpha": 0.1}, {"CD": -0.36 / (0.8 * math.pi * 7.0)},
+        "0.2^2 - 2 x 1 x 0.2 = -0.36, by hand, aspect ratio 7", known={"CL_attached": 1.0}),
     source="quadratic polar of a cambered wing; textbook form", stage=Stage.TOTAL,
 )
 

@@ -22,10 +22,8 @@ PITCHING_MOMENT = effect(
     "pitching_moment", "The aircraft has a static pitching moment that changes linearly with the angle of attack.",
     "Cm += Cm0 + Cma alpha.",
     lambda v, s, *_: {"Cm": v["Cm0"] + v["Cma"] * s["alpha"]},
-    parameter(
-        "Cm0", "1", "pitching moment at zero angle of attack", Prior("normal", 0.0, 0.2), (0.002, 0.3), start=0.05,
-        place=31,
-    ),
+    parameter("Cm0", "1", "pitching moment at zero angle of attack", Prior("normal", 0.0, 0.2), (0.002, 0.3),
+        start=0.05, place=31),
     parameter("Cma", "1/rad", "static stability", Prior("normal", -0.5, 1.0), (0.02, 3.0), start=-0.5, place=32),
     example=Example({"Cm0": 0.05, "Cma": -0.5}, {"alpha": 0.2}, {"Cm": -0.05}, "0.05 - 0.5 x 0.2, by hand"),
     source=STALL_MODEL,
@@ -44,10 +42,8 @@ PITCH_DAMPING = effect(
     "pitch_damping", "Pitch rate is damped by a pitching moment.",
     "Cm += Cmq q c/V (not q c/2V, so Cmq is half of what many texts print); length and speed as `reduced` has them.",
     lambda v, s, a, _: {"Cm": reduced(v["Cmq"] * s["q"], s["airspeed"], a)},
-    parameter(
-        "Cmq", "1", "pitch damping, per q c/V", Prior("normal", -8.0, 10.0), (1.0, 30.0), start=-8.0,
-        lengths=(Length.RATE,), limits=Limits(-math.inf, 0.0, "pitch rate would not be damped"), place=33,
-    ),
+    parameter("Cmq", "1", "pitch damping, per q c/V", Prior("normal", -8.0, 10.0), (1.0, 30.0), start=-8.0,
+        lengths=(Length.RATE,), limits=Limits(-math.inf, 0.0, "pitch rate would not be damped"), place=33),
     example=Example({"Cmq": -6.0}, {"q": 0.1, "airspeed": 60.0}, {"Cm": -0.03}, "by hand, chord 3 m"),
     source=f"{ATTAS} (qhat = q c/V)",
 )
@@ -55,10 +51,8 @@ PITCH_DAMPING = effect(
 ALPHA_DOT_MOMENT = derivative(
     "alpha_dot_moment",
     "A changing angle of attack pitches the aircraft: downwash needs time to reach the tail.", "Cm", "alpha_dot",
-    parameter(
-        "Cmadot", "1", "pitching moment due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0), (1.0, 20.0),
-        lengths=(Length.RATE,),
-    ),
+    parameter("Cmadot", "1", "pitching moment due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0),
+        (1.0, 20.0), lengths=(Length.RATE,)),
     (-4.0, 0.05, 60.0, -0.01), stage=Stage.TOTAL,
 )
 
@@ -75,14 +69,10 @@ ELEVATOR_MOMENT = effect(
     "elevator_moment", "The elevator pitches the aircraft (trailing edge down is positive, so Cmde < 0).",
     "Cm += Cmde de; CL_attached += CLde de with CLde = -Cmde c/l_tail (force at the tail arm makes the moment).",
     lambda v, s, a, _: with_tail_lift(v["Cmde"], s["elevator"], a),
-    parameter(
-        "Cmde", "1/rad", "elevator effectiveness", Prior("normal", -0.8, 1.0), (0.03, 3.0), start=-0.8,
-        sign=Sign(-1, "elevator", "a positive deflection (trailing edge down) would pitch the nose up"), place=34,
-    ),
-    example=Example(
-        {"Cmde": -0.5}, {"elevator": 0.1}, {"Cm": -0.05, "CL_attached": 0.05 * 3.0 / 15.0},
-        "by hand, chord 3 m and tail arm 15 m",
-    ),
+    parameter("Cmde", "1/rad", "elevator effectiveness", Prior("normal", -0.8, 1.0), (0.03, 3.0), start=-0.8,
+        sign=Sign(-1, "elevator", "a positive deflection (trailing edge down) would pitch the nose up"), place=34),
+    example=Example({"Cmde": -0.5}, {"elevator": 0.1}, {"Cm": -0.05, "CL_attached": 0.05 * 3.0 / 15.0},
+        "by hand, chord 3 m and tail arm 15 m"),
     source=ATTAS,
 )
 
@@ -91,10 +81,8 @@ STABILIZER_TRIM = effect(
     "Cm += Cmih ih; CL_attached += CLih ih with CLih = -Cmih c/l_tail, as for the elevator.",
     lambda v, s, a, _: with_tail_lift(v["Cmih"], s["stabilizer"], a),
     parameter("Cmih", "1/rad", "stabilizer effectiveness", Prior("normal", 0.0, 2.5), (0.1, 5.0)),
-    example=Example(
-        {"Cmih": -2.0}, {"stabilizer": -0.03}, {"Cm": 0.06, "CL_attached": -0.012},
-        "-2 x -0.03, and -0.06 x 3/15; by hand, chord 3 m and tail arm 15 m",
-    ),
+    example=Example({"Cmih": -2.0}, {"stabilizer": -0.03}, {"Cm": 0.06, "CL_attached": -0.012},
+        "-2 x -0.03, and -0.06 x 3/15; by hand, chord 3 m and tail arm 15 m"),
     source="a force at the tail arm makes the moment, by geometry",
 )
 
@@ -112,18 +100,15 @@ FLAP_MOMENT = derivative(
 
 DLC_MOMENT = derivative(
     "dlc_moment", "The direct-lift flaps pitch the aircraft.", "Cm", "dlc",
-    parameter(
-        "Cmdlc", "1/rad", "pitching moment per mean deflection of the direct-lift flaps", Prior("normal", 0.0, 0.5),
-        (0.02, 1.0),
-    ),
+    parameter("Cmdlc", "1/rad", "pitching moment per mean deflection of the direct-lift flaps",
+        Prior("normal", 0.0, 0.5), (0.02, 1.0)),
     (-0.2, 0.1, 0.2, -0.03), stage=Stage.TOTAL,
 )
 
 SPOILER_MOMENT = derivative(
     "spoiler_moment", "The spoilers pitch the aircraft.", "Cm", "spoilers",
-    parameter(
-        "Cmds", "1/rad", "pitching moment per mean deflection of the spoilers", Prior("normal", 0.0, 0.5), (0.02, 1.0),
-    ),
+    parameter("Cmds", "1/rad", "pitching moment per mean deflection of the spoilers", Prior("normal", 0.0, 0.5),
+        (0.02, 1.0)),
     (0.3, 0.0, 0.2, 0.03), stage=Stage.TOTAL,
 )
 

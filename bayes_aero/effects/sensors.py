@@ -74,14 +74,10 @@ def delay(
         name, f"The {what} is recorded late (or early, where negative).",
         f"Recorded(t) = true(t - {name}).",
         increments,
-        parameter(
-            name, "s", f"delay of the recorded {what}; positive is late", Prior("normal", 0.0, 0.25), (0.02, 0.5),
-            (-2.0, 2.0), role=Role.DELAY,
-        ),
-        example=Example(
-            {name: 0.04}, {channel: recorded, **marks}, {channel: correction},
-            "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
-        ),
+        parameter(name, "s", f"delay of the recorded {what}; positive is late", Prior("normal", 0.0, 0.25), (0.02, 0.5),
+            (-2.0, 2.0), role=Role.DELAY),
+        example=Example({name: 0.04}, {channel: recorded, **marks}, {channel: correction},
+            "one sample late: the next sample less this one, by hand; nothing is known beyond the last"),
         source=DELAY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, candidate=candidate, axis=axis,
     )
 
@@ -119,15 +115,11 @@ VANE_POSITION = effect(
     "first order alpha rises by x q/V, beta falls by x r/V. The airspeed is not corrected: its sensor may stand "
     "anywhere, and x q sin(alpha) is small.",
     _vane_position,
-    parameter(
-        "vane_position", "m", "distance of the flow-angle sensors ahead of the centre of gravity",
-        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"vane_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
+    parameter("vane_position", "m", "distance of the flow-angle sensors ahead of the centre of gravity",
+        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0)),
+    example=Example({"vane_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
         {"alpha": 0.009999666686665, "beta": -0.004999958333958},
-        "arctan(8 x 0.1/80) and -arctan(8 x 0.05/80), by hand",
-    ),
+        "arctan(8 x 0.1/80) and -arctan(8 x 0.05/80), by hand"),
     channels=("alpha", "q", "airspeed"), source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
@@ -142,14 +134,10 @@ AIRSPEED_BIAS = effect(
     "airspeed_bias", "The recorded airspeed is off by a constant.",
     "Recorded = true + airspeed_bias; a Mach number that follows the airspeed is off in proportion.",
     _airspeed_bias,
-    parameter(
-        "airspeed_bias", "m/s", "constant error of the recorded airspeed", Prior("normal", 0.0, 4.0), (0.5, 8.0),
-        (-30.0, 30.0),
-    ),
-    example=Example(
-        {"airspeed_bias": 2.0}, {"airspeed": 80.0, "mach": 0.24}, {"airspeed": -2.0, "mach": -0.006},
-        "recorded 80, true 78; 0.24 x 2/80; by hand",
-    ),
+    parameter("airspeed_bias", "m/s", "constant error of the recorded airspeed", Prior("normal", 0.0, 4.0), (0.5, 8.0),
+        (-30.0, 30.0)),
+    example=Example({"airspeed_bias": 2.0}, {"airspeed": 80.0, "mach": 0.24}, {"airspeed": -2.0, "mach": -0.006},
+        "recorded 80, true 78; 0.24 x 2/80; by hand"),
     channels=("airspeed",), source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
@@ -164,14 +152,10 @@ AIRSPEED_SCALE = effect(
     "airspeed_scale", "The recorded airspeed is too large or too small in proportion.",
     "Recorded = (1 + airspeed_scale) true; a Mach number that follows the airspeed likewise.",
     _airspeed_scale,
-    parameter(
-        "airspeed_scale", "1", "relative error of the recorded airspeed", Prior("normal", 0.0, 0.05), (0.005, 0.1),
-        (-0.5, 1.0),
-    ),
-    example=Example(
-        {"airspeed_scale": 0.05}, {"airspeed": 84.0, "mach": 0.252}, {"airspeed": -4.0, "mach": -0.012},
-        "recorded 84 = 1.05 x 80; 0.252 = 1.05 x 0.24; by hand",
-    ),
+    parameter("airspeed_scale", "1", "relative error of the recorded airspeed", Prior("normal", 0.0, 0.05),
+        (0.005, 0.1), (-0.5, 1.0)),
+    example=Example({"airspeed_scale": 0.05}, {"airspeed": 84.0, "mach": 0.252}, {"airspeed": -4.0, "mach": -0.012},
+        "recorded 84 = 1.05 x 80; 0.252 = 1.05 x 0.24; by hand"),
     channels=("airspeed",), source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
@@ -193,15 +177,11 @@ PITOT_PRESSURE_BIAS = effect(
     "slower the flight.",
     "rho/2 recorded^2 = rho/2 true^2 + pitot_pressure_bias; a Mach number that follows the airspeed likewise.",
     _pitot_pressure_bias,
-    parameter(
-        "pitot_pressure_bias", "Pa", "constant error of the impact pressure (total less static)",
-        Prior("normal", 0.0, 250.0), (30.0, 1000.0), (-3000.0, 3000.0),
-    ),
-    example=Example(
-        {"pitot_pressure_bias": 59.625}, {"airspeed": 80.0, "density": 0.75, "mach": 0.24},
+    parameter("pitot_pressure_bias", "Pa", "constant error of the impact pressure (total less static)",
+        Prior("normal", 0.0, 250.0), (30.0, 1000.0), (-3000.0, 3000.0)),
+    example=Example({"pitot_pressure_bias": 59.625}, {"airspeed": 80.0, "density": 0.75, "mach": 0.24},
         {"airspeed": -1.0, "mach": -0.003},
-        "recorded 0.75/2 x 80^2 = 2400 Pa, true 0.75/2 x 79^2 = 2340.375 Pa; 0.24/80; by hand",
-    ),
+        "recorded 0.75/2 x 80^2 = 2400 Pa, true 0.75/2 x 79^2 = 2340.375 Pa; 0.24/80; by hand"),
     channels=("airspeed", "density"),
     source="incompressible impact pressure; errors of pitot-static systems, Gracey, NASA RP-1046, 1980",
     kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
@@ -225,14 +205,10 @@ PITOT_POSITION = effect(
     "The flow at the tube is (u, v + x r, w - x q): its speed is recorded, and that at the CG is true. Exact "
     "where the flow angles are recorded at the tube, too; of angles at the CG to first order in x q/V.",
     _pitot_position,
-    parameter(
-        "pitot_position", "m", "distance of the pitot tube ahead of the centre of gravity", Prior("normal", 0.0, 10.0),
-        (3.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"pitot_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
-        {"airspeed": 0.004999843759765}, "sqrt(80^2 + (8 x 0.05)^2 + (8 x 0.1)^2) - 80, by hand",
-    ),
+    parameter("pitot_position", "m", "distance of the pitot tube ahead of the centre of gravity",
+        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0)),
+    example=Example({"pitot_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
+        {"airspeed": 0.004999843759765}, "sqrt(80^2 + (8 x 0.05)^2 + (8 x 0.1)^2) - 80, by hand"),
     channels=("airspeed", "alpha", "q"), source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
     candidate=False,
 )
@@ -251,14 +227,10 @@ SIDESLIP_VANE_POSITION = effect(
     "what yaw rate does there.",
     "The vane reads beta + x r/V; what yaw rate does there is taken out.",
     lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_position"] * s["r"] / s["airspeed"])},
-    parameter(
-        "sideslip_vane_position", "m", "distance of the sideslip sensor ahead of the CG, beyond vane_position",
-        Prior("normal", 0.0, 10.0), (1.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"sideslip_vane_position": 8.0}, {"beta": 0.0, "r": 0.05, "airspeed": 80.0}, {"beta": -0.004999958333958},
-        "-arctan(8 x 0.05/80), by hand",
-    ),
+    parameter("sideslip_vane_position", "m", "distance of the sideslip sensor ahead of the CG, beyond vane_position",
+        Prior("normal", 0.0, 10.0), (1.0, 20.0), (-40.0, 40.0)),
+    example=Example({"sideslip_vane_position": 8.0}, {"beta": 0.0, "r": 0.05, "airspeed": 80.0},
+        {"beta": -0.004999958333958}, "-arctan(8 x 0.05/80), by hand"),
     source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
 )
 
@@ -268,14 +240,10 @@ SIDESLIP_VANE_HEIGHT = effect(
     "what roll rate does there.",
     "The vane reads beta + h p/V at the height h = -z; what roll rate does there is taken out.",
     lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_height"] * s["p"] / s["airspeed"])},
-    parameter(
-        "sideslip_vane_height", "m", "height of the sideslip sensor above the CG", Prior("normal", 0.0, 2.0),
-        (0.5, 10.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"sideslip_vane_height": 2.0}, {"beta": 0.0, "p": 0.2, "airspeed": 80.0}, {"beta": -0.004999958333958},
-        "-arctan(2 x 0.2/80), by hand",
-    ),
+    parameter("sideslip_vane_height", "m", "height of the sideslip sensor above the CG", Prior("normal", 0.0, 2.0),
+        (0.5, 10.0), (-20.0, 20.0)),
+    example=Example({"sideslip_vane_height": 2.0}, {"beta": 0.0, "p": 0.2, "airspeed": 80.0},
+        {"beta": -0.004999958333958}, "-arctan(2 x 0.2/80), by hand"),
     source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
 )
 
@@ -310,13 +278,10 @@ ACCELEROMETER_POSITION = effect(
     "accelerometer_position", "The accelerometers are ahead of where the card says (or behind it, where negative).",
     "Where they are, by which the record is brought to the centre of gravity.",
     lambda v, _s, *_: {"accelerometer": (v["accelerometer_position"], 0.0, 0.0)},
-    parameter(
-        "accelerometer_position", "m", "distance of the accelerometers ahead of the place on the card",
-        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"accelerometer_position": 0.5}, {}, {"accelerometer": (0.5, 0.0, 0.0)}, "x is forward; geometry, by hand",
-    ),
+    parameter("accelerometer_position", "m", "distance of the accelerometers ahead of the place on the card",
+        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0)),
+    example=Example({"accelerometer_position": 0.5}, {}, {"accelerometer": (0.5, 0.0, 0.0)},
+        "x is forward; geometry, by hand"),
     source=POINT_ACCELERATION, kind=Kind.MEASUREMENT, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
@@ -324,13 +289,10 @@ ACCELEROMETER_HEIGHT = effect(
     "accelerometer_height", "The accelerometers are higher than the card says (or lower, where negative).",
     "Where they are, by which the record is brought to the centre of gravity; z is down.",
     lambda v, _s, *_: {"accelerometer": (0.0, 0.0, -v["accelerometer_height"])},
-    parameter(
-        "accelerometer_height", "m", "height of the accelerometers above the place on the card",
-        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"accelerometer_height": 0.5}, {}, {"accelerometer": (0.0, 0.0, -0.5)}, "z is down; geometry, by hand",
-    ),
+    parameter("accelerometer_height", "m", "height of the accelerometers above the place on the card",
+        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0)),
+    example=Example({"accelerometer_height": 0.5}, {}, {"accelerometer": (0.0, 0.0, -0.5)},
+        "z is down; geometry, by hand"),
     source=POINT_ACCELERATION, kind=Kind.MEASUREMENT, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
@@ -346,10 +308,8 @@ ACCEL_Y_POSITION = effect(
     "still contains what yaw acceleration does there.",
     "Recorded = true + x (r_dot + p q).",
     lambda v, s, *_: {"ay": -v["accel_y_position"] * (slope(s, "r") + s["p"] * s["q"])},
-    parameter(
-        "accel_y_position", "m", "distance of the lateral accelerometer ahead of the place on the card",
-        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0),
-    ),
+    parameter("accel_y_position", "m", "distance of the lateral accelerometer ahead of the place on the card",
+        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0)),
     example=Example(
         {"accel_y_position": 2.0},
         {"p": (0.2,) * 5, "r": (0.0, 0.03, 0.06, 0.09, 0.12), "q": (0.1,) * 5,
@@ -366,10 +326,8 @@ ACCEL_Y_HEIGHT = effect(
     "contains what roll acceleration does there.",
     "Recorded = true + h (p_dot - q r) at the height h = -z.",
     lambda v, s, *_: {"ay": -v["accel_y_height"] * (slope(s, "p") - s["q"] * s["r"])},
-    parameter(
-        "accel_y_height", "m", "height of the lateral accelerometer above the place on the card",
-        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0),
-    ),
+    parameter("accel_y_height", "m", "height of the lateral accelerometer above the place on the card",
+        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0)),
     example=Example(
         {"accel_y_height": 0.5},
         {"r": (0.2,) * 5, "p": (0.0, 0.03, 0.06, 0.09, 0.12), "q": (0.1,) * 5,

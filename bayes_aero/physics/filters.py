@@ -13,23 +13,12 @@ from bayes_aero.arrays import AnyArray, namespace
 
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
-EIGHTH_ORDER = np.array(
-    [
-        0.88888888887637,
-        -0.31111111109862,
-        0.11313131312500,
-        -0.03535353535135,
-        0.00870240870185,
-        -0.00155400155390,
-        0.00017760017759,
-        -0.00000971250971,
-    ]
-)
+EIGHTH_ORDER = np.array([
+    0.88888888887637, -0.31111111109862, 0.11313131312500, -0.03535353535135, 0.00870240870185, -0.00155400155390,
+    0.00017760017759, -0.00000971250971,
+])  # fmt: skip
 FOURTH_ORDER = np.array([2.0 / 3.0, -1.0 / 12.0])
-FILTER_STEP = (
-    5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample, so one sample in 5 keeps all
-)
-
+FILTER_STEP = 5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample: one in 5 keeps all
 LONG = 3
 LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: smoothed, smoothed long, differentiated
 
@@ -44,25 +33,21 @@ def smooth(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
 
     It passes cubics unchanged. `x` has any unit; n >= 20.
     """
-    xp = namespace(x)
-    x = xp.asarray(x)
-    n = x.shape[0]
-    inner = xp.convolve(x, xp.asarray(SPENCER), mode="valid")  # samples 7 .. n-8
-    short = xp.convolve(x, xp.asarray(SHORT_SMOOTHER), mode="valid")  # sample i at short[i-2]
-    return xp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
+    x = namespace(x).asarray(x)
+    return smooth_joined(x, *_ends(x))
+
+
+def _ends(x: Float[AnyArray, " n"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """First and last sample of the one manoeuvre that there is."""
+    return np.zeros(x.shape[0], int), np.full(x.shape[0], x.shape[0] - 1)
 
 
 def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray, "*r m"]:
     """Antisymmetric central difference per sample at the n - 2 len(weights) samples that have all neighbours."""
     half, n = len(weights), x.shape[-1]
-    lags = range(1, half + 1)
-    return sum(
-        (
-            w * (x[..., half + k : n - half + k] - x[..., half - k : n - half - k])
-            for k, w in zip(lags, weights, strict=True)
-        ),
-        start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)),
-    )
+    lags = enumerate(weights, 1)
+    terms = (w * (x[..., half + k : n - half + k] - x[..., half - k : n - half - k]) for k, w in lags)
+    return sum(terms, start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)))
 
 
 def differentiate(
@@ -72,13 +57,8 @@ def differentiate(
 
     `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
     """
-    xp = namespace(x)
-    x = xp.asarray(x)
-    inner = _central(x, EIGHTH_ORDER)  # samples 8 .. n-9
-    near = _central(x, FOURTH_ORDER)  # samples 2 .. n-3
-    n = near.shape[0]
-    body = xp.concatenate([near[:6], inner, near[n - 6 :]])
-    return xp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
+    x = namespace(x).asarray(x)
+    return differentiate_joined(x, dt, *_ends(x))
 
 
 def smooth_joined(
@@ -94,10 +74,8 @@ def smooth_joined(
 
 
 def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
-    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band.
-
-    Wrong near the ends.
-    """
+    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band;
+    wrong near the ends."""
     kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
     kernel[::LONG] = SPENCER
     xp = namespace(x)
@@ -105,10 +83,12 @@ def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
 
 
 def differentiate_joined(
-    x: Float[AnyArray, "*r n"], dt: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
+    x: Float[AnyArray, "*r n"],
+    dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"],
+    first: Int[AnyArray, " n"],
+    last: Int[AnyArray, " n"],
 ) -> Float[AnyArray, "*r n"]:
-    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records of
-    them."""
+    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records."""
     xp, n = namespace(x, dt), x.shape[-1]
     rows = [(0, 0)] * (x.ndim - 1)
     inner, near = (_central(xp.pad(x, [*rows, (len(w), len(w))]), w) for w in (EIGHTH_ORDER, FOURTH_ORDER))

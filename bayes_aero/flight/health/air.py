@@ -67,27 +67,6 @@ def as_calibrated(record: FlightRecord, k: float, meant: str) -> list[HealthFind
     return [found(record, "airspeed", "airspeed_kind", sentence, at=(0, record.n - 1))]
 
 
-def _calibrated(record: FlightRecord, card: Card, k: float, ratio: float) -> list[HealthFinding]:
-    """Calibrated airspeed against true airspeed times the root of the density ratio."""
-    if ratio < THIN and abs(np.log(k * ratio)) < 0.01:
-        sentence = (
-            "airspeed and calibrated_airspeed are the same numbers, and at this density true airspeed is "
-            f"{1.0 / ratio:.3g} times calibrated airspeed; map each to its own column"
-        )
-        return [found(record, "airspeed", "airspeed_kind", sentence, at=(0, record.n - 1))]
-    meant = f"true airspeed times the root of density over {DENSITY0} kg/m^3"
-    return off_by_factor(record, card, k, {"calibrated_airspeed": 1}, meant, grave=False)
-
-
-def _pressure_altitude(record: FlightRecord, card: Card, median: dict[str, float]) -> list[HealthFinding]:
-    """Altitude against that of the static pressure in a standard atmosphere; the ground pressure may differ by 5 %."""
-    meant = (1.0 - (median["static_pressure"] / 101325.0) ** 0.190263) / 2.25577e-5
-    if meant < 500.0 or median["altitude"] < 150.0:
-        return []
-    k = median["altitude"] / meant
-    return off_by_factor(record, card, k, {"altitude": 1}, "the altitude of the static pressure", explained=True)
-
-
 # --- Parts of a record on the ground: no wing carries the aircraft at such a speed.
 
 LIFT = 4.5  # lift coefficient that no wing has, for a load factor of one
