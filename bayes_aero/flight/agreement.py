@@ -32,11 +32,9 @@ class Departure:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """One record: where it departs, and the root mean square left of each channel with what is permitted.
-
-    `turbulence` (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows;
-    `assumed` are channels that were not recorded and taken as zero.
-    """
+    """One record: where it departs, and the root mean square left of each channel with what is permitted. `turbulence`
+    (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows; `assumed` are
+    channels that were not recorded and taken as zero."""
 
     record: str
     departures: tuple[Departure, ...]

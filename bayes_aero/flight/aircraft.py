@@ -97,10 +97,8 @@ DEFAULT_RANGES = {
 
 @dataclass(frozen=True)
 class Envelope:
-    """Least and greatest value of each quantity, SI; `stated`: by the card, of these quantities.
-
-    `programmed_inputs`: the aircraft can fly inputs that a computer gives, such as multisines.
-    """
+    """Least and greatest value of each quantity, SI; `stated`: by the card, of these quantities. `programmed_inputs`:
+    the aircraft can fly inputs that a computer gives, such as multisines."""
 
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(DEFAULT_RANGES))
     stated: tuple[str, ...] = ()
@@ -118,10 +116,8 @@ class Envelope:
 
 
 def excursion(flight: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI.
-
-    The load factor is -az/g, of the specific force along the body's z axis.
-    """
+    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI. The load factor
+    is -az/g, of the specific force along the body's z axis."""
     found = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
     if "az" in flight:
         found["load_factor"] = -np.asarray(flight["az"]) / GRAVITY

@@ -29,10 +29,8 @@ SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, 
 
 
 def smooth(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
-    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are.
-
-    It passes cubics unchanged. `x` has any unit; n >= 20.
-    """
+    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are. It
+    passes cubics unchanged. `x` has any unit; n >= 20."""
     x = namespace(x).asarray(x)
     return smooth_joined(x, *_ends(x))
 
@@ -53,10 +51,8 @@ def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray,
 def differentiate(
     x: Float[AnyArray, " n"], dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"]
 ) -> Float[AnyArray, " n"]:
-    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
-
-    `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
-    """
+    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond. `x` in
+    any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two."""
     x = namespace(x).asarray(x)
     return differentiate_joined(x, dt, *_ends(x))
 
@@ -64,10 +60,8 @@ def differentiate(
 def smooth_joined(
     x: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
 ) -> Float[AnyArray, " n"]:
-    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to.
-
-    One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
-    """
+    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to. One
+    program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled."""
     xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
     wide, short = (xp.convolve(x, xp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
@@ -104,10 +98,8 @@ def inside_joined(n: int, first: Int[AnyArray, " n"], last: Int[AnyArray, " n"])
 
 
 def recurrence(keep: Float[AnyArray, "n ..."], drive: Float[AnyArray, "n ..."]) -> Float[AnyArray, "n ..."]:
-    """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero.
-
-    A plain scan: the associative one runs no faster at some thousand samples and takes many times longer to compile.
-    """
+    """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero. A plain scan: the
+    associative one runs no faster at some thousand samples and takes many times longer to compile."""
 
     import jax
     import jax.numpy as jnp
@@ -129,9 +121,7 @@ def advance(
     last: Int[AnyArray, " n"],
 ) -> Float[AnyArray, " n"]:
     """x(t + seconds), by cubic convolution between samples, constant beyond the manoeuvre's `first` and `last` sample.
-
-    Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2.
-    """
+    Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2."""
     xp = namespace(x, seconds, dt)
     place = xp.arange(x.shape[0]) + seconds / dt
     base = xp.floor(place).astype(int)  # a whole number has no derivative

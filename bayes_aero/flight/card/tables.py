@@ -67,9 +67,7 @@ def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
 
 def refuse_no_body(aircraft: Aircraft, where: str) -> None:
     """Refuse moments of inertia that no mass distribution has: each principal one is at most the sum of the others.
-
-    Source: Goldstein, *Classical Mechanics*, 2nd ed. 1980, ch. 5.
-    """
+    Source: Goldstein, *Classical Mechanics*, 2nd ed. 1980, ch. 5."""
     given = {name: float(getattr(aircraft, name)) for name in ("Ix", "Iy", "Iz", "Ixy", "Ixz", "Iyz")}
     Ix, Iy, Iz, Ixy, Ixz, Iyz = given.values()
     principal = np.linalg.eigvalsh([[Ix, -Ixy, -Ixz], [-Ixy, Iy, -Iyz], [-Ixz, -Iyz, Iz]])
@@ -271,10 +269,8 @@ class LinearTerm(NamedTuple):
 @dataclass(frozen=True)
 class LinearCard:
     """Rows of a linear system: the rate of each state, and outputs; that of a state is what the record shows beyond it.
-
     `delays`: the parameter, s, by which an output is recorded late. `by_manoeuvre`: constants that differ between
-    manoeuvres.
-    """
+    manoeuvres."""
 
     states: tuple[str, ...]
     rates: tuple[tuple[LinearTerm, ...], ...]

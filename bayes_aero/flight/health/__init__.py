@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.air import across, air_data, derivatives, in_flight, on_ground
 from bayes_aero.flight.health.channel import dropouts, frozen, held, idle, quantised, saturated, wrapped
-from bayes_aero.flight.health.channels_agree import across
 from bayes_aero.flight.health.controls import control_responses, feedback
 from bayes_aero.flight.health.finding import HealthFinding, decided, short
 from bayes_aero.flight.health.refuted import refuted
@@ -43,11 +42,8 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
 
 
 def _without_consequences(said: list[HealthFinding]) -> list[HealthFinding]:
-    """Each fault of a channel once, without what follows from another one.
-
-    A dropout looks like a flat stretch, too, at an end of the channel's range; a density or airspeed in another unit
-    makes level flight impossible as well.
-    """
+    """Each fault of a channel once, without what follows from another one. A dropout looks like a flat stretch, too, at
+    an end of the channel's range; a density or airspeed in another unit makes level flight impossible as well."""
     dropped = {finding.channel for finding in said if finding.fault == "dropout"}
     said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
     units, first = [f for f in said if f.fault == "unit"], {}

@@ -150,11 +150,9 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
 
 
 def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
-    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved.
-
-    A surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal
-    samples say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there.
-    """
+    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved. A
+    surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal samples
+    say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there."""
     runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
     moving = np.delete(x, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]).astype(int))
     share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
@@ -276,10 +274,8 @@ def held_period(x: np.ndarray) -> float:
 
 
 def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not.
-
-    Corners a whole number of samples apart are found under coarse rounding, others where they are far apart and clear.
-    """
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not. Corners a whole number
+    of samples apart are found under coarse rounding, others where they are far apart and clear."""
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
@@ -302,12 +298,10 @@ def interpolated_period(x: np.ndarray) -> float:
 
 def _between_knots(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
-
     Rounding moves no sample by more than a step from the line between two others. So the samples lie within a step of
     the lines between knots. They lie further from lines between the samples halfway. By chance `ENDS` lines are all of
     the second kind once in 2 to the power of `ENDS`. A smooth signal departs from both kinds or from neither. Knots
-    between samples are not sought: under coarse rounding such a signal is not found.
-    """
+    between samples are not sought: under coarse rounding such a signal is not found."""
     best, step = 0, quantum(x)
     for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
         lag = period // 2

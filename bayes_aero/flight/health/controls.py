@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -60,8 +60,7 @@ EDGE, RATE, BETWEEN = 0.05, 0.05, 0.25
 its motion that it must make between the limits."""
 
 
-@dataclass(frozen=True)
-class _Control:
+class _Control(NamedTuple):
     """A surface, what else moves the rate that it turns, and the words for its positive direction and the answer."""
 
     surface: str
@@ -89,10 +88,8 @@ LATERAL = (
 
 
 def control_responses(record: FlightRecord, card: Card) -> Findings:
-    """Findings where an angular acceleration answers a positive deflection the wrong way.
-
-    Aileron and rudder are looked at for cards of the lateral axis alone: others leave their sign to the user.
-    """
+    """Findings where an angular acceleration answers a positive deflection the wrong way. Aileron and rudder are looked
+    at for cards of the lateral axis alone: others leave their sign to the user."""
     for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
         fitted, surface = _fitted(control, record), control.surface
         if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
@@ -107,14 +104,12 @@ def control_responses(record: FlightRecord, card: Card) -> Findings:
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
-    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there.
-
-    The angular acceleration is fitted to the surface, the others about that axis and the motion where the surface
-    moves. In the run it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was
-    recorded, in flight that is less than the fitted range beyond it. A surface about the pitch axis is also told as
-    one without any signal is, in the run alone. An aileron or a rudder is not told where less than about 8 s are left
-    in which it moves: gusts roll and yaw an aircraft, too.
-    """
+    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there. The angular
+    acceleration is fitted to the surface, the others about that axis and the motion where the surface moves. In the run
+    it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was recorded, in flight that
+    is less than the fitted range beyond it. A surface about the pitch axis is also told as one without any signal is,
+    in the run alone. An aileron or a rudder is not told where less than about 8 s are left in which it moves: gusts
+    roll and yaw an aircraft, too."""
     control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
     if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
         return False
@@ -138,11 +133,8 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
 
 def answers_no_input(record: FlightRecord) -> bool:
     """Whether the aircraft pitches as neither motion nor a surface that moves explains. A rudder or an aileron may well
-    be left alone.
-
-    A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch is fitted
-    by itself. Products of p and r turn the nose by inertia.
-    """
+    be left alone. A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch
+    is fitted by itself. Products of p and r turn the nose by inertia."""
     stretch = round(4.0 * SLOW / record.dt)
     if not all(map(record.has, ELEVATOR.beside)) or record.n < stretch:
         return False
@@ -162,18 +154,15 @@ def answers_no_input(record: FlightRecord) -> bool:
     return False
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Angular acceleration over a surface and the motion: regressors, what is left, rad/s2, and the samples that it was
-    fitted to; response to the surface, 1/s2 a rad, what is usually left, and the covariance of the fit over its square.
-    """
+class _Fit(NamedTuple):
+    """Angular acceleration over a surface and the motion."""
 
-    rows: np.ndarray
-    left: np.ndarray
-    used: np.ndarray
-    response: float
-    usual: float
-    spread: np.ndarray
+    rows: np.ndarray  # regressors
+    left: np.ndarray  # what they miss, rad/s2
+    used: np.ndarray  # samples that it was fitted to
+    response: float  # to the surface, 1/s2 a rad
+    usual: float  # what is usually left
+    spread: np.ndarray  # covariance of the fit over the square of that
 
     @property
     def error(self) -> float:
@@ -219,13 +208,10 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
 
 
 def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
-    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move.
-
-    Then the law of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface
-    only trims, is no better. A pilot's input beside the feedback in one of the records separates the two.
-
-    Source: L. Ljung, System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft).
-    """
+    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move. Then the law
+    of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface only trims, is
+    no better. A pilot's input beside the feedback in one of the records separates the two. Source: L. Ljung, System
+    Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
     if card.linear is not None:
         surfaces = [name for name in card.linear.inputs if name in CONTROLS]
     else:
@@ -248,12 +234,10 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
 
 
 def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
-    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own.
-
-    Integrals of the outputs are tried where the outputs themselves do not make the motion and the record is long
-    enough; then both between limits of the surface. None where the surface drifts or decays at most, or the record is
-    too short to tell.
-    """
+    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own. Integrals
+    of the outputs are tried where the outputs themselves do not make the motion and the record is long enough; then
+    both between limits of the surface. None where the surface drifts or decays at most, or the record is too short to
+    tell."""
     u = _deflection(surface, record)
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
@@ -275,7 +259,7 @@ def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], s
     if not len(moving) or np.ptp(moving) <= STILL * np.ptp(u):
         return None  # too short, or it moves at an end of the record alone
     judged = False
-    for limits in (None, _limits(u, record.dt)):
+    for limits in (None, _Limits.of(u, record.dt)):
         free = np.ones(record.n, bool) if limits is None else limits.free
         room = free.sum() * record.dt / SMOOTH / PER_COLUMN - 2.0
         if len(outputs) > room or np.std(moving[free[inside]]) < BETWEEN * np.std(moving):
@@ -298,8 +282,7 @@ def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], s
     return ([], "") if judged else None
 
 
-@dataclass(frozen=True)
-class _Limits:
+class _Limits(NamedTuple):
     """Least and largest deflection, rad, largest rate, rad/s, and the samples that are well within them."""
 
     low: float
@@ -307,28 +290,25 @@ class _Limits:
     rate: float
     free: np.ndarray
 
+    @classmethod
+    def of(cls, u: Float[np.ndarray, " n"], dt: float) -> _Limits:
+        """The limits that a surface has if its extremes are limits."""
+        half = max(1, round(RATE / dt))
+        padded = np.pad(u, half, mode="edge")
+        rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
+        (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
+        edge = EDGE * (high - low)
+        within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
+        return cls(float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9)
 
-def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
-    """The limits that a surface has if its extremes are limits."""
-    half = max(1, round(RATE / dt))
-    padded = np.pad(u, half, mode="edge")
-    rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
-    (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
-    edge = EDGE * (high - low)
-    within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
-    return _Limits(float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9)
 
+class _Followed(NamedTuple):
+    """A law of a surface."""
 
-@dataclass(frozen=True)
-class _Followed:
-    """A law of a surface: the motion that each regressor makes over the surface's, standard deviations; the share of
-    the surface's motion (a variance) that the law misses between limits, and whether that is no more than noise; the
-    share of the fast motion at limits that the law with these limits misses."""
-
-    made: np.ndarray
-    share: float
-    within: bool
-    at_limits: float
+    made: np.ndarray  # the motion that each regressor makes over the surface's, standard deviations
+    share: float  # of the surface's motion (a variance) that the law misses between limits
+    within: bool  # whether that is no more than noise
+    at_limits: float  # share of the fast motion at limits that the law with these limits misses
 
 
 def _followed(
@@ -383,10 +363,8 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 def _late(
     x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order, and what the surface's own position adds behind it.
-
-    The lag begins at the surface's position: at the first sample, and after each sample at a limit.
-    """
+    """Signals behind a lag of first order, and what the surface's own position adds behind it. The lag begins at the
+    surface's position: at the first sample, and after each sample at a limit."""
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
     held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.

@@ -118,10 +118,8 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
 
 
 def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
-    """The record with channels taken for each other, or counting the other way.
-
-    Axes are named where they say what as many wrong signs could not, or only with more of them.
-    """
+    """The record with channels taken for each other, or counting the other way. Axes are named where they say what as
+    many wrong signs could not, or only with more of them."""
     turned = ", ".join(name for name, (source, _) in moves.items() if source == name)
     exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
     axes, rest = axes_of(moves, recorded)

@@ -92,10 +92,8 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
 def _chain(
     record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: Misfits
 ) -> tuple[list[tuple[Reading, HealthFinding]], Misfits]:
-    """Readings one after the other, the best first, while any mends what is refuted; and what they leave.
-
-    What they mend must be within the limit in the end: otherwise they explain nothing.
-    """
+    """Readings one after the other, the best first, while any mends what is refuted; and what they leave. What they
+    mend must be within the limit in the end: otherwise they explain nothing."""
     said: list[tuple[Reading, list[str], HealthFinding]] = []
     for _ in range(MOST):
         if not any(value > 1.0 for value in before.values()):
@@ -143,11 +141,9 @@ def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
 
 
 def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
-    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error.
-
-    The error is that of the scatter between pieces of the record, which are taken as independent. None where the
-    record is too short for them.
-    """
+    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error. The error is that
+    of the scatter between pieces of the record, which are taken as independent. None where the record is too short for
+    them."""
     pieces = np.array_split(np.arange(len(view["time"])), max(FEWEST, round(np.ptp(view["time"]) / PIECE)))
     if not names or "airspeed" not in recorded or len(pieces[-1]) < SHORTEST:
         return None
@@ -216,10 +212,8 @@ def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np
 
 
 def _own_factor(view: View, recorded: frozenset[str], reading: Reading, before: Misfits, after: Misfits) -> bool:
-    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best.
-
-    A smaller number fits better than a wrong one whatever its unit is.
-    """
+    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best. A smaller
+    number fits better than a wrong one whatever its unit is."""
     if reading.factor == 1.0:
         return True
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
@@ -240,10 +234,8 @@ def _mended(before: Misfits, after: Misfits) -> list[str]:
 
 
 def _bias(record: FlightRecord, card: Card, view: View, recorded: frozenset[str], left: Misfits) -> Findings:
-    """The mean lateral acceleration that no other reading of a channel explains, unless the card states it.
-
-    Bank and turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival.
-    """
+    """The mean lateral acceleration that no other reading of a channel explains, unless the card states it. Bank and
+    turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival."""
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
         return
     terms = terms_of(view, recorded, frozenset({"side"}))["side"]

@@ -33,10 +33,8 @@ def same_records(records: Sequence[FlightRecord]) -> Findings:
 
 
 def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
-    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing.
-
-    Another name, order of channels, origin of time, number of digits or a whole part of the rate make no new record.
-    """
+    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing. Another
+    name, order of channels, origin of time, number of digits or a whole part of the rate make no new record."""
     slow = max(one.dt, two.dt)
     every = [round(slow / record.dt) for record in (one, two)]
     if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):

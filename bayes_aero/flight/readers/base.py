@@ -103,10 +103,8 @@ class HeadingIndex:
         self.by_column = {heading.column: heading for heading in headings if heading.column is not None}
 
     def candidates(self, channel: Channel) -> list[Heading]:
-        """The headings of a channel's name; without one the column of its number.
-
-        A label on the card that names no column of a file with names is a mistake, whatever number stands beside it.
-        """
+        """The headings of a channel's name; without one the column of its number. A label on the card that names no
+        column of a file with names is a mistake, whatever number stands beside it."""
         numbered = None if channel.column is None else self.by_column.get(channel.column)
         usable = numbered is not None and (channel.label is None or not numbered.names or numbered.formed)
         return self.by_name.get(channel.heading) or ([numbered] if usable and numbered is not None else [])
@@ -185,10 +183,8 @@ _NEVER_WRITTEN = {
 
 def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.ndarray:
     """The numbers that (n,) stored ones stand for by the variable's `attributes`, of which those of `PACKING` count.
-
-    NaN where they are missing or outside the valid range; flags and packing that is no numbers are refused.
-    Source: CF conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A.
-    """
+    NaN where they are missing or outside the valid range; flags and packing that is no numbers are refused. Source: CF
+    conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A."""
     if any(key.startswith("flag_") for key in PACKING if key in attributes):
         raise InputError(
             f"channel {name} holds flags (it has flag_meanings), no measured quantity; name another variable on the "
@@ -238,11 +234,8 @@ def stated_unit(units: Any) -> str | None:
 
 @contextmanager
 def foreign(kind: str) -> Iterator[None]:
-    """Turn whatever a foreign parser throws at a damaged file into one sentence.
-
-    Such parsers raise anything from KeyError to zlib.error and RecursionError, so this border catches them
-    all.
-    """
+    """Turn whatever a foreign parser throws at a damaged file into one sentence. Such parsers raise anything from
+    KeyError to zlib.error and RecursionError, so this border catches them all."""
     try:
         yield
     except InputError:
@@ -296,13 +289,9 @@ def value_share(cells: Sequence[str]) -> float:
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
-    """Tell decimal commas from commas between thousands, over all cells that are wanted of a file.
-
-    "0,040" and "1,5" can only be decimals; "4,562" beside "0.9" can only be thousands.
-
-    Raises:
-        InputError: where the file contradicts itself, or leaves open which of the two it means.
-    """
+    """Tell decimal commas from commas between thousands, over all cells that are wanted of a file. "0,040" and "1,5"
+    can only be decimals; "4,562" beside "0.9" can only be thousands. Raises InputError: where the file contradicts
+    itself, or leaves open which of the two it means."""
     decimal_comma = decimal_point = either_comma = either_point = ""
     grouped = False
     for cell in cells:
@@ -343,11 +332,7 @@ def marks_of(cells: Iterable[str]) -> Marks:
 
 
 def number_of(cell: str, marks: Marks) -> float:
-    """The number in a cell, NaN for a blank.
-
-    Raises:
-        ValueError: the cell holds something else.
-    """
+    """The number in a cell, NaN for a blank. Raises ValueError: the cell holds something else."""
     if is_blank(cell):
         return math.nan
     if "_" in cell:
@@ -375,11 +360,7 @@ def looks_like_clock(cell: str) -> bool:
 
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
-    """(n,) seconds since the first cell; a clock that passes midnight goes on.
-
-    Raises:
-        InputError: a cell is no time.
-    """
+    """(n,) seconds since the first cell; a clock that passes midnight goes on. Raises InputError: a cell is no time."""
     if not all(_TIME.fullmatch(cell) for cell in cells):
         return _dates(cells)
     # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it

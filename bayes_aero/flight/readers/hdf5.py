@@ -39,11 +39,8 @@ OBJECT = (
 
 
 def open_hdf5(data: bytes, kind: str) -> OpenedFile:
-    """The datasets of an HDF5 file; `kind` names it to the user.
-
-    A dataset in a group goes by its path ("flight.T") and, where no other has it, by its own name. The columns of an
-    only matrix go by their numbers.
-    """
+    """The datasets of an HDF5 file; `kind` names it to the user. A dataset in a group goes by its path ("flight.T")
+    and, where no other has it, by its own name. The columns of an only matrix go by their numbers."""
     if find_spec("h5py") is None:
         raise InputError(f"this {kind} is an HDF5 file, and h5py is not installed; install h5py, or write .csv")
 

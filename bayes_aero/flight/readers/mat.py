@@ -31,10 +31,8 @@ DEPTH = 3  # structs within structs
 
 
 def open_mat(data: bytes) -> OpenedFile:
-    """A MATLAB file: v5 to v7 by scipy, v7.3 by h5py. Structs are read, the other variables are only listed.
-
-    The columns of an only matrix go by their numbers, those of several by "name(:,k)".
-    """
+    """A MATLAB file: v5 to v7 by scipy, v7.3 by h5py. Structs are read, the other variables are only listed. The
+    columns of an only matrix go by their numbers, those of several by "name(:,k)"."""
     if data[512:520] == HDF5 or data[:8] == HDF5:
         return open_hdf5(data, "MATLAB v7.3 file")
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):

@@ -182,11 +182,8 @@ def separator_of(lines: Lines) -> str | None:
 
 
 def split(line: str, separator: str | None, number: int | None = None) -> list[str]:
-    """The cells of a line without the blanks around them; `number` is the line's, for errors.
-
-    Raises:
-        InputError: a quote is not closed.
-    """
+    """The cells of a line without the blanks around them; `number` is the line's, for errors. Raises InputError: a
+    quote is not closed."""
     if separator is None:
         return line.split()
     if '"' not in line:
@@ -203,11 +200,7 @@ def split(line: str, separator: str | None, number: int | None = None) -> list[s
 
 
 def laid_out(lines: Lines, separator: str | None) -> Layout:
-    """Find header, units and samples.
-
-    Raises:
-        InputError: no samples, or lines of different length among them.
-    """
+    """Find header, units and samples. Raises InputError: no samples, or lines of different length among them."""
     lines = [(at, line) for at, line in lines if not _SEP_LINE.fullmatch(line)]
     while lines and not lines[-1][1].strip(" \t,;|\x1f"):
         lines = lines[:-1]  # rows of separators at the end

@@ -145,10 +145,8 @@ class Proposal:
 
 
 def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
-    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre.
-
-    The record is the whole file, in SI, unchecked: time may have gaps or start over. The card tells flight from ground.
-    """
+    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre. The record is
+    the whole file, in SI, unchecked: time may have gaps or start over. The card tells flight from ground."""
     parts = [(a, b) for a, b in parts_of(record.time) if b - a >= SHORTEST]
     forward = bool((np.diff(record.time) > 0.0).all())
     flown: list[tuple[int, int]] = []

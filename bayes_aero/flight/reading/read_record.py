@@ -196,11 +196,8 @@ def _no_such_file(path: Path) -> str:
 
 
 def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
-    """A channel's values in SI, (n,), with the card's sign.
-
-    Raises:
-        InputError: the file states another unit than the card.
-    """
+    """A channel's values in SI, (n,), with the card's sign. Raises InputError: the file states another unit than the
+    card."""
     unit = unit_in_file(channel, column, heading)
     standard = STANDARD_CHANNELS.get(channel.name)
     if unit is not None and same_unit(unit, channel.unit) is False:
@@ -212,10 +209,8 @@ def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
 
 
 def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str | None:
-    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)").
-
-    What a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro.
-    """
+    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)"). What
+    a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro."""
     if column.unit is not None:
         return column.unit
     for name in heading.names:
@@ -237,9 +232,7 @@ PATIENCE = 20.0  # seconds
 @dataclass(frozen=True)
 class RawColumn:
     """One column: its name (None in files without a header), place counted from 1, (n,) values, unit if the file says.
-
-    Values are None where they are no numbers.
-    """
+    Values are None where they are no numbers."""
 
     label: str | None
     number: int
@@ -295,10 +288,8 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
 
 
 def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
-
-    When `PATIENCE` is over, whatever has not been read is taken for no numbers.
-    """
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost. When `PATIENCE` is
+    over, whatever has not been read is taken for no numbers."""
     found: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
@@ -327,10 +318,8 @@ def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray
 
 
 def without_repeats(record: FlightRecord) -> FlightRecord:
-    """The record without such samples, which say nothing new, and a remark.
-
-    Samples of one time that differ stay, for nobody knows which of them is right.
-    """
+    """The record without such samples, which say nothing new, and a remark. Samples of one time that differ stay, for
+    nobody knows which of them is right."""
     again = repeats(record.time, record.channels.values())
     if not again.any():
         return record

@@ -75,11 +75,7 @@ def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
 
 
 def samples_of(time: np.ndarray, segment: Segment) -> slice:
-    """Which samples of a file with (n,) time in s a part has.
-
-    Raises:
-        InputError: the file has no sample there.
-    """
+    """Which samples of a file with (n,) time in s a part has. Raises InputError: the file has no sample there."""
     if segment.whole:
         return slice(None)
     if segment.part is not None:

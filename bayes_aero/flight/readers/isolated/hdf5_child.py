@@ -13,11 +13,8 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
 def answer(data, wanted, kept, most, room):
-    """What is there, where nothing is `wanted`; else the numbers as stored.
-
-    wanted: path and, of a matrix, column of each. kept: attributes that go with them. most: samples that a channel may
-    have; room: that all may have.
-    """
+    """What is there, where nothing is `wanted`; else the numbers as stored. wanted: path and, of a matrix, column of
+    each. kept: attributes that go with them. most: samples that a channel may have; room: that all may have."""
     found: list = []
     reply: dict = {}
     with h5py.File(io.BytesIO(data), "r") as file:

@@ -97,10 +97,8 @@ def require(suffix: str, *libraries: str) -> None:
 
 
 def open_dataflash(data: bytes) -> OpenedFile:
-    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX".
-
-    Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
-    """
+    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX". Source:
+    ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others."""
     require(".bin", "pymavlink")
     if b"\xa3\x95" not in data[:600]:
         raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
@@ -113,9 +111,7 @@ def open_dataflash(data: bytes) -> OpenedFile:
 
 def open_mdf(data: bytes) -> OpenedFile:
     """An MDF file. A signal goes by "group/name" and, where no other group has one of its name, by its name alone.
-
-    Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
-    """
+    Source: ASAM MDF 4.1, section 4: one channel group has one master channel."""
     require(".mf4", "asammdf")
     if data[:8] not in (b"MDF     ", b"UnFinMF "):
         raise InputError("it is not an MDF file (its first bytes differ); is it misnamed?")
@@ -130,10 +126,8 @@ def open_mdf(data: bytes) -> OpenedFile:
 
 
 def open_ulog(data: bytes) -> OpenedFile:
-    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x".
-
-    Source: PX4 ULog file format, version 1.
-    """
+    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x". Source: PX4 ULog file format,
+    version 1."""
     require(".ulg", "pyulog")
     if not data.startswith(b"ULog\x01\x12\x35"):
         raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")
