@@ -15,8 +15,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
 
-Columns = list[tuple[Channel, np.ndarray]]
-"""Channels to write, each with its (n,) values in the file's unit."""
+Columns = list[tuple[Channel, np.ndarray]]  # channels to write, each with its (n,) values in the file's unit
 
 
 def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: Sequence[Channel]) -> None:

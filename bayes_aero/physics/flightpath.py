@@ -24,11 +24,8 @@ PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", 
 FLOW_ANGLES = ("alpha", "beta")
 ANGLES = (*FLOW_ANGLES, "theta", "phi")
 
-Axes = tuple[Samples, Samples, Samples]
-"""Along body x, y and z."""
-
-Sines = tuple[Samples, ...]
-"""Sine and cosine of each of `ANGLES`."""
+Axes = tuple[Samples, Samples, Samples]  # along body x, y and z
+Sines = tuple[Samples, ...]  # sine and cosine of each of `ANGLES`
 
 
 def path_rates(s: Mapping[str, Samples], aircraft: Aircraft, sines: Sines | None = None) -> dict[str, Samples]:

@@ -254,8 +254,7 @@ def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str)
 # Every row is a table {parameter = what it multiplies}: a channel, "1" for the constant, or a table of channels with
 # numbers, `Lda = { aileron_left = 0.5, aileron_right = -0.5 }`. Nothing is parsed but names and numbers.
 
-ONE = "1"
-"""Stands for the constant among the channels."""
+ONE = "1"  # stands for the constant among the channels
 
 
 class LinearTerm(NamedTuple):

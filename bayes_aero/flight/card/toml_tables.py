@@ -11,9 +11,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 
-MOST_BYTES = 1 << 18
-"""A card has some 5 kB, a study that lists 3000 records 200."""
-
+MOST_BYTES = 1 << 18  # a card has some 5 kB, a study that lists 3000 records 200
 MOST_DEPTH, MOST_NAME, LARGEST = 12, 200, 2**63
 # tomllib's time grows with the square of the parts of a dotted key. A part is matched from its beginning only.
 _DOTTED = re.compile(r"""(?:(?<![\w-])[\w-]+|"[^"\n]{0,200}"|'[^'\n]{0,200}')[ \t]*\.[ \t]*""")
@@ -106,8 +104,7 @@ def like(name: str, known: Iterable[str]) -> str:
     return f"; is {close[0]!r} there meant?" if close else ""
 
 
-UNFILLED = "TODO"
-"""Stands on a starter card where the user has something to fill in."""
+UNFILLED = "TODO"  # stands on a starter card where the user has something to fill in
 
 
 def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:

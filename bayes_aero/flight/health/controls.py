@@ -43,8 +43,7 @@ OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
 """What a law of the elevator, and one of ailerons or rudder, do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
-MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
-"""s, of an actuator or a filter between outputs and surface."""
+MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)  # s, of an actuator or a filter between outputs and surface
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""

@@ -358,15 +358,12 @@ RELATIONS: dict[str, Relation] = {
 SHORTEST = 25  # samples of a piece
 TURN, FOLLOWS = np.deg2rad(3.0), 0.2
 """rad that the rates must turn the aircraft by, and the share of it within which a heading stands still."""
-LEVEL = 1.5
-"""m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2."""
-SIDE = 0.9
-"""The same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle."""
+LEVEL = 1.5  # m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2
+SIDE = 0.9  # the same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle
 SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
 MEANS = {"level": LEVEL, "side": SIDE}
 _MEAN_NEEDS = {"level": RELATIONS["alpha"].needs, "side": ("ay", "r", "phi", *RELATIONS["airspeed"].needs)}
-SCALE = 0.3
-"""Error of scale that a sensor in the right unit may have; our choice."""
+SCALE = 0.3  # error of scale that a sensor in the right unit may have; our choice
 
 
 def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, float]:

@@ -46,8 +46,7 @@ FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from anoth
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
 FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
 TOLD = 0.2  # by which the best must be ahead of the next
-SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})
-"""Relations that ask for a factor of the airspeed."""
+SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})  # relations that ask for a factor of the airspeed
 SPEED_ERROR = 0.02  # standard deviation of the scale of an airspeed in the right unit; assumed
 PIECE, FEWEST = 5.0, 4  # s, and number, of the pieces that tell its standard error
 WIDEST, STEP, SURE = 1.6, 0.02, 3.0  # logarithms of its range and of a difference; standard errors that it must be off

@@ -20,5 +20,4 @@ def _discover() -> dict[str, Opens]:
     return dict(sorted(found.items()))
 
 
-READERS: Mapping[str, Opens] = _discover()
-"""What opens a file, by its suffix."""
+READERS: Mapping[str, Opens] = _discover()  # what opens a file, by its suffix

@@ -15,9 +15,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 
-MAX_VALUES = 20_000_000
-"""Most samples that one channel may have; held against the file's header before memory is taken."""
-
+MAX_VALUES = 20_000_000  # most samples that one channel may have; held against the file's header before memory is taken
 MOST_VALUES_IN_ALL = 100_000_000
 """Most samples of all channels together: 0.8 GB. A compressed file of some kB can claim any number."""
 
@@ -35,19 +33,12 @@ class FileColumn:
 
 @dataclass(frozen=True)
 class Heading:
-    """One column of a file before its values are read.
+    """One column of a file before its values are read."""
 
-    Attributes:
-        names: what the file calls it; empty without a header, several where there is more than one row of names.
-        column: its number on a card, counted from 1; None where it goes by its name alone.
-        unit: the unit that the file states beside the name.
-        formed: the name was formed by the reader, "data(:,3)", so that a card's number counts beside any label.
-    """
-
-    names: tuple[str, ...] = ()
-    column: int | None = None
-    unit: str | None = None
-    formed: bool = False
+    names: tuple[str, ...] = ()  # as in the file; none without a header, several with more than one row of names
+    column: int | None = None  # its number on a card, counted from 1; None where it goes by its name alone
+    unit: str | None = None  # that the file states beside the name
+    formed: bool = False  # the name was formed by the reader, "data(:,3)": a card's number counts beside any label
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,11 @@ from bayes_aero.flight.readers.isolated.process import require
 from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, laid_out, text_table
 from bayes_aero.units import same_unit
 
-MOST_UNPACKED = 1 << 29
-"""Most bytes of XML in the archive, 0.5 GiB; a file of some kB can claim any number."""
-
+MOST_UNPACKED = 1 << 29  # most bytes of XML in the archive, 0.5 GiB; a file of some kB can claim any number
 MOST_ROWS, MOST_CELLS = 1 << 20, 10_000_000
 """Excel's own number of rows; and most cells of a sheet, of which each takes some microseconds."""
 
-A_TABLE = 50
-"""Rows of numbers that make a table; a sheet with fewer is read only where no sheet has so many."""
-
+A_TABLE = 50  # rows of numbers that make a table; a sheet with fewer is read only where no sheet has so many
 _OLD = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _UNFIT = re.compile(rf'[{CELL}"\r\n\t]+')  # what parts cells and lines in a text table
 _THOUSANDS = re.compile(r"-?\d{1,3}\.\d{3}")  # a number whose point could stand between thousands in a text table

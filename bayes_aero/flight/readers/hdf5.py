@@ -26,12 +26,8 @@ from bayes_aero.flight.readers.base import (
 )
 from bayes_aero.flight.readers.isolated.process import ask_child
 
-HDF5 = b"\x89HDF\r\n\x1a\n"
-"""What such a file begins with; MATLAB's has 512 bytes of its own before it."""
-
-TIME_LIMIT = 20.0
-"""Seconds for the child; a sound record takes about a third of one."""
-
+HDF5 = b"\x89HDF\r\n\x1a\n"  # what such a file begins with; MATLAB's has 512 bytes of its own before it
+TIME_LIMIT = 20.0  # seconds for the child; a sound record takes about a third of one
 OBJECT = (
     "it holds a MATLAB object (a table, timetable or class), which only MATLAB can read; in MATLAB, save a struct of "
     "vectors (table2struct(T, 'ToScalar', true)), or write .csv with writetable"

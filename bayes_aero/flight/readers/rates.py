@@ -10,8 +10,7 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.readers.base import FileColumn, Heading, OpenedFile, refuse_huge, vector
 
-TIME = Heading(("time",), None, "s")
-"""Stands for the time stamps of whatever columns are read beside it."""
+TIME = Heading(("time",), None, "s")  # stands for the time stamps of whatever columns are read beside it
 
 
 @dataclass(frozen=True)
@@ -50,17 +49,9 @@ class SampleGroup:
 
 
 def several_rates(kind: str, groups: Sequence[SampleGroup], remarks: Sequence[str], tick: float) -> OpenedFile:
-    """A file of groups: time first, then every column of its groups, no two with the same first name.
-
-    Args:
-        kind: what a column is called there.
-        groups: those without a sample are left out.
-        remarks: how the file was understood.
-        tick: resolution of its time stamps, s; stamps that differ by less than half of it are the same instant.
-
-    Raises:
-        InputError: no group has a sample.
-    """
+    """A file of groups with a sample: time first, then every column, no two with the same first name. `kind` is what a
+    column is called there, `tick` the resolution of its time stamps, s: stamps that differ by less than half of it are
+    the same instant."""
     headings, places, taken = [TIME], dict[Heading, tuple[SampleGroup, Series]](), {"time"}
     for group in groups:
         for series in group.series if len(group.time) else ():

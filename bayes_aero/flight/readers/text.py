@@ -132,9 +132,7 @@ def _lines(data: bytes) -> Lines:
 
 T = TypeVar("T")
 
-CELL = "\x1f"
-"""Between the cells of lines that were quoted: ASCII's own separator, which no text holds."""
-
+CELL = "\x1f"  # between the cells of lines that were quoted: ASCII's own separator, which no text holds
 SEPARATORS = (";", "\t", "|", CELL, ",", None)  # None: blanks; of two that fit alike the first is taken
 LOOKED_AT = 40  # lines, spread over the lower part of the file
 MOST_HEADER_ROWS = 4
@@ -142,8 +140,7 @@ UNIT_SHARE = 1.0 / 3.0  # of the cells of a row below the names that are known u
 _SEP_LINE = re.compile(r'"?sep=.?"?[;,\t]*', re.IGNORECASE)
 _COMMENT = "#%"
 
-Lines = list[tuple[int, str]]
-"""Lines of a file, each with its number, counted from 1."""
+Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted from 1
 
 
 @dataclass(frozen=True)

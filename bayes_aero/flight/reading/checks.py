@@ -13,18 +13,10 @@ from bayes_aero.flight.reading.segments import GAP
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import from_si, instant, number, same_unit, to_si
 
-MIN_SAMPLES = 50
-"""The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
-
-JITTER = 0.01
-"""Largest departure of a step from the median step, relative, that still passes for even sampling."""
-
-RATES = (1e-4, 2.0)
-"""Bounds of the sampling interval, s, outside which the unit of time must be wrong."""
-
-ALPHA_MOVES = 1e-6
-"""Smallest range of alpha, rad, that counts as variation at all."""
-
+MIN_SAMPLES = 50  # the derivative filter alone spans 17 samples and changes its form over the 9 next to either end
+JITTER = 0.01  # largest departure of a step from the median step, relative, that still passes for even sampling
+RATES = (1e-4, 2.0)  # bounds of the sampling interval, s, outside which the unit of time must be wrong
+ALPHA_MOVES = 1e-6  # smallest range of alpha, rad, that counts as variation at all
 ROUNDED = 0.15
 """Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
 
@@ -32,9 +24,7 @@ SLOWEST, REGULAR, FEWER = 10, 0.9, 0.7
 """Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own; the
 most samples of the file that it then has."""
 
-SOME = 0.1
-"""Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
-
+SOME = 0.1  # share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded
 Card = Mapping[str, Channel]
 Check = Callable[[FlightRecord, Card, bool], str]
 """A sentence on what is wrong, empty for a sound record: of a record, the card's channels and whether time is even."""

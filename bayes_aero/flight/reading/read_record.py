@@ -30,8 +30,7 @@ from bayes_aero.flight.reading.segments import cut, expanded, segment_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import canonical, same_kind, same_unit, to_si
 
-MAX_BYTES = 1 << 30
-"""Largest file that is taken for one manoeuvre: 1 GiB."""
+MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
 
 def read_record(
@@ -223,9 +222,7 @@ def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str 
 # --- Everything that a file holds, before any card says what it means.
 
 
-MOST = 20_000
-"""Columns beyond this are not looked at."""
-
+MOST = 20_000  # columns beyond this are not looked at
 PATIENCE = 20.0  # seconds
 
 

@@ -11,9 +11,7 @@ from bayes_aero.flight.health.channel import held_period
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
 
-MAX_GAP = 5.0
-"""Longest step, in median steps, that is bridged; beyond it interpolation would invent flight data."""
-
+MAX_GAP = 5.0  # longest step, in median steps, that is bridged; beyond it interpolation would invent flight data
 MAX_SAMPLES = 5_000_000
 
 # Angles that jump by a full turn in files; interpolating across the jump would sweep through the whole

@@ -16,9 +16,7 @@ from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
 
-GAP = 1.5
-"""A step longer than this many median steps is a gap: at least one sample is lost."""
-
+GAP = 1.5  # a step longer than this many median steps is a gap: at least one sample is lost
 SHORTEST = 50  # samples of a part that is worth a record
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
 _SPAN = re.compile(rf"(?P<file>.+)@(?:(?P<begin>{_NUMBER})?:(?P<end>{_NUMBER})?|#(?P<part>\d{{1,6}}))")
@@ -118,13 +116,8 @@ def parts_of(time: np.ndarray) -> list[tuple[int, int]]:
 def expanded(
     paths: Sequence[str | os.PathLike[str]], stated: Mapping[str, Sequence[str]], times: Mapping[str, np.ndarray] | None
 ) -> list[Path]:
-    """The manoeuvres that records stand for: what a card states of a file of that name, else its parts between gaps.
-
-    Args:
-        paths: as given; one that names its part itself stands for that alone.
-        stated: parts by file name, from `[segments]` of a card.
-        times: (n,) time in s of each whole file, by its path as given, to be split at gaps; None: no file is.
-    """
+    """The manoeuvres that records stand for: what a card has `stated` of a file of that name, else its parts between
+    gaps, if `times` has the (n,) time in s of each whole file by its path. A path with a part stands for that alone."""
     found: list[Path] = []
     for path in paths:
         text = os.fspath(path)

@@ -20,8 +20,7 @@ from contextlib import redirect_stdout, suppress
 
 import numpy as np
 
-MEMORY = 8 << 30
-"""Bytes of address space for this process; a damaged header may ask for any amount."""
+MEMORY = 8 << 30  # bytes of address space for this process; a damaged header may ask for any amount
 
 
 def _packed(values):

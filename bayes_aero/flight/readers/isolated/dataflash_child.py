@@ -5,17 +5,10 @@ import tempfile
 import numpy as np
 from pymavlink.DFReader import FORMAT_TO_STRUCT, DFReader_binary
 
-HEAD = 3
-"""Bytes before the fields of a message: two marks and its type."""
-
-SPOILT = 600
-"""Bytes without a message that are no sign of damage: a logger writes whole pages."""
-
-DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}
-"""ArduPilot tells kinds of degrees apart."""
-
-NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")
-"""What describes other messages, and the list of settings."""
+HEAD = 3  # bytes before the fields of a message: two marks and its type
+SPOILT = 600  # bytes without a message that are no sign of damage: a logger writes whole pages
+DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}  # ArduPilot tells kinds of degrees apart
+NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what describes other messages, and the list of settings
 
 
 class _Log(DFReader_binary):

@@ -14,9 +14,7 @@ from asammdf import MDF
 from asammdf.blocks import v4_blocks
 from asammdf.blocks import v4_constants as v4
 
-v4_blocks.lambdify = None
-"""asammdf hands a formula that numexpr refuses to sympy, which would run it as Python."""
-
+v4_blocks.lambdify = None  # asammdf hands a formula that numexpr refuses to sympy, which would run it as Python
 NUMBERS = range(v4.DATA_TYPE_UNSIGNED_INTEL, v4.DATA_TYPE_REAL_MOTOROLA + 1)
 VALUES = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
 

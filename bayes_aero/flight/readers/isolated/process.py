@@ -19,29 +19,16 @@ from bayes_aero.flight.readers.rates import SampleGroup, Series, several_rates
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
 """Seconds for the child, and more of them for each MB of the file; sound files take a tenth of that."""
 
-MOST_BYTES = 16 * MOST_VALUES_IN_ALL
-"""Most bytes that a file may unpack to."""
-
+MOST_BYTES = 16 * MOST_VALUES_IN_ALL  # most bytes that a file may unpack to
 MOST_COLUMNS = 50_000
 
 
 def ask_child(
     data: bytes, parser: str, request: Sequence[Any], limit: float, slow: str, crashed: str, kind: str
 ) -> tuple[dict, memoryview]:
-    """What a parser replies on a file, and the bytes of the arrays behind it (see `child.py`).
-
-    Args:
-        data: the file.
-        parser: the script beside this one that holds the function `answer` or `groups`.
-        request: what it is given beside the file, for JSON.
-        limit: seconds for it.
-        slow: what to say if it takes longer.
-        crashed: what to say if it dies.
-        kind: what the file is called to the user.
-
-    Raises:
-        InputError: the file is damaged or too large.
-    """
+    """What a parser replies on a file, and the bytes of the arrays behind it (see `child.py`). `parser` is the script
+    beside this one that holds the function `answer` or `groups`, `request` what that is given beside the file. If it
+    takes more than `limit` s, or dies, `slow` or `crashed` is raised; `kind` is what the file is called to the user."""
     here = Path(__file__).parent
     # -P: the child must not take this folder's modules for libraries.
     command = [sys.executable, "-P", str(here / "child.py"), str(here / parser), json.dumps(request)]
