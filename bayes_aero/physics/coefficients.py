@@ -19,12 +19,7 @@ from jaxtyping import Array, Float, Int
 from bayes_aero.arrays import Samples, xp
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.physics.coefficient_names import NAMES
-from bayes_aero.physics.filters import (
-    SMOOTHED_DERIVATIVE_GAIN,
-    SMOOTHING_GAIN,
-    differentiate_joined,
-    smooth_joined,
-)
+from bayes_aero.physics.filters import SMOOTHED_DERIVATIVE_GAIN, SMOOTHING_GAIN, differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import RATES, Rotation, inertial_moments, lever_arm
 from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
 
