@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray
-from bayes_aero.flight.record import GRAVITY
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.units import number
 
 Scalar = float | Float[AnyArray, ""]

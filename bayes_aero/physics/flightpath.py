@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.flight.aircraft import Aircraft, Position
-from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.flight.atmosphere import GRAVITY
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
 LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion was flown and recorded

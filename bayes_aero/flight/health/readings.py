@@ -8,10 +8,11 @@ from itertools import permutations, product
 
 import numpy as np
 
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import declared, other_units
 from bayes_aero.flight.health.signals import channels_of
-from bayes_aero.flight.record import GRAVITY, FlightRecord
+from bayes_aero.flight.record import FlightRecord
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {

@@ -14,13 +14,13 @@ from flights import card, changed, flight, smooth
 from stranger import fly as flown
 from stranger import plane
 
+from bayes_aero.flight.atmosphere import standard_air
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.air import across, derivatives
 from bayes_aero.flight.health.channel import frozen
 from bayes_aero.flight.health.controls import answers_no_input, feedback
-from bayes_aero.flight.health.finding import standard_air
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.record import FlightRecord
 
