@@ -13,7 +13,6 @@ from bayes_aero.effect import (
     Example,
     Increments,
     Kind,
-    Known,
     Signals,
     Stage,
     Values,
@@ -27,6 +26,7 @@ from bayes_aero.parameter import Prior
 from bayes_aero.physics.separation import lagged
 
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"
+PLACES = ("reference_point", "accelerometer", "engine")
 THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they are recorded
 
 # Entries are packed; one argument a line would make the module twice as long:
@@ -87,16 +87,10 @@ INERTIA_PRODUCT = effect(
 )
 
 
-def _cg_shift(v: Values, *_: Any) -> Increments:
-    dx = v["cg_shift"]
-    aft = (-dx, 0.0, 0.0)
-    return {"reference_point": aft, "accelerometer": aft, "engine": aft, "tail_arm": dx}
-
-
 CG_SHIFT = effect(
     "cg_shift", "The centre of gravity lies further forward or aft than the card says.",
     "Positions are measured from the CG: with it dx further forward, all else lies dx further aft.",
-    _cg_shift,
+    lambda v, *_: dict.fromkeys(PLACES, (-v["cg_shift"], 0.0, 0.0)) | {"tail_arm": v["cg_shift"]},
     parameter("cg_shift", "m", "CG forward of the card's position", Prior("normal", 0.0, 0.25), (0.03, 0.5),
         (-2.0, 2.0)),
     example=Example(
@@ -108,17 +102,11 @@ CG_SHIFT = effect(
     source="geometry", kind=Kind.MASS, stage=Stage.AIRCRAFT,
 )
 
-
-def _lateral_cg_shift(v: Values, *_: Any) -> Increments:
-    left = (0.0, -v["lateral_cg_shift"], 0.0)
-    return {"reference_point": left, "accelerometer": left, "engine": left}
-
-
 LATERAL_CG_SHIFT = effect(
     "lateral_cg_shift",
     "The centre of gravity lies further right or left than the card says, by an asymmetry of fuel for instance.",
     "Positions are measured from the CG: with it dy further right, all else lies dy further left.",
-    _lateral_cg_shift,
+    lambda v, *_: dict.fromkeys(PLACES, (0.0, -v["lateral_cg_shift"], 0.0)),
     parameter("lateral_cg_shift", "m", "CG right of the card's position", Prior("normal", 0.0, 0.1, OUR_WIDTH),
         (0.02, 0.5), (-2.0, 2.0)),
     example=Example({"lateral_cg_shift": 0.1}, {},
@@ -161,15 +149,15 @@ THRUST_LAG = effect(
 )
 
 
-def _thrust_moment(v: Values, s: Signals, a: Aircraft, _: Known) -> Increments:
-    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
-    return {"Cm": v["thrust_arm"] * s["thrust"] / (qbar * a.wing_area * a.chord)}
+def pressure_area(s: Signals, a: Aircraft) -> Any:
+    """Dynamic pressure times wing area, N."""
+    return 0.5 * s["density"] * xp.square(s["airspeed"]) * a.wing_area
 
 
 THRUST_MOMENT = effect(
     "thrust_moment", "Thrust pitches the aircraft more or less than the position of the engines says.",
     "Cm += T thrust_arm/(qbar S c): a line further down pitches up.",
-    _thrust_moment,
+    lambda v, s, a, _: {"Cm": v["thrust_arm"] * s["thrust"] / (pressure_area(s, a) * a.chord)},
     parameter("thrust_arm", "m", "how much lower the thrust line lies than on the card", Prior("normal", 0.0, 0.5),
         (0.05, 2.0)),
     example=Example({"thrust_arm": 0.3}, {"thrust": 9000.0, "density": 1.0, "airspeed": 60.0}, {"Cm": 1.0 / 120.0},
@@ -177,16 +165,10 @@ THRUST_MOMENT = effect(
     source="a force at an arm makes a moment, by mechanics", kind=Kind.PROPULSION, stage=Stage.TOTAL, together=True,
 )
 
-
-def _thrust_lift(v: Values, s: Signals, a: Aircraft, _: Known) -> Increments:
-    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
-    return {"CL": v["thrust_lift"] * s["thrust"] / (qbar * a.wing_area)}
-
-
 THRUST_LIFT = effect(
     "thrust_lift", "Thrust makes lift beyond what the inclination of the engines says.",
     "CL += thrust_lift T/(qbar S).",
-    _thrust_lift,
+    lambda v, s, a, _: {"CL": v["thrust_lift"] * s["thrust"] / pressure_area(s, a)},
     parameter("thrust_lift", "1", "lift per thrust (an inclination in rad)", Prior("normal", 0.0, 0.5), (0.1, 1.0)),
     example=Example({"thrust_lift": 0.2}, {"thrust": 10800.0, "density": 1.0, "airspeed": 60.0}, {"CL": 0.02},
         "0.2 x 10800/(1800 x 60), by hand, 60 m^2"),

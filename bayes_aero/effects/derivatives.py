@@ -18,6 +18,7 @@ RELATIVE_ERROR = "definition of a relative error"
 STALL_MODEL = "Jategaonkar 2015, ch. 12, Kirchhoff stall model"
 HFB_320 = "Jategaonkar 2015, longitudinal model of the HFB 320"
 ATTAS = "the ATTAS stall model as published with the data of Jategaonkar 2015"
+SEPARATED_SHARE = "derivative linear in the separated share 1 - X; our choice of form"
 OUR_WIDTH = "our choice of width"  # of a prior
 
 
@@ -111,8 +112,9 @@ def derivative(
     source: str = DERIVATIVE,
     stage: Stage = Stage.ATTACHED,
     candidate: bool = True,
+    separated: str = "",
 ) -> Effect:
-    """output += parameter x regressor.
+    """output += parameter x regressor, or x (1 - X) x regressor.
 
     Args:
         name: of the effect.
@@ -123,21 +125,26 @@ def derivative(
         example: value of the parameter, of each signal of the regressor, and of the output.
         remark: what the formula says beyond that.
         source, stage, candidate: see `Effect`.
+        separated: the separation point X of the example, as it is written there, of what counts as the flow separates.
     """
     coefficient, r = own[0].name, REGRESSORS[by]
     value, *signals, result = example
+    by_hand, symbol, known = r.by_hand.format(*example), r.symbol, None
+    if separated:
+        above, _, below = separated.partition("/")
+        known = {"X": float(above) / float(below or 1)}
+        by_hand = by_hand.replace(" x ", f" x (1 - {separated}) x ", 1)
+        symbol, source, stage = f"(1 - X) {symbol}", SEPARATED_SHARE, Stage.TOTAL
+    given = dict(zip(r.signals, signals, strict=True))
     return effect(
         name,
         claim,
-        f"{output} += {coefficient} {r.symbol}".rstrip() + f"{remark}{r.remark}.",
-        lambda v, s, a, _: {output: r.times(v[coefficient], s, a)},
+        f"{output} += {coefficient} {symbol}".rstrip() + f"{remark}{r.remark}.",
+        lambda v, s, a, flow: {
+            output: r.times(v[coefficient] * (1.0 - flow["X"]) if separated else v[coefficient], s, a)
+        },
         own,
-        example=Example(
-            {coefficient: value},
-            dict(zip(r.signals, signals, strict=True)),
-            {output: result},
-            r.by_hand.format(*example),
-        ),
+        example=Example({coefficient: value}, given, {output: result}, by_hand, known),
         source=source,
         stage=stage,
         together=len(r.signals) > 1 and by in ("dlc", "spoilers", "spoiler difference"),

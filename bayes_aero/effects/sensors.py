@@ -142,16 +142,16 @@ AIRSPEED_BIAS = effect(
 )
 
 
-def _airspeed_scale(v: Values, s: Signals, *_: Any) -> Increments:
-    share = 1.0 / (1.0 + v["airspeed_scale"]) - 1.0
-    off = {"airspeed": s["airspeed"] * share}
-    return off | ({"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {})
+def in_proportion(s: Signals, share: Any) -> Increments:
+    """The airspeed times a share, and the Mach number that follows it."""
+    mach = {"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {}
+    return {"airspeed": s["airspeed"] * share} | mach
 
 
 AIRSPEED_SCALE = effect(
     "airspeed_scale", "The recorded airspeed is too large or too small in proportion.",
     "Recorded = (1 + airspeed_scale) true; a Mach number that follows the airspeed likewise.",
-    _airspeed_scale,
+    lambda v, s, *_: in_proportion(s, 1.0 / (1.0 + v["airspeed_scale"]) - 1.0),
     parameter("airspeed_scale", "1", "relative error of the recorded airspeed", Prior("normal", 0.0, 0.05),
         (0.005, 0.1), (-0.5, 1.0)),
     example=Example({"airspeed_scale": 0.05}, {"airspeed": 84.0, "mach": 0.252}, {"airspeed": -4.0, "mach": -0.012},
@@ -164,11 +164,9 @@ MOST = 0.99  # share of the recorded impact pressure that the error may be
 
 
 def _pitot_pressure_bias(v: Values, s: Signals, *_: Any) -> Increments:
-    V = s["airspeed"]
-    impact = 0.5 * s["density"] * xp.maximum(V, SLOWEST) ** 2
+    impact = 0.5 * s["density"] * xp.maximum(s["airspeed"], SLOWEST) ** 2
     share = xp.minimum(v["pitot_pressure_bias"] / impact, MOST)
-    off = -share / (1.0 + xp.sqrt(1.0 - share))
-    return {"airspeed": V * off} | ({"mach": s["mach"] * off * s.get("mach_follows", 1.0)} if "mach" in s else {})
+    return in_proportion(s, -share / (1.0 + xp.sqrt(1.0 - share)))
 
 
 PITOT_PRESSURE_BIAS = effect(

@@ -9,10 +9,8 @@ from bayes_aero.effect import Example, Increments, Known, Signals, Stage, Values
 from bayes_aero.effects.derivatives import OUR_WIDTH, STALL_MODEL, derivative
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Length, Prior, Role
-from bayes_aero.physics.rates import reduced, reduced_lateral
 from bayes_aero.physics.separation import kept_lift, kirchhoff_factor, lagged, moments_of_difference, separation_point
 
-SEPARATED_SHARE = "derivative linear in the separated share 1 - X; our choice of form"
 ATTACHED = 10.0  # rad; so far above any angle of attack that X is 1 to the last bit
 
 
@@ -135,59 +133,40 @@ SEPARATED_MOMENT = effect(
 
 # Derivatives that change as the flow separates.
 
-SEPARATED_ALPHA_MOMENT = effect(
-    "separated_alpha_moment", "Static stability changes as the flow separates.",
-    "Cm += CmaX (1 - X) alpha.",
-    lambda v, s, _, known: {"Cm": v["CmaX"] * (1.0 - known["X"]) * s["alpha"]},
+SEPARATED_ALPHA_MOMENT = derivative(
+    "separated_alpha_moment", "Static stability changes as the flow separates.", "Cm", "alpha",
     parameter("CmaX", "1/rad", "change of static stability in fully separated flow", Prior("normal", 0.0, 1.0),
         (0.02, 2.0)),
-    example=Example({"CmaX": -0.6}, {"alpha": 0.25}, {"Cm": -0.09}, "-0.6 x (1 - 0.4) x 0.25, by hand",
-        known={"X": 0.4}),
-    source=SEPARATED_SHARE, stage=Stage.TOTAL,
+    (-0.6, 0.25, -0.09), separated="0.4",
 )
 
-SEPARATED_DAMPING = effect(
-    "separated_damping", "Pitch damping changes as the flow separates.",
-    "Cm += CmqX (1 - X) q c/V; length and speed as `reduced` has them.",
-    lambda v, s, a, known: {"Cm": reduced(v["CmqX"] * (1.0 - known["X"]) * s["q"], s["airspeed"], a)},
+SEPARATED_DAMPING = derivative(
+    "separated_damping", "Pitch damping changes as the flow separates.", "Cm", "q",
     parameter("CmqX", "1", "change of pitch damping in fully separated flow, per q c/V", Prior("normal", 0.0, 20.0),
         (2.0, 40.0), lengths=(Length.RATE,)),
-    example=Example({"CmqX": 8.0}, {"q": 0.1, "airspeed": 60.0}, {"Cm": 0.01},
-        "8 x (1 - 3/4) x 0.1 x 3/60, by hand, chord 3 m", known={"X": 0.75}),
-    source=SEPARATED_SHARE, stage=Stage.TOTAL,
+    (8.0, 0.1, 60.0, 0.01), separated="3/4",
 )
 
-SEPARATED_ELEVATOR = effect(
-    "separated_elevator", "The elevator loses or gains effectiveness in the wake of separated flow.",
-    "Cm += CmdeX (1 - X) de.",
-    lambda v, s, _, known: {"Cm": v["CmdeX"] * (1.0 - known["X"]) * s["elevator"]},
+SEPARATED_ELEVATOR = derivative(
+    "separated_elevator", "The elevator loses or gains effectiveness in the wake of separated flow.", "Cm", "elevator",
     parameter("CmdeX", "1/rad", "change of elevator effectiveness in fully separated flow", Prior("normal", 0.0, 1.0),
         (0.07, 2.0)),
-    example=Example({"CmdeX": 0.4}, {"elevator": -0.1}, {"Cm": -0.03}, "0.4 x (1 - 1/4) x -0.1, by hand",
-        known={"X": 0.25}),
-    source=SEPARATED_SHARE, stage=Stage.TOTAL,
+    (0.4, -0.1, -0.03), separated="1/4",
 )
 
-SEPARATED_AILERON = effect(
-    "separated_aileron", "The ailerons lose effectiveness as the flow separates.",
-    "Cl += CldaX (1 - X) da.",
-    lambda v, s, _, known: {"Cl": v["CldaX"] * (1.0 - known["X"]) * s["aileron"]},
+SEPARATED_AILERON = derivative(
+    "separated_aileron", "The ailerons lose effectiveness as the flow separates.", "Cl", "aileron",
     parameter("CldaX", "1/rad", "change of aileron effectiveness in fully separated flow",
         Prior("normal", 0.0, 0.3, OUR_WIDTH), (0.01, 0.6), lengths=(Length.LATERAL_MOMENT,)),
-    example=Example({"CldaX": 0.08}, {"aileron": -0.1}, {"Cl": -0.006}, "0.08 x (1 - 1/4) x -0.1, by hand",
-        known={"X": 0.25}),
-    source=SEPARATED_SHARE, stage=Stage.TOTAL,
+    (0.08, -0.1, -0.006), separated="1/4",
 )
 
-SEPARATED_ROLL_DAMPING = effect(
+SEPARATED_ROLL_DAMPING = derivative(
     "separated_roll_damping", "Roll damping fades as the flow separates; beyond the stall the wing may autorotate.",
-    "Cl += ClpX (1 - X) p b/2V; length and speed as `reduced_lateral` has them.",
-    lambda v, s, a, known: {"Cl": reduced_lateral(v["ClpX"] * (1.0 - known["X"]) * s["p"], s["airspeed"], a)},
+    "Cl", "p",
     parameter("ClpX", "1", "change of roll damping in fully separated flow, per p b/2V",
         Prior("normal", 0.0, 0.8, OUR_WIDTH), (0.05, 2.0), lengths=(Length.LATERAL_MOMENT, Length.LATERAL_RATE)),
-    example=Example({"ClpX": 0.4}, {"p": 0.3, "airspeed": 60.0}, {"Cl": 0.01},
-        "0.4 x (1 - 1/2) x 0.3 x 10/60, by hand, half span 10 m", known={"X": 0.5}),
-    source=SEPARATED_SHARE, stage=Stage.TOTAL,
+    (0.4, 0.3, 60.0, 0.01), separated="1/2",
 )
 
 # A left and a right wing that stall at different angles: see `Model.flow`.

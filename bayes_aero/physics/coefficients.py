@@ -26,7 +26,9 @@ from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
 SMOOTHED = ("alpha", "beta", "airspeed")
 
 Signals = dict[str, Float[Array, "*#n"]]
-Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+Series = Float[Array, " n"]
+Index = Int[Array, " n"]
+Filter = Callable[[Series], Series]
 
 
 class Coefficients(NamedTuple):
@@ -41,9 +43,7 @@ class Coefficients(NamedTuple):
     Cn: Float[Array, "*n"] | None = None
 
 
-def condition_joined(
-    channels: Mapping[str, Float[Array, " n"]], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> Signals:
+def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, last: Index) -> Signals:
     """Smoothed and differentiated signals, SI and radians, beside the untouched ones; manoeuvres laid end to end.
     `first` and `last` are the ends of each sample's own manoeuvre. Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot`
     (derivatives of the smoothed signals), replacing recorded ones."""
@@ -60,9 +60,9 @@ def condition_joined(
 def unsmoothed_joined(
     channels: Mapping[str, Array],
     accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    dt: Series,
+    first: Index,
+    last: Index,
     recorded: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`. The difference of
@@ -83,11 +83,7 @@ def unsmoothed_joined(
 
 
 def alike_joined(
-    channels: Mapping[str, Array],
-    accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    channels: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> Signals:
     """Every channel smoothed by the one filter, manoeuvres laid end to end, with the derivatives of `condition_joined`.
     The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
@@ -142,10 +138,10 @@ def stacked_coefficients(
 
 
 def coefficient_noise(
-    signals: Mapping[str, Float[Array, " n"]],
+    signals: Mapping[str, Series],
     aircraft: Aircraft,
     sensor_sd: Mapping[str, float],
-    dt: float | Float[Array, " n"],
+    dt: float | Series,
     smoothed: Collection[str] = SMOOTHED,
     names: Sequence[str] = NAMES,
 ) -> Float[Array, "n c"]:

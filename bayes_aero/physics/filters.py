@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 
 from bayes_aero.arrays import AnyArray, namespace
 
+Series = Float[AnyArray, " n"]
+Index = Int[AnyArray, " n"]
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
 EIGHTH_ORDER = np.array([
@@ -28,14 +30,14 @@ _DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
 SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, SPENCER) ** 2)))
 
 
-def smooth(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
+def smooth(x: Series) -> Series:
     """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are. It
     passes cubics unchanged. `x` has any unit; n >= 20."""
     x = namespace(x).asarray(x)
     return smooth_joined(x, *_ends(x))
 
 
-def _ends(x: Float[AnyArray, " n"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def _ends(x: Series) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """First and last sample of the one manoeuvre that there is."""
     return np.zeros(x.shape[0], int), np.full(x.shape[0], x.shape[0] - 1)
 
@@ -48,18 +50,14 @@ def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray,
     return sum(terms, start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)))
 
 
-def differentiate(
-    x: Float[AnyArray, " n"], dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"]
-) -> Float[AnyArray, " n"]:
+def differentiate(x: Series, dt: float | Float[AnyArray, ""] | Series) -> Series:
     """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond. `x` in
     any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two."""
     x = namespace(x).asarray(x)
     return differentiate_joined(x, dt, *_ends(x))
 
 
-def smooth_joined(
-    x: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
-) -> Float[AnyArray, " n"]:
+def smooth_joined(x: Series, first: Index, last: Index) -> Series:
     """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to. One
     program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled."""
     xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
@@ -67,7 +65,7 @@ def smooth_joined(
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
 
 
-def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
+def smooth_long(x: Series) -> Series:
     """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band;
     wrong near the ends."""
     kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
@@ -77,10 +75,7 @@ def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
 
 
 def differentiate_joined(
-    x: Float[AnyArray, "*r n"],
-    dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"],
-    first: Int[AnyArray, " n"],
-    last: Int[AnyArray, " n"],
+    x: Float[AnyArray, "*r n"], dt: float | Float[AnyArray, ""] | Series, first: Index, last: Index
 ) -> Float[AnyArray, "*r n"]:
     """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records."""
     xp, n = namespace(x, dt), x.shape[-1]
@@ -90,7 +85,7 @@ def differentiate_joined(
     return slope[..., xp.clip(xp.arange(n), first + 2, last - 2)] / dt
 
 
-def inside_joined(n: int, first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]) -> Int[AnyArray, " n"]:
+def inside_joined(n: int, first: Index, last: Index) -> Index:
     """Number of samples to the nearer end of the manoeuvre."""
     xp = namespace(first, last)
     place = xp.arange(n)
@@ -113,13 +108,7 @@ def _kept_and_driven(x, row):
     return x, x
 
 
-def advance(
-    x: Float[AnyArray, " n"],
-    seconds: Float[AnyArray, ""],
-    dt: Float[AnyArray, " n"],
-    first: Int[AnyArray, " n"],
-    last: Int[AnyArray, " n"],
-) -> Float[AnyArray, " n"]:
+def advance(x: Series, seconds: Float[AnyArray, ""], dt: Series, first: Index, last: Index) -> Series:
     """x(t + seconds), by cubic convolution between samples, constant beyond the manoeuvre's `first` and `last` sample.
     Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2."""
     xp = namespace(x, seconds, dt)

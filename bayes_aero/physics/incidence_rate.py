@@ -20,7 +20,9 @@ KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; de
 ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot
 RIDGE = 1e-6  # of the mean square of a column
 
-Operator = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+Series = Float[Array, " n"]
+Index = Int[Array, " n"]
+Operator = Callable[[Series], Series]
 
 
 class LiftRegression(NamedTuple):
@@ -28,16 +30,10 @@ class LiftRegression(NamedTuple):
 
     share: Float[Array, " c"]  # coefficients of the regressors (see `_causes`)
     knots: Float[Array, " j"]  # rad
-    before: Float[Array, " n"]  # part of alpha-dot due to specific force, rad/s, of which the hysteresis was computed
+    before: Series  # part of alpha-dot due to specific force, rad/s, of which the hysteresis was computed
 
 
-def alpha_rate(
-    s: Mapping[str, Array],
-    regression: LiftRegression,
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
-) -> Float[Array, " n"]:
+def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
     """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
 
     The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
@@ -59,11 +55,7 @@ def alpha_rate(
 
 
 def lift_regression(
-    s: Mapping[str, Array],
-    accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> LiftRegression:
     """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
     `accelerometer` is its position from the CG, m."""
@@ -91,8 +83,8 @@ def lift_regression(
 
 
 def _parts(
-    s: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> tuple[Operator, Callable[[Array, Array], Array], Float[Array, " n"]]:
+    s: Mapping[str, Array], dt: Series, first: Index, last: Index
+) -> tuple[Operator, Callable[[Array, Array], Array], Series]:
     """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
 
     def smooth(x):
@@ -111,7 +103,7 @@ def _parts(
     return smooth, fast, jnp.where(inside, long, alone) + fast(turning, smooth(turning))
 
 
-def _causes(s: Mapping[str, Array], rate: Float[Array, " n"], knots: Float[Array, " j"]) -> Float[Array, "c n"]:
+def _causes(s: Mapping[str, Array], rate: Series, knots: Float[Array, " j"]) -> Float[Array, "c n"]:
     """Regressors of lift over mass and airspeed, as rows."""
     weight = s["density"] * s["airspeed"]
     pieces = jnp.maximum(s["alpha"] - knots[:, None], 0.0)

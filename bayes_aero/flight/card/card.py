@@ -157,7 +157,9 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
     changes = {key: _parameter(key, value, where) for key, value in part("parameters").items()}
     if linear:
         known_keys(changes, linear.parameters, where, "parameter")
-    sensors = _quantities(part("sensors"), "sensors", "a standard deviation cannot be negative", where)
+    gp, said_gp = part("gp"), f"card {where}: [gp] inputs must be a list of signal names"
+    known_keys(gp, ("inputs",), where, "key of [gp]")
+    gp_inputs = strings(gp.get("inputs", ["alpha", "elevator", "q", "airspeed"]), said_gp)
     bands, said = _of_outputs(part("tolerances"), "tolerances", "half the width of a band is positive", where)
     deviations, source = _of_outputs(part("output_biases"), "output_biases", "a standard deviation is positive", where)
     return Card(
@@ -166,7 +168,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         source=str(table.get("source", "not stated")),
         sha256=sha256,
         aircraft=aircraft,
-        sensors=sensors,
+        sensors=_quantities(part("sensors"), "sensors", "a standard deviation cannot be negative", where),
         tolerances={key: Tolerance(x, said) for key, x in bands.items()} if part("tolerances") else dict(TOLERANCES),
         envelope=parse_envelope(part("envelope"), where),
         output_biases={key: Prior("normal", 0.0, sd, source, by_card=True) for key, sd in deviations.items()},
@@ -176,7 +178,7 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,
-        gp_inputs=_gp_inputs(part("gp"), where),
+        gp_inputs=gp_inputs,
         linear=linear,
         fly=parse_fly(part("fly"), formed["channels"], where),
         **formed,
@@ -263,12 +265,6 @@ def _prior(given: Any, label: str) -> Prior:
         return Prior(str(given["family"]), location, scale, str(given.get("source", "our choice")), by_card=True)
     except InputError as error:
         raise InputError(f"card {label}: {error}") from None
-
-
-def _gp_inputs(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    known_keys(table, ("inputs",), where, "key of [gp]")
-    inputs = table.get("inputs", ["alpha", "elevator", "q", "airspeed"])
-    return strings(inputs, f"card {where}: [gp] inputs must be a list of signal names")
 
 
 # --- The SI unit of whatever a card names.
