@@ -76,7 +76,8 @@ OPTIONAL = (  # the aspect ratio is the span squared over the wing area where it
     "rate_length", "lateral_length", "lateral_rate_length", "engine_arm", "Ixy", "Iyz",
 )  # fmt: skip
 
-NO_AIRCRAFT = Aircraft(*(float("nan"),) * 10)
+_NAN = float("nan")
+NO_AIRCRAFT = Aircraft(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN)
 """Stands on cards that state none: whatever is computed from it is not a number."""
 
 

@@ -215,11 +215,6 @@ def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
 def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) -> Reading:
     """az as a load factor from which the one of level flight was taken; the others in g with it, or not."""
     others = tuple(n for n in names if n != "az")
-
-    def applied(v: View) -> dict[str, np.ndarray]:
-        rest = {n: factor * v[n] for n in others}
-        return {**rest, "az": sign * factor * v["az"] - GRAVITY}
-
     unit = "in multiples of g" if factor != 1.0 else f"in {declared(card, 'az').unit}"
     turned = "positive upward" if sign < 0.0 else "positive downward"
     also = f" ({' and '.join(others)} in multiples of g, too)" if factor != 1.0 and others else ""
@@ -227,7 +222,10 @@ def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) ->
         f"is about zero in level flight, where gravity makes it -1 g: a load factor minus one, {turned}, {unit}{also}"
     )
     mend = 'add the one back in the file, and set unit = "g" and the sign on the card'
-    return Reading(("az", *others), "gravity", looks, mend, applied, "az")
+    return Reading(
+        ("az", *others), "gravity", looks, mend,
+        lambda v: {n: factor * v[n] for n in others} | {"az": sign * factor * v["az"] - GRAVITY}, "az",
+    )  # fmt: skip
 
 
 def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
@@ -284,10 +282,6 @@ def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     known = channels_of(record, card)
     filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in known}
     return {**filled, **known, "time": record.time}
-
-
-def _sum(terms: tuple[np.ndarray, ...]) -> np.ndarray:
-    return np.sum(terms, axis=0)
 
 
 def _turning(v: View) -> tuple[np.ndarray, ...]:
@@ -385,10 +379,6 @@ def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None 
                 terms = _mean_terms(name, view, recorded) if mean else RELATIONS[name].changes(view)
                 found[name] = np.stack(terms)
     return found
-
-
-def _size(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2)))
 
 
 def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:

@@ -152,11 +152,6 @@ class Layout:
     separator: str | None
     remarks: tuple[str, ...] = ()
 
-    @property
-    def named(self) -> bool:
-        """Whether there is a header."""
-        return any(heading.names for heading in self.headings)
-
 
 def separator_of(lines: Lines) -> str | None:
     """The separator that cuts the file into the most regular table of numbers."""
@@ -269,7 +264,7 @@ def _header(lines: Lines, first: int, separator: str | None, width: int) -> tupl
     # A row of names that does not name every column would shift them all: it is no preamble.
     for number, line in reversed(lines[:first]) if separator is not None else ():
         cells = [cell for cell in split(line, separator, number) if cell]
-        enough = line.count(separator) + 1 >= max(width // 2, 3) <= len(cells)
+        enough = line.count(str(separator)) + 1 >= max(width // 2, 3) <= len(cells)
         if enough and not any(map(is_value, cells)):
             raise InputError(
                 f"the header in line {number} names {len(cells)} columns, and the samples below it have {width}; "

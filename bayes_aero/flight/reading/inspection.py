@@ -69,7 +69,7 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
                 values[channel.name] = in_si(channel, FileColumn(column.values, column.unit), column.heading)
             except InputError as reason:
                 problems.append(str(reason))
-    looked, own, remarks = None, slice(None), raw.remarks
+    looked, record, own, remarks = None, None, slice(None), raw.remarks
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
         looked = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
@@ -81,7 +81,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
             problems += failures(kept, even=resample is None, channels=card.channels)
         except InputError as reason:
             problems.append(str(reason))
-    record = None
     try:
         record = read_record(path, card.channels, resample=resample)
     except InputError as reason:  # what is said of a column that no channel of the card was found in, too

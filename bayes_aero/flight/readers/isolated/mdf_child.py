@@ -3,6 +3,7 @@
 import io
 import os
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ VALUES = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
 def groups(data):
     """Every channel group that has a time channel."""
     found, remarks = [], []
+    mdf: Any
     with MDF(io.BytesIO(data)) as mdf:
         # A name for each group: what the file calls it, where that is a name and no other group has it.
         said = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
