@@ -106,9 +106,5 @@ def _netcdf(columns: Columns) -> bytes:
 
 
 WRITERS: Mapping[str, Callable[[Columns], bytes]] = {
-    **dict.fromkeys((".asc", ".txt", ".dat"), _asc),
-    ".csv": _csv,
-    ".mat": _mat,
-    ".parquet": _parquet,
-    ".nc": _netcdf,
-}
+    **dict.fromkeys((".asc", ".txt", ".dat"), _asc), ".csv": _csv, ".mat": _mat, ".parquet": _parquet, ".nc": _netcdf,
+}  # fmt: skip

@@ -141,14 +141,10 @@ SPEEDS = ("m/s", "kt", "km/h", "ft/s", "mph")
 UNITS = {
     "static_pressure": ("Pa", "hPa", "kPa", "psi", "lbf/ft^2", "inHg"),
     "dynamic_pressure": ("Pa", "hPa", "kPa", "psi", "lbf/ft^2", "inHg"),
-    "density": ("kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3"),
-    "airspeed": SPEEDS,
-    "calibrated_airspeed": SPEEDS,
-    "altitude": ("m", "ft"),
-    "mach": ("1", "%"),
-    **dict.fromkeys(("p_dot", "q_dot", "r_dot"), ("rad/s^2", "deg/s^2")),
+    "density": ("kg/m^3", "slug/ft^3", "lb/ft^3", "g/m^3"), "airspeed": SPEEDS, "calibrated_airspeed": SPEEDS,
+    "altitude": ("m", "ft"), "mach": ("1", "%"), **dict.fromkeys(("p_dot", "q_dot", "r_dot"), ("rad/s^2", "deg/s^2")),
     **dict.fromkeys(("alpha_dot", "beta_dot"), ("rad/s", "deg/s")),
-}
+}  # fmt: skip
 GRAVE = ("density", "airspeed", "altitude", "mach")
 
 

@@ -16,13 +16,10 @@ from bayes_aero.flight.record import FlightRecord
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE),
-    **dict.fromkeys(("p", "q", "r"), _RATE),
-    **dict.fromkeys(("ax", "ay", "az"), _FORCE),
-    "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
-    "altitude": ("m", "ft"),
-    "time": ("s", "ms", "us", "ns", "min"),
-}
+    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE), **dict.fromkeys(("p", "q", "r"), _RATE),
+    **dict.fromkeys(("ax", "ay", "az"), _FORCE), "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
+    "altitude": ("m", "ft"), "time": ("s", "ms", "us", "ns", "min"),
+}  # fmt: skip
 GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha", "beta"))
 """Channels of one instrument, which share their unit."""
 SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")

@@ -163,12 +163,8 @@ PACKING = (
 
 _ONE = np.ones(1)
 _NEVER_WRITTEN = {
-    "i2": -32767,
-    "i4": -2147483647,
-    "i8": -9223372036854775806,
-    "f4": 2.0**122 * 1.875,
-    "f8": 2.0**122 * 1.875,
-}
+    "i2": -32767, "i4": -2147483647, "i8": -9223372036854775806, "f4": 2.0**122 * 1.875, "f8": 2.0**122 * 1.875,
+}  # fmt: skip
 """What the NetCDF library stores where nothing was written (netcdf.h: NC_FILL_SHORT and so on)."""
 
 

@@ -237,19 +237,11 @@ FILLS = frozenset(float(sign + digits) for digits in (*_DIGITS, *_LIMITS) for si
 """What recorders write where they have no value, in the file's unit."""
 
 UNITS: Mapping[str, tuple[str, ...]] = {
-    "rad": ("deg", "rad"),
-    "rad/s": ("deg/s", "rad/s"),
-    "rad/s^2": ("deg/s^2", "rad/s^2"),
-    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"),
-    "m": ("ft", "m"),
-    "m/s^2": ("g", "ft/s^2", "m/s^2"),
-    "K": ("degC", "K", "degF"),
-    "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"),
-    "1": ("%", "1"),
-    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"),
-    "N": ("lbf", "N", "kN"),
-    "kg": ("lb", "kg", "slug"),
-}
+    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"),
+    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m": ("ft", "m"), "m/s^2": ("g", "ft/s^2", "m/s^2"),
+    "K": ("degC", "K", "degF"), "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"),
+    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"), "N": ("lbf", "N", "kN"), "kg": ("lb", "kg", "slug"),
+}  # fmt: skip
 WORDS = {
     "deg": "degrees", "rad": "radians", "deg/s": "degrees per second", "rad/s": "radians per second",
     "deg/s^2": "degrees per second squared", "kt": "knots", "ft": "feet", "m": "metres", "%": "per cent",
