@@ -28,8 +28,8 @@ USUAL = {  # SI and radians; rates made free of units by c/V and b/2V
     "station": 5.0,  # m, where half a wing acts
     "dihedral": 0.1, "CL0": 0.15, "CLa": 5.0,
     "CLde_extra": 0.1,  # beyond that of the tail's moment
-    "CD0": 0.035, "e": 0.8, "tail": 10.0, "CDX": 0.06, "Cm0": 0.06, "Cma": -0.9, "Cmq": -14.0, "Cmde": -1.3, "CmX": -0.05,
-    "a1": 22.0, "alpha_star": 0.27,
+    "CD0": 0.035, "e": 0.8, "tail": 10.0, "CDX": 0.06, "Cm0": 0.06, "Cma": -0.9, "Cmq": -14.0, "Cmde": -1.3,
+    "CmX": -0.05, "a1": 22.0, "alpha_star": 0.27,
     "first": 0.0,  # rad by which the left half stalls before the right one
     "tau1": 0.0,  # chords
     "CYbe": -0.75, "CYr": 0.3, "CYdr": 0.2, "Clbe": -0.06, "Clp": -0.25, "Clr": 0.16, "Clda": -0.14, "Cldr": 0.02,
