@@ -22,7 +22,7 @@ import numpy as np
 from bokeh.document import Document
 
 from bayes_aero.explore.opened import Choice, open_result
-from bayes_aero.explore.page import Asked, Page, page_of
+from bayes_aero.explore.page import Asked, ExplorePage, page_of
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
 
@@ -42,7 +42,7 @@ def seconds_of(call: Callable[[int], Any], steps: int) -> list[float]:
 
 def flights(simulator: Simulator, manoeuvre: int, name: str, steps: int) -> list[list[float]]:
     """Seconds of each compiled flight, and of each answer of the server, without a browser."""
-    page, value = Page(simulator, Document()), simulator.opened.identified.values[name]
+    page, value = ExplorePage(simulator, Document()), simulator.opened.identified.values[name]
 
     def moved(k: int) -> dict[str, float]:
         return {name: value * (1.0 + 1e-4 * k)}

@@ -31,7 +31,7 @@ from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.model.joined_channels import join
 from bayes_aero.qualification.flights import alone_fits, errors, fits_without, hold_out, next_parameters
 from bayes_aero.qualification.qualify import Uncertain, qualify
-from bayes_aero.qualification.result import Kind
+from bayes_aero.qualification.result import FlightKind
 
 CARD = """
 [channels]
@@ -129,15 +129,18 @@ def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
     bands = dict(zip(OUTPUTS, size * np.exp(rng.uniform(np.log(BANDS[0]), np.log(BANDS[1]), 3)), strict=True))
     tests = qualify(flown, flown, Uncertain(fit.estimate, draws, following, held), bands, seed=seed).tests
     limits, passed = np.array([*bands.values()]), {}
-    for case in (Kind.AGAIN, Kind.NEXT):
+    for case in (FlightKind.AGAIN, FlightKind.NEXT):
         truth = [
-            whole([flight(k if case is Kind.AGAIN else scattered(rng), u, rng, f"m{j}") for j in range(FLIGHTS)], card)
+            whole(
+                [flight(k if case is FlightKind.AGAIN else scattered(rng), u, rng, f"m{j}") for j in range(FLIGHTS)],
+                card,
+            )
             for k, u in zip(derivatives, inputs, strict=True)
         ]
         inside = [np.all(np.abs(errors(one, fit.estimate)[0]) <= limits, axis=1).mean(axis=0) for one in truth]
         passed[case] = {f"m{i}": dict(zip(OUTPUTS, share, strict=True)) for i, share in enumerate(inside)}
-    names = {Kind.AGAIN: "again", Kind.TEST: "left out", Kind.NEXT: "next flight"}
-    passed[Kind.TEST] = passed[Kind.NEXT]
+    names = {FlightKind.AGAIN: "again", FlightKind.TEST: "left out", FlightKind.NEXT: "next flight"}
+    passed[FlightKind.TEST] = passed[FlightKind.NEXT]
     return [(names[t.kind], t.chance.value, float(passed[t.kind][t.manoeuvre][t.output])) for t in tests]
 
 

@@ -25,7 +25,6 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
     ANYWHERE,
     EXCITED_CHANNELS,
     LATERAL_EXCITED_CHANNELS,
-    fly_rigid_standard,
     fly_standard,
 )
 from bayes_aero.effect import Effect, Stage
@@ -494,9 +493,8 @@ def standard(
     start["airspeed"] *= faster
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    found = (fly_rigid_standard if rigid else fly_standard)(
-        small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope
-    )
+    options = {"dt": dt, "amplitude": amplitude, "envelope": envelope, "rigid": rigid}
+    found = fly_standard(small, values, aircraft, **start, **options)
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
     unseen = {n: moved[n] for n in found.channels if n in moved and moved[n] not in flights.recorded}
     flown = {n: _recorded(flights, channels, dt) for n, channels in found.channels.items() if n not in unseen}

@@ -17,18 +17,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.output_channels import FLIGHT, FORCES, RIGID
+from bayes_aero.dynamics.output_channels import FLIGHT, RIGID
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
-from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.atmosphere import air
 from bayes_aero.flight.card.tables import HOLDABLE
 from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Role
-from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft
+from bayes_aero.physics.equations_of_motion import AircraftMotion, accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.flightpath import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm
 
@@ -38,24 +36,11 @@ SIDE = ("p", "r", "beta", "phi")  # the lateral force follows from these where n
 ENGINES = ("thrust", "thrust_left", "thrust_right")
 
 
-def lateral_drives(inputs: Sequence[str], channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-    """Inputs of longitudinal motion: recorded channels, angular accelerations p_dot and r_dot, the speed of sound."""
-    found = {name: channels[name] for name in (*inputs, *LATERAL, "thrust", "density") if name in channels}
-    for name in ("p", "r"):
-        if name in channels:
-            found[f"{name}_dot"] = _slope(channels[name], flights)
-    return found | _side(channels, flights) | _sound(channels)
-
-
-def rigid_drives(
-    axes: Collection[Axis],
-    held: Sequence[str],
-    inputs: Sequence[str],
-    channels: Mapping[str, Array],
-    flights: Flights,
+def recorded_drives(
+    axes: Collection[Axis], held: Sequence[str], read: Sequence[str], channels: Mapping[str, Array], flights: Flights
 ) -> dict[str, Array]:
-    """Inputs of a rigid body: recorded channels, held states with their rates, forces of axes without a model."""
-    found = {name: channels[name] for name in (*inputs, *ENGINES, "density") if name in channels}
+    """Channels that are `read`, `held` states with their rates, forces of axes without a model."""
+    found = {name: channels[name] for name in (*read, "density") if name in channels}
     sloped = [n for n in (*RATES, "alpha") if n in held and n in channels]
     found |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
     if Axis.LONGITUDINAL not in axes:
@@ -65,28 +50,11 @@ def rigid_drives(
         found |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
     if Axis.LATERAL not in axes:
         found |= {"ay": channels["ay"]} if "ay" in channels else {}
-        found |= _side(channels, flights)
-    turns = {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
-    return found | turns | _sound(channels)
-
-
-def rigid_outputs(axes: Collection[Axis], start: Collection[str]) -> tuple[str, ...]:
-    """Outputs of a rigid body: simulated states, and accelerations of the modelled axes."""
-    forces = {name for axis, names in FORCES.items() if axis in axes for name in names}
-    simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in start)
-    return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces))
-
-
-def _side(channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:
-    """The rate of sideslip, where the lateral force follows from it."""
-    if "ay" in channels or not all(name in channels for name in SIDE):
-        return {}
-    return {"beta_dot": _slope(channels["beta"], flights)}
-
-
-def _sound(channels: Mapping[str, Array]) -> dict[str, Array]:
-    """The speed of sound where Mach was recorded."""
-    return {"sound": channels["airspeed"] / channels["mach"]} if {"mach", "airspeed"} <= set(channels) else {}
+        if "ay" not in channels and all(name in channels for name in SIDE):
+            found["beta_dot"] = _slope(channels["beta"], flights)
+    if {"mach", "airspeed"} <= set(channels):
+        found["sound"] = channels["airspeed"] / channels["mach"]
+    return found | {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
 
 
 def _slope(x: Array, flights: Flights) -> Array:
@@ -107,9 +75,9 @@ FLOW = ("airspeed", "alpha", "beta")  # changed by gusts; as states they are ove
 class InGusts(System):
     """Gusts of `model` are among the states, as first-order processes; parameter values are `values`."""
 
-    model: eqx.AbstractVar[Model]
-    values: eqx.AbstractVar[dict[str, Any]]
-    aircraft: eqx.AbstractVar[Aircraft]
+    model: Model = eqx.field(static=True)
+    values: dict[str, Any]
+    aircraft: Aircraft  # with the corrected constants
 
     @abstractmethod
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
@@ -146,10 +114,7 @@ class InGusts(System):
         return factor @ factor.T
 
     def mean_gust_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> tuple[list[Any], Any]:
-        """Mean rates of the gust states, and the rate of alpha due to them, without their white noise.
-
-        `state` is over ground, `s` contains the flow.
-        """
+        """Mean rates of the gust states and the rate of alpha due to them; `state` over ground, `s` of the flow."""
         gusts = {d.state: state[d.state] for d in self.model.disturbances}
         decay = {d.state: -d.rate(self.values, s, self.aircraft) * state[d.state] for d in self.model.disturbances}
         over_ground = dict(s) | {name: state[name] for name in FLOW if name in state}
@@ -164,13 +129,15 @@ MIN_LAG = 0.2  # chords: some hundredth of a second, still resolved by the fines
 
 
 class EffectSystem(InGusts):
-    """An aircraft with its model at given parameter values; lagged separation points are the last states.
+    """An aircraft with its model at given parameter values; lagged separation points are the last states. `altitude`:
+    whether it is a state. It must be one where density was not recorded, which is then the standard atmosphere's."""
 
-    `altitude`: whether the altitude is a state. It must be one where density was not recorded; density is then that of
-    the standard atmosphere.
-    """
+    altitude: bool = eqx.field(static=True, default=True)
 
-    altitude: eqx.AbstractVar[bool]
+    @property
+    def envelope(self) -> Mapping[str, tuple[float, float]]:
+        """Bounds far beyond any flight."""
+        return ENVELOPE
 
     @property
     def lagged(self) -> bool:
@@ -189,7 +156,7 @@ class EffectSystem(InGusts):
         """Whether lift depends on alpha-dot at the same instant: directly, or through a separation without lag."""
         before = (Stage.INCIDENCE, Stage.SEPARATION)
         stages = [e.stage for e in self.model.acting if "alpha_dot" in e.channels]
-        return any(not self.lagged if stage in before else True for stage in stages)
+        return any(stage not in before or not self.lagged for stage in stages)
 
     @property
     def after(self) -> tuple[str, ...]:
@@ -197,9 +164,9 @@ class EffectSystem(InGusts):
         gusts = tuple(d.state for d in self.model.disturbances)
         return (*(("altitude",) if self.altitude else ()), *gusts, *self.points)
 
-    @abstractmethod
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
         """The state by name, with the motion that it represents."""
+        return dict(zip(self.states, x, strict=True))
 
     def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
         """The initial state with the separation points at their static values."""
@@ -227,26 +194,34 @@ class EffectSystem(InGusts):
         return self.model.flow(self.values, s, self.aircraft, X=X)
 
     def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
-        """Rates of the lagged separation points, 1/s; `s` contains alpha-dot."""
+        """Rates of the states after the gusts, the lagged separation points, 1/s; `s` contains alpha-dot."""
         if not self.lagged:
             return []
         static = self.model.static_points(self.values, s, self.aircraft)
         lag = jnp.maximum(self.model.lag(self.values), MIN_LAG) * self.aircraft.chord / s["airspeed"]
         return [(value - state[name]) / lag for name, value in zip(self.points, static, strict=True)]
 
-
-def refuse_lags(model: Model) -> None:
-    """Refuse a lag without a time constant.
-
-    Raises:
-        InputError: the model has such a lag.
-    """
-    for effect in model.acting:
-        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
-            raise InputError(
-                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
-                "has the role lag"
-            )
+    def motion_now(
+        self, x: Float[Array, " s"], u: Row, axes: Collection[Axis], prescribed: Collection[str]
+    ) -> tuple[AircraftMotion, dict[str, Any], dict[str, Any], list[Any]]:
+        """The motion, signals of the flow with alpha-dot, the path over ground, and the rates of the states `after`."""
+        state, s = self.named(x), self.flow_signals(x, u)
+        decay, gust_rate = self.mean_gust_rates(state, s)
+        path = dict.fromkeys(("beta", "p", "r", "phi"), jnp.zeros_like(s["alpha"])) | s
+        path |= {name: state[name] for name in FLOW if name in state}
+        path.setdefault("down", down_of(path["phi"], path["theta"]))
+        now = motion_of_aircraft(
+            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
+            s,
+            path,
+            self.aircraft,
+            implicit=self.implicit,
+            axes=axes,
+            prescribed=prescribed,
+        )
+        s = s | {"alpha_dot": now.rates["alpha"] + gust_rate}
+        altitude = [now.rates["altitude"]] if self.altitude else []
+        return now, s, path, [*altitude, *decay, *self.separation_rates(state, s)]
 
 
 ANGLES = ("phi", "theta", "psi")
@@ -271,17 +246,11 @@ def held_states(axes: Iterable[Axis], more: Iterable[str] = ()) -> tuple[str, ..
 
 
 class RigidBody(EffectSystem):
-    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants.
+    """The aircraft in six degrees of freedom; without `heading` the heading starts at zero and is no output. The states
+    of attitude are Euler angles where one of them is `held`, or with `euler`, so that a filter can correct measured
+    states. They are singular at 90 deg of pitch. The outputs bank and heading are within half a turn of the inputs
+    `near_phi` and `near_psi`, where there are any."""
 
-    Without `heading` the heading starts at zero and is no output. The states of attitude are Euler angles where one of
-    them is `held`, or with `euler`, so that a filter can correct measured states. They are singular at 90 deg of pitch.
-    The outputs bank and heading are within half a turn of the inputs `near_phi` and `near_psi`, where there are any.
-    """
-
-    model: Model = eqx.field(static=True)
-    values: dict[str, Any]
-    aircraft: Aircraft
-    altitude: bool = eqx.field(static=True, default=True)
     held: tuple[str, ...] = eqx.field(static=True, default=())
     heading: bool = eqx.field(static=True, default=True)
     euler: bool = eqx.field(static=True, default=False)
@@ -308,18 +277,12 @@ class RigidBody(EffectSystem):
         return (*(n for n in RIGID if n not in self.held), *self.angles, *self.after)
 
     @property
-    def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Bounds far beyond any flight."""
-        return ENVELOPE
-
-    @property
     def state_outputs(self) -> tuple[str, ...]:
         """States that sensors measure directly; bank and heading are computed to the turn."""
         computed = (*QUATERNION, "phi", "psi")
         return tuple(name for name in super().state_outputs if name not in computed)
 
     def state_at_start(self, start: Float[Array, " b"]) -> Float[Array, " s"]:
-        """The state vector from an initial state with angles of attitude."""
         if self.by_angles:
             return start
         given = dict(zip(self.start, start, strict=True))
@@ -329,60 +292,31 @@ class RigidBody(EffectSystem):
 
     def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
         """The state by name, with bank, pitch, heading and the direction of gravity."""
-        state = dict(zip(self.states, x, strict=True))
+        state = super().named(x)
         if self.by_angles:
             return state
         attitude = Attitude(*(state.pop(name) for name in QUATERNION))
         return state | dict(zip(ANGLES, attitude.angles, strict=True)) | {"down": attitude.down}
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and all outputs."""
-        rates, outputs = self.rates(x, u)
-        return jnp.stack(rates), outputs
-
-    def rates(self, x: Float[Array, " s"], u: Row) -> tuple[list[Any], dict[str, Any]]:
-        """Derivatives of the states one by one, and all outputs."""
-        state, s = self.named(x), self.flow_signals(x, u)
-        nothing = jnp.zeros_like(s["alpha"])
-        decay, gust_rate = self.mean_gust_rates(state, s) if self.model.disturbances else ([], nothing)
-        path = dict.fromkeys(("beta", "p", "r", "phi"), nothing) | s
-        path |= {name: state[name] for name in FLOW if name in state}
-        path.setdefault("down", down_of(path["phi"], path["theta"]))
-        now = motion_of_aircraft(
-            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
-            s,
-            path,
-            self.aircraft,
-            implicit=self.implicit,
-            axes=self.model.axes,
-            prescribed=self.held,
-        )
-        alpha_dot = now.rates["alpha"] + gust_rate
+        now, s, path, after = self.motion_now(x, u, self.model.axes, self.held)
         changing = dict(now.rates) | dict(zip(RATES, now.rotation, strict=True))
         derivative = [changing[name] for name in RIGID if name not in self.held]
-        derivative += self._attitude_rates(x, path)
-        if self.altitude:
-            derivative.append(changing["altitude"])
-        derivative += decay
-        derivative += self.separation_rates(state, s | {"alpha_dot": alpha_dot})
-        accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
-        outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": alpha_dot}
-        outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
-        outputs |= {n: _near(path[n], u.get(f"near_{n}")) for n in ("phi", "psi") if n in path}
-        return derivative, outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
-
-    def _attitude_rates(self, x: Float[Array, " s"], path: Mapping[str, Any]) -> list[Any]:
         rates = (path["p"], path["q"], path["r"])
         if self.by_angles:
             turned = euler_rates(rates, path["phi"], path["theta"])
-            return [turned[ANGLES.index(name)] for name in self.angles]
-        first = self.states.index(QUATERNION[0])
-        return list(Attitude(*(x[first + i] for i in range(4))).turned(rates))
-
-
-def _near(angle: Any, other: Any) -> Any:
-    """The angle plus whole turns that is nearest to `other`, rad."""
-    return angle if other is None else angle + TURN * jnp.round((other - angle) / TURN)
+            derivative += [turned[ANGLES.index(name)] for name in self.angles]
+        else:
+            first = self.states.index(QUATERNION[0])
+            derivative += Attitude(*(x[first + i] for i in range(4))).turned(rates)
+        accelerations = {f"{n}_dot": x for n, x in zip(RATES, now.rotation, strict=True)}
+        outputs = accelerometers(now, path, self.aircraft) | accelerations | {"alpha_dot": s["alpha_dot"]}
+        outputs |= {n: s[n] for n in (*RIGID, "theta", "altitude") if n in s}
+        for n in ("phi", "psi"):
+            if n in path:
+                turns = TURN * jnp.round((u[f"near_{n}"] - path[n]) / TURN) if f"near_{n}" in u else 0.0
+                outputs[n] = path[n] + turns
+        return jnp.stack([*derivative, *after]), outputs | {n: now.flow[n] for n in ("X", *self.model.coefficients)}
 
 
 # --- Longitudinal equations of motion with the effects of any model.
@@ -392,59 +326,22 @@ def _near(angle: Any, other: Any) -> Any:
 # vane, pitot tube and aerodynamics use those of the flow. A gust is uniform over the aircraft and has no angular
 # velocity.
 
-LONGITUDINAL_ENVELOPE = {
-    "airspeed": (5.0, 1500.0),
-    "alpha": (-1.0, 1.2),
-    "theta": (-1.5, 1.5),
-    "q": (-4.0, 4.0),
-    "X": (-0.5, 1.5),
-}
 LATERAL = ("p", "r", "p_dot", "r_dot", "beta", "phi", "ay")  # zero where they were not recorded
 
 
 class Longitudinal(EffectSystem):
-    """An aircraft with its model at given parameter values; `aircraft` has the corrected constants."""
-
-    model: Model = eqx.field(static=True)
-    values: dict[str, Any]
-    aircraft: Aircraft
-    altitude: bool = eqx.field(static=True, default=True)
+    """The aircraft in its plane of symmetry."""
 
     @property
     def states(self) -> tuple[str, ...]:
         """Flight states, gusts, and the separation point with a lag."""
         return (*FLIGHT, *self.after)
 
-    @property
-    def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """Bounds far beyond any flight."""
-        return LONGITUDINAL_ENVELOPE
-
-    def named(self, x: Float[Array, " s"]) -> dict[str, Any]:
-        """The state by name."""
-        return dict(zip(self.states, x, strict=True))
-
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and all outputs."""
-        state, s = self.named(x), self.flow_signals(x, u)
-        decay, gust_rate = self.mean_gust_rates(state, s)
-        path = dict.fromkeys((name for name in LATERAL if name != "ay"), jnp.zeros_like(s["alpha"])) | s
-        path |= {name: state[name] for name in ("airspeed", "alpha")}
-        now = motion_of_aircraft(
-            lambda rate: self.flow(state, s | {"alpha_dot": rate + gust_rate}),
-            s,
-            path,
-            self.aircraft,
-            implicit=self.implicit,
-        )
-        known, rates, rate = now.flow, now.rates, now.rates["alpha"] + gust_rate
+        now, s, path, after = self.motion_now(x, u, (Axis.LONGITUDINAL,), ("p", "r"))
         pitching = euler_rates(tuple(path[n] for n in RATES), path["phi"], path["theta"])[1]  # type: ignore[arg-type]
-        derivative = [rates["airspeed"], rates["alpha"], pitching, now.q_dot]
-        if self.altitude:
-            derivative.append(rates["altitude"])
-        derivative += decay
-        derivative += self.separation_rates(state, s | {"alpha_dot": rate})
-        outputs = state | {name: s[name] for name in ("airspeed", "alpha")}
+        derivative = [now.rates["airspeed"], now.rates["alpha"], pitching, now.q_dot, *after]
+        outputs = self.named(x) | {name: s[name] for name in ("airspeed", "alpha", "alpha_dot")}
         force = accelerometers(now, path, self.aircraft)
-        outputs |= {"ax": force["ax"], "az": force["az"], "q_dot": now.q_dot, "alpha_dot": rate}
-        return jnp.stack(derivative), outputs | {name: known[name] for name in ("X", "CL", "CD", "Cm")}
+        outputs |= {"ax": force["ax"], "az": force["az"], "q_dot": now.q_dot}
+        return jnp.stack(derivative), outputs | {name: now.flow[name] for name in ("X", "CL", "CD", "Cm")}

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Array
 
 from bayes_aero.dynamics.aircraft import (
+    ANGLES,
+    ENGINES,
     LATERAL,
     MIN_LAG,
     SIDE,
@@ -20,12 +22,9 @@ from bayes_aero.dynamics.aircraft import (
     Longitudinal,
     RigidBody,
     held_states,
-    lateral_drives,
-    refuse_lags,
-    rigid_drives,
-    rigid_outputs,
+    recorded_drives,
 )
-from bayes_aero.dynamics.output_channels import needed_channels
+from bayes_aero.dynamics.output_channels import FORCES, RIGID, needed_channels
 from bayes_aero.dynamics.system import System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
@@ -167,23 +166,17 @@ class EffectDynamics(Dynamics):
 
 @dataclass(frozen=True)
 class AircraftDynamics(EffectDynamics):
-    """Motion of an aircraft under a model of effects; `altitude`: whether the altitude is a state.
+    """Motion of an aircraft under a model of effects. A model with the lateral axis has six degrees of freedom. A model
+    without it has three, and its lateral motion is prescribed as recorded."""
 
-    `further`: additional outputs of `ON_REQUEST`. A model with the lateral axis has six degrees of freedom. A model
-    without it has three, and its lateral motion is prescribed as recorded. States that are `held` are prescribed, too.
-    `heading`, `euler`: see `RigidBody`.
-    """
-
-    model: Model
-    altitude: bool = True
-    further: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
-    heading: bool = False
+    altitude: bool = True  # whether it is a state
+    further: tuple[str, ...] = ()  # outputs of `ON_REQUEST`
+    held: tuple[str, ...] = ()  # states that are prescribed, too
+    heading: bool = False  # see `RigidBody`
     euler: bool = False
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The model's."""
         return self.model.free
 
     @property
@@ -212,7 +205,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def meets_gusts(self) -> bool:
-        """Whether airspeed and alpha are simulated."""
         return not {"airspeed", "alpha"} & set(self.prescribed)
 
     def for_filter(self) -> AircraftDynamics:
@@ -231,7 +223,9 @@ class AircraftDynamics(EffectDynamics):
     def outputs(self) -> tuple[str, ...]:
         """Flight states, accelerations at the sensor, and the outputs on request."""
         if self.rigid:
-            return (*rigid_outputs(self.model.axes, self.start), *self.further)
+            simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in self.start)
+            forces = {name for axis in self.model.axes for name in FORCES[axis]}
+            return (*simulated, *(n for n in ("ax", "ay", "az") if n in forces), *self.further)
         return (*(name for name in OUTPUTS if name != "altitude" or self.altitude), *self.further)
 
     @property
@@ -240,7 +234,6 @@ class AircraftDynamics(EffectDynamics):
         return ("X",)
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """The model's."""
         return self.model.values(theta)
 
     def system(self, values: Values, aircraft: Aircraft) -> EffectSystem:
@@ -251,13 +244,10 @@ class AircraftDynamics(EffectDynamics):
         return RigidBody(self.model, dict(values), actual, self.altitude, self.prescribed, self.heading, self.euler)
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
-        """Prescribed channels, with the derivatives that the effects read.
-
-        Without `ay` also the rate of sideslip, if p, r and phi are known: the lateral force follows from these.
-        """
-        if self.rigid:
-            return rigid_drives(self.model.axes, self.prescribed, self.inputs, channels, flights)
-        return lateral_drives(self.inputs, channels, flights)
+        """Prescribed channels, with the derivatives that the effects read. Without `ay` also the rate of sideslip, if
+        p, r and phi are known: the lateral force follows from these."""
+        held, read = (self.prescribed, ENGINES) if self.rigid else ((*LATERAL, "psi"), (*LATERAL, "thrust"))
+        return recorded_drives(self.model.axes, held, (*self.inputs, *read), channels, flights)
 
     def slowest_step(self, values: Values, flights: Flights) -> float:
         """Half the time constant of the separation point's lag at the highest airspeed."""
@@ -270,10 +260,8 @@ class AircraftDynamics(EffectDynamics):
 def aircraft_dynamics(
     model: Model, flights: Flights, outputs: Sequence[str] = (), held: Sequence[str] | None = None
 ) -> AircraftDynamics:
-    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`.
-
-    States that are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels.
-    """
+    """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`. States that
+    are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels."""
     held = flights.held if held is None else tuple(held)
     own = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
@@ -281,11 +269,7 @@ def aircraft_dynamics(
     further = tuple(n for n in turning if n in outputs)
     altitude, heading = (n in flights.channels and not (rigid and n in own) for n in ("altitude", "psi"))
     dynamics = AircraftDynamics(model, altitude, further, held, heading and rigid)
-    have = set(flights.channels) | {
-        "alpha_dot",
-        "X",
-        *(f"{name}_dot" for name in ("p", "r") if name in flights.channels),
-    }
+    have = {*flights.channels, "alpha_dot", "X", *(f"{n}_dot" for n in ("p", "r") if n in flights.channels)}
     have |= {"density", "mach"} if "altitude" in have else set()
     asked = [c for e in model.acting if e.disturbance is None for c in e.channels]
     missing = [name for name in (*needed_channels(model.axes), *asked) if name not in have]
@@ -297,7 +281,12 @@ def aircraft_dynamics(
         )
     if model.disturbances and {"airspeed", "alpha"} & set(own if rigid else ()):
         raise InputError("airspeed and alpha cannot be held to the record in gusts; leave one of the two out")
-    refuse_lags(model)
+    for effect in model.acting:
+        if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):
+            raise InputError(
+                f"effect {effect.name} is a lag of the separation point that cannot be flown: none of its parameters "
+                "has the role lag"
+            )
     return dynamics
 
 

@@ -18,18 +18,26 @@ from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.kalman import (
     Filtered,
-    InitialState,
-    Measured,
-    Sampling,
     discrete_noise,
     discrete_noise_slopes,
+    filter_inputs,
     gains,
     kalman_filter,
     linearised_outputs,
     outputs_at,
 )
-from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
-from bayes_aero.dynamics.system import Row, System, advance, between, later, motion, stage_points, stage_table
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
+from bayes_aero.dynamics.system import (
+    Row,
+    System,
+    advance,
+    between,
+    later,
+    linear_step,
+    motion,
+    stage_points,
+    stage_table,
+)
 
 
 def filter_segments(
@@ -40,44 +48,21 @@ def filter_segments(
     R: Float[Array, " c"],
 ) -> Filtered:
     """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
-
-    `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached flow.
-    Innovations and their variances are in units of the recorded channels. Otherwise a scale error that makes the
-    corrected channels smaller would increase the likelihood.
-    """
+    `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached
+    flow."""
     prepared = prepare(flown, theta)
-
-    def one(*row):
-        start, inputs, dt, true, scale, growth = row
-        first = {name: y[0] for name, y in inputs.items()}
-        begin = prepared.sensed.complete_start(start, first)
-        noise = R * (scale * growth) ** 2
-        found = kalman_filter(
-            prepared.sensed,
-            InitialState(begin, prepared.sensed.start_covariance(begin, first, start_deviation)),
-            inputs,
-            Measured(true, noise),
-            F,
-            flown.outputs,
-            Sampling(dt, flown.substeps, flown.held),
-        )
-        return found._replace(innovation=found.innovation / scale, variance=found.variance / scale**2)
-
-    rows = (*segment_inputs(flown, prepared), jnp.asarray(flown.noise_growth))
-    return jax.vmap(one)(*rows)
+    each = jax.vmap(lambda rows: kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps))
+    return each(filter_inputs(flown, prepared, start_deviation, R))
 
 
 @eqx.filter_jit
 def prediction_errors(flown: SegmentTrajectories, theta: Float[Array, " k"], found: Filtered) -> Float[Array, "w n c"]:
-    """Measured minus predicted from the samples before, in units of the recorded channels, NaN where missing.
-
-    `found` is the result of `filter_segments` at `theta`. Its innovations are smaller, because each is also predicted
-    from the outputs before it in the same sample.
-    """
+    """Measured minus predicted from the samples before, in units of the recorded channels, NaN where missing. `found`
+    is the result of `filter_segments` at `theta`. Its innovations are smaller, because each is also predicted from the
+    outputs before it in the same sample."""
     prepared = prepare(flown, theta)
-    *_, true, scale = segment_inputs(flown, prepared)
-    outputs = jax.vmap(jax.vmap(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs)))
-    return (true - outputs(found.predicted, prepared.drives)) / scale
+    outputs = _each_sample(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs))
+    return (flown.only_inside(prepared.true) - outputs(found.predicted, prepared.drives)) / prepared.scale
 
 
 class Observer(NamedTuple):
@@ -98,8 +83,7 @@ def observer_of(
         return Observer(*gains(P, linearised_outputs(prepared.sensed, x, u, flown.outputs)[1], noise, used))
 
     noise = prepared.noise_variance(R, flown.noise_growth)
-    each = jax.vmap(jax.vmap(one))
-    return each(found.predicted, found.predicted_covariance, prepared.drives, noise, found.used)
+    return _each_sample(one)(found.predicted, found.predicted_covariance, prepared.drives, noise, found.used)
 
 
 class Observed(NamedTuple):
@@ -113,29 +97,20 @@ class Observed(NamedTuple):
 def run_observer(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Observer) -> Observed:
     """Innovations of every segment by an observer with given gains."""
     prepared = prepare(flown, theta)
-    names = flown.outputs
 
-    def predict(start, inputs, dt, true, gain):
-        first = {name: y[0] for name, y in inputs.items()}
-
+    def predict(begin, now, then, true, gain, dt):
         def one_sample(x, rows):
             now, then, z, K = rows
-            e = z - outputs_at(prepared.sensed, x, now, names)
+            e = z - outputs_at(prepared.sensed, x, now, flown.outputs)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
             estimate = x + K @ e
             return advance(prepared.sensed, estimate, now, then, dt, flown.substeps), Observed(e, x, estimate)
 
-        rows = (inputs, later(inputs, flown.held), true, gain)
-        return jax.lax.scan(one_sample, prepared.sensed.complete_start(start, first), rows)[1]
+        return jax.lax.scan(one_sample, begin, (now, then, true, gain))[1]
 
-    start, inputs, dt, true, _ = segment_inputs(flown, prepared)
-    return jax.vmap(predict)(start, inputs, dt, true, by.gain)
-
-
-def segment_inputs(flown: SegmentTrajectories, prepared: Prepared) -> tuple[Any, ...]:
-    """Initial states, inputs, sampling times, outputs and their scales by segment; outputs of padding are NaN."""
-    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], prepared.true, jnp.nan)
-    return prepared.begin, prepared.drives, jnp.asarray(flown.dt), true, prepared.scale
+    now, then = prepared.drives, later(prepared.drives, flown.held)
+    rows = (prepared.initial_states, now, then, flown.only_inside(prepared.true), by.gain, jnp.asarray(flown.dt))
+    return jax.vmap(predict)(*rows)
 
 
 def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:
@@ -153,16 +128,12 @@ def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:
 
 
 class Disturbances(NamedTuple):
-    """Noise of linearised segments.
+    """Noise of linearised segments."""
 
-    Spectral densities by state (w, n, s), variances of the outputs (w, n, c), covariance of the initial state
-    (w, s, s), and decay (w, n, s), 1/s, of states that are random processes.
-    """
-
-    density: Float[Array, "w n s"]
-    variance: Float[Array, "w n c"]
-    begin: Float[Array, "w s s"]
-    decay: Float[Array, "w n s"]
+    density: Float[Array, "w n s"]  # spectral, by state
+    variance: Float[Array, "w n c"]  # of the outputs
+    begin: Float[Array, "w s s"]  # covariance of the initial state
+    decay: Float[Array, "w n s"]  # 1/s, of states that are random processes
 
 
 def disturbances_along(
@@ -183,13 +154,11 @@ def disturbances_along(
 
 
 def linear_innovations(
-    lin: Linearised, noise: Disturbances, dt: Float[Array, " w"]
+    lin: LinearisedFilter, noise: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c"]]:
-    """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample.
-
-    The first column has the innovations, the others their derivatives in the d directions at constant gains; all in
-    units of the recorded channels. Missing samples have innovation 0 and variance 1.
-    """
+    """Innovations (w, n, c, 1 + d) and their variances (w, n, c), each output given those before it in its sample. The
+    first column has the innovations, the others their derivatives in the d directions at constant gains; all in units
+    of the recorded channels. Missing samples have innovation 0 and variance 1."""
     found, S = jax.vmap(_one_segment)(lin, noise, dt)
     e, slopes = found[..., :1], found[..., 1:]
     slopes = slopes - e * lin.scale_drive / lin.scale[..., None]
@@ -198,7 +167,7 @@ def linear_innovations(
     return jnp.concatenate([e, slopes], axis=-1) / lin.scale[..., None], S
 
 
-def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
+def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
     s = lin.before.shape[-1]
     identity = jnp.eye(s)
 
@@ -234,23 +203,20 @@ def _one_segment(lin: Linearised, noise: Disturbances, dt: Any):
 
 
 def noise_derivatives(
-    lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
+    lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Float[Array, " w"]
 ) -> tuple[Float[Array, "w n c m"], Float[Array, "w n c m"]]:
     """Derivatives of innovations and of their variances by parameters of the noise, in units of the recorded channels.
-
-    `slopes` are the derivatives of `noise` in m directions, the last axis. The path and the motion along it are held.
-    """
+    `slopes` are the derivatives of `noise` in m directions, the last axis. The path and the motion along it are
+    held."""
     de, dS = jax.vmap(_slopes_of_segment)(lin, noise, slopes, dt)
     used = jnp.isfinite(lin.residual)[..., None]
     unit = lin.scale[..., None]
     return jnp.where(used, de / unit, 0.0), jnp.where(used, dS / unit**2, 0.0)
 
 
-def _slopes_of_segment(lin: Linearised, noise: Disturbances, slopes: Disturbances, dt: Any):
-    """The derivative of `_one_segment` in closed form; directions are the last axis of every product.
-
-    Forward differentiation has separate small products for each direction and takes twice as long.
-    """
+def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Disturbances, dt: Any):
+    """The derivative of `_one_segment` in closed form; directions are the last axis of every product. Forward
+    differentiation has separate small products for each direction and takes twice as long."""
     s, m = lin.before.shape[-1], slopes.begin.shape[-1]
 
     def one_sample(carry, row):
@@ -301,36 +267,31 @@ def _slopes_of_segment(lin: Linearised, noise: Disturbances, slopes: Disturbance
 # and Filtering Theory*, 1970, ch. 8.
 
 
-class Linearised(NamedTuple):
-    """Segments linearised along a path, with derivatives in d directions of the parameters.
+class LinearisedFilter(NamedTuple):
+    """Segments linearised along a path, with derivatives in d directions of the parameters."""
 
-    `before`, `after`: states before and after the correction, at which outputs and motion are linearised; `ahead`: the
-    state one sample after `after`; `residual`: measured minus outputs at `before`, NaN where missing; `begin`: initial
-    states; `scale`: derivative of the corrected outputs by the recorded ones.
-    """
-
-    before: Float[Array, "w n s"]
-    after: Float[Array, "w n s"]
-    ahead: Float[Array, "w n s"]
+    before: Float[Array, "w n s"]  # the correction: outputs are linearised here,
+    after: Float[Array, "w n s"]  # and the motion here
+    ahead: Float[Array, "w n s"]  # one sample after `after`
     transition: Float[Array, "w n s s"]
     drive: Float[Array, "w n s d"]
-    residual: Float[Array, "w n c"]
+    residual: Float[Array, "w n c"]  # measured minus outputs at `before`, NaN where missing
     matrix: Float[Array, "w n c s"]
     direct: Float[Array, "w n c d"]
     begin: Float[Array, "w s"]
     begin_drive: Float[Array, "w s d"]
-    scale: Float[Array, "w n c"]
+    scale: Float[Array, "w n c"]  # derivative of the corrected outputs by the recorded ones
     scale_drive: Float[Array, "w n c d"]
 
 
 class StateDerivatives(NamedTuple):
-    """Derivatives by the state: of the outputs before a correction, of the next state after it, and of the motion at
-    the m Runge-Kutta stages between the samples, with the states there."""
+    """Derivatives by the state: of the outputs before a correction, and of what follows it until the next sample."""
 
     matrix: Float[Array, "w n c s"]
-    transition: Float[Array, "w n s s"]
-    points: Float[Array, "m w n s"]
-    motion: Float[Array, "m w n s s"]
+    transition: Float[Array, "w n s s"]  # of the next state
+    points: Float[Array, "m w n s"]  # states at the m Runge-Kutta stages,
+    motion: Float[Array, "m w n s s"]  # and the derivatives of the motion there
+    ahead: Float[Array, "w n s"]  # the next state
 
 
 def state_derivatives(
@@ -339,7 +300,9 @@ def state_derivatives(
     """Derivatives by the state of all samples at once, at parameters `theta`."""
     prepared = prepare(flown, theta)
     unit = jnp.eye(before.shape[-1])
-    points, now = _stages(flown, prepared, after)[0], _at_stages(flown, prepared.drives)
+    then = later(prepared.drives, flown.held)
+    points, ahead = stage_points(prepared.sensed, after, prepared.drives, then, jnp.asarray(flown.dt), flown.substeps)
+    now = _at_stages(flown, prepared.drives)
 
     def slopes(f):
         return lambda x, u: jax.vmap(jax.linearize(lambda x: f(prepared.sensed, x, u), x)[1], out_axes=-1)(unit)
@@ -347,7 +310,7 @@ def state_derivatives(
     matrix = _each_sample(slopes(partial(outputs_at, names=flown.outputs)))(before, prepared.drives)
     rates = jax.lax.map(lambda row: _each_sample(slopes(_rate))(*row), (points, now))
     transition = _moved(flown, rates, jnp.zeros_like(rates), jnp.broadcast_to(unit, rates.shape[1:]))
-    return StateDerivatives(matrix, transition, points, rates)
+    return StateDerivatives(matrix, transition, points, rates, ahead)
 
 
 def linearise(
@@ -357,20 +320,17 @@ def linearise(
     after: Float[Array, "w n s"],
     directions: Float[Array, "d k"],
     known: StateDerivatives | None = None,
-) -> Linearised:
-    """Linearise outputs at the states `before` and the motion at the states `after`, at parameters `theta`.
-
-    `known`: the derivatives by the state, where they were computed before.
-    """
+) -> LinearisedFilter:
+    """Linearise outputs at the states `before` and the motion at the states `after`, at parameters `theta`. `known`:
+    the derivatives by the state, where they were computed before."""
     known = known or state_derivatives(flown, theta, before, after)
     at = prepare(flown, theta)
     dynamic, static = eqx.partition(at.sensed, eqx.is_inexact_array)
 
     def by_parameters(theta):
         prepared = prepare(flown, theta)
-        *_, true, scale = segment_inputs(flown, prepared)
         own = eqx.filter(prepared.sensed, eqx.is_inexact_array)
-        return true, prepared.initial_states, scale, own, prepared.drives
+        return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, own, prepared.drives
 
     (true, begin, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
         lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1)
@@ -392,10 +352,10 @@ def linearise(
     drive = _moved(flown, known.motion, rates, jnp.zeros(rates.shape[1:]))
     modelled = _each_sample(partial(outputs, at.sensed))(before, at.drives)
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
-    return Linearised(
+    return LinearisedFilter(
         before,
         after,
-        _stages(flown, at, after)[1],
+        known.ahead,
         known.transition,
         drive,
         true - modelled,
@@ -423,27 +383,14 @@ def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str
     return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
 
 
-def _stages(flown: SegmentTrajectories, prepared: Prepared, after: Float[Array, "w n s"]) -> tuple[Array, Array]:
-    """States at every Runge-Kutta stage of the way from `after` to the next sample, (m, w, n, s), and there."""
-    table, h = stage_table(flown.substeps), (jnp.asarray(flown.dt) / flown.substeps)[:, None, None]
-    return stage_points(prepared.sensed, after, _at_stages(flown, prepared.drives), h, table[1:])
-
-
 def _moved(
     flown: SegmentTrajectories, A: Float[Array, "m w n s s"], b: Float[Array, "m w n s d"], dx: Float[Array, "w n s d"]
 ) -> Float[Array, "w n s d"]:
     """A small change of the state one sample later, from the derivatives of the motion at every stage."""
-    h = (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None]
-    slope = lambda i, x: jnp.sum(A[i][..., None] * x[..., None, :, :], axis=-2) + b[i]  # noqa: E731
-    for i in range(0, len(A), 4):
-        k1 = slope(i, dx)
-        k2 = slope(i + 1, dx + 0.5 * h * k1)
-        k3 = slope(i + 2, dx + 0.5 * h * k2)
-        dx = dx + h / 6.0 * (k1 + 2.0 * (k2 + k3) + slope(i + 3, dx + h * k3))
-    return dx
+    return linear_step(A, b, dx, (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None])
 
 
-def observer_derivatives(lin: Linearised, by: Observer) -> Float[Array, "w n c d"]:
+def observer_derivatives(lin: LinearisedFilter, by: Observer) -> Float[Array, "w n c d"]:
     """Derivatives of the innovations of an observer in the d directions of `lin`, linearised along its path."""
     rows = (lin.transition, lin.drive, lin.matrix, lin.direct, jnp.isfinite(lin.residual), by.gain)
     return jax.vmap(_observed)(lin.begin_drive, *rows)
@@ -475,10 +422,8 @@ def derivatives_by_input(
     known: StateDerivatives,
     direction: dict[str, Float[Array, ""]],
 ) -> InputDerivatives:
-    """Derivatives in this direction of inputs that are linear between samples, at parameters `theta`.
-
-    `before`: states before each correction, where the outputs are; the motion is that of `known`.
-    """
+    """Derivatives in this direction of inputs that are linear between samples, at parameters `theta`. `before`: states
+    before each correction, where the outputs are; the motion is that of `known`."""
     prepared = prepare(flown, theta)
     now = _at_stages(flown, prepared.drives)
 
@@ -506,15 +451,13 @@ def input_innovations(
     before: Float[Array, "w n d"],
     after: Float[Array, "w n d"],
 ) -> Float[Array, "w n c d"]:
-    """Changes of the innovations of an observer by d histories along a direction, linearised along its path.
-
-    `before`, `after`: the histories at the states before and after each correction. The former act on the outputs; the
-    motion to the next sample goes from the latter to the former.
-    """
+    """Changes of the innovations of an observer by d histories along a direction, linearised along its path. `before`,
+    `after`: the histories at the states before and after each correction. The former act on the outputs; the motion to
+    the next sample goes from the latter to the former."""
     then = jnp.concatenate([before[:, 1:], before[:, -1:]], axis=1)
     drive = own.ahead[..., :1] * after[:, :, None] + own.ahead[..., 1:] * then[:, :, None]
     direct = own.direct[..., None] * before[:, :, None]
     matrix = jnp.where(jnp.isfinite(known.matrix), known.matrix, 0.0)
-    *_, true, _ = segment_inputs(flown, prepare(flown, theta))
+    true = flown.only_inside(prepare(flown, theta).true)
     begin = jnp.zeros((len(flown.index), known.matrix.shape[-1], before.shape[-1]))
     return jax.vmap(_observed)(begin, known.transition, drive, matrix, direct, jnp.isfinite(true), by.gain)

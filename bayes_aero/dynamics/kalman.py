@@ -8,7 +8,7 @@ the other, which for a diagonal R is equivalent to all at once and needs no fact
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,30 +16,25 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
+from bayes_aero.dynamics.segments import Prepared, SegmentTrajectories, prepare
 from bayes_aero.dynamics.system import Row, System, advance, later, motion
 
 
 class Filtered(NamedTuple):
-    """One segment of n samples, s states and c outputs.
+    """One segment of n samples, s states and c outputs."""
 
-    `predicted`, `predicted_covariance`: the state before a sample was used; `state`, `covariance`: after it;
-    `transition` (s, s): from there to the next sample. `innovation` (c): measured minus predicted, given the
-    outputs before it in the same sample; `variance`: its variance; `used`: whether there was a measurement.
-    """
-
-    predicted: Float[Array, "n s"]
+    predicted: Float[Array, "n s"]  # before the sample was used
     predicted_covariance: Float[Array, "n s s"]
-    state: Float[Array, "n s"]
+    state: Float[Array, "n s"]  # after it
     covariance: Float[Array, "n s s"]
-    transition: Float[Array, "n s s"]
-    innovation: Float[Array, "n c"]
-    variance: Float[Array, "n c"]
-    used: Bool[Array, "n c"]
+    transition: Float[Array, "n s s"]  # from there to the next sample
+    innovation: Float[Array, "n c"]  # measured minus predicted, given the outputs before it in the same sample
+    variance: Float[Array, "n c"]  # of the innovation
+    used: Bool[Array, "n c"]  # whether there was a measurement
 
 
 def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
-    """Outputs of these names at one instant."""
+    """Outputs (c,) of these names at one instant."""
     state = zip(system.states, x, strict=True)
     found = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
     return jnp.stack([found[name] for name in names])
@@ -47,10 +42,8 @@ def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[st
 
 def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:
     """Discrete process-noise covariance (s, s): white noise of spectral `density` (s,) over a sample of `dt` seconds.
-
     The integral of Phi(t) W Phi(t)' by Simpson's rule, with the square root of the transition at mid-sample. It is
-    exact to the third power of dt, the order at which a gust changes the pitch rate within a sample.
-    """
+    exact to the third power of dt, the order at which a gust changes the pitch rate within a sample."""
     W, one = jnp.diag(density), jnp.eye(len(density))
     change = transition - one
     half = one + 0.5 * change - 0.125 * change @ change
@@ -77,71 +70,70 @@ def discrete_noise_slopes(
     return dt / 6.0 * (by_density + own + side + jnp.moveaxis(side, 0, 1))
 
 
-class InitialState(NamedTuple):
-    """State before the first sample, (s,), SI, and its covariance, (s, s)."""
+class FilterInputs(NamedTuple):
+    """What a filter reads of one segment; under `filter_inputs` of w segments, w in front of every array. The state
+    before the first sample and its covariance, inputs at each sample and at the next one (n,), corrected outputs (NaN
+    where missing), the variances of their noise, the derivatives of the corrected outputs by the recorded ones, and the
+    sample time, s."""
 
-    mean: Float[Array, " s"]
-    covariance: Float[Array, "s s"]
-
-
-class Measured(NamedTuple):
-    """Outputs (n, c), SI, NaN where missing, and the variances of their noise."""
-
-    values: Float[Array, "n c"]
-    variance: Float[Array, "n c"]
-
-
-class Sampling(NamedTuple):
-    """Sample time, s; Runge-Kutta steps a sample; whether inputs are held between samples or linear."""
-
+    begin: Float[Array, "*w s"]
+    covariance: Float[Array, "*w s s"]
+    now: dict[str, Array]
+    then: dict[str, Array]
+    measured: Float[Array, "*w n c"]
+    variance: Float[Array, "*w n c"]
+    scale: Float[Array, "*w n c"]
     dt: Any
-    substeps: int = 1
-    held: bool = False
+
+
+def filter_inputs(
+    flown: SegmentTrajectories, prepared: Prepared, start_deviation: Float[Array, " s"], R: Float[Array, " c"]
+) -> FilterInputs:
+    """Inputs of the filter of every segment, from its measured initial state; outputs of padding are NaN."""
+    begin = prepared.initial_states
+    return FilterInputs(
+        begin,
+        prepared.initial_covariance(begin, start_deviation),
+        prepared.drives,
+        later(prepared.drives, flown.held),
+        flown.only_inside(prepared.true),
+        prepared.noise_variance(R, flown.noise_growth),
+        prepared.scale,
+        jnp.asarray(flown.dt),
+    )
 
 
 def kalman_filter(
     system: System,
-    begin: InitialState,
-    inputs: Mapping[str, Float[Array, " n"]],
-    measured: Measured,
+    rows: FilterInputs,
     F: Float[Array, " s"],
     names: tuple[str, ...],
-    sampling: Sampling,
-) -> Filtered:
-    """Filter one segment.
-
-    Args:
-        system: dynamics and outputs.
-        begin: the state before the first sample.
-        inputs: recorded inputs by name, (n,).
-        measured: outputs with their noise.
-        F: process noise by state in addition to the system's own, (s,), unit of the state per square root of a second.
-        names: outputs in the order of `measured`.
-        sampling: of inputs and outputs.
-
-    Returns:
-        Predictions, estimates, innovations and their variances.
-    """
+    substeps: int = 1,
+    keep: Callable[[Filtered], Any] = lambda sample: sample,
+) -> Any:
+    """Filter one segment; what `keep` takes of each sample's `Filtered`, by default all of it. `F`: process noise by
+    state in addition to the system's own, unit of the state per square root of a second; `names` of the outputs in the
+    order of `rows.measured`. Innovations and their variances are in units of the recorded channels. Otherwise a scale
+    error that makes the corrected channels smaller would increase the likelihood."""
 
     def one_sample(carry, row):
         x, P = carry
-        now, then, z, variance = row
+        now, then, z, variance, scale = row
         y, C = linearised_outputs(system, x, now, names)
         correction, P_estimate, e, S, used = correct(P, C, z - y, variance)
         estimate = x + correction
-        step = lambda x: advance(system, x, now, then, sampling.dt, sampling.substeps)  # noqa: E731
+        step = lambda x: advance(system, x, now, then, rows.dt, substeps)  # noqa: E731
         ahead, transition = value_and_slope(step, estimate)
         density = F**2 + system.noise_density(estimate, now)
-        found = Filtered(x, P, estimate, P_estimate, transition, e, S, used)
-        return (ahead, predicted_covariance(transition, P_estimate, density, sampling.dt)), found
+        sample = Filtered(x, P, estimate, P_estimate, transition, e / scale, S / scale**2, used)
+        return (ahead, predicted_covariance(transition, P_estimate, density, rows.dt)), keep(sample)
 
-    now = {name: jnp.asarray(x) for name, x in inputs.items()}
-    rows = (now, later(now, sampling.held), measured.values, measured.variance)
-    return jax.lax.scan(one_sample, (begin.mean, begin.covariance), rows)[1]
+    by_sample = (rows.now, rows.then, rows.measured, rows.variance, rows.scale)
+    return jax.lax.scan(one_sample, (rows.begin, rows.covariance), by_sample)[1]
 
 
 def linearised_outputs(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> tuple[Array, Array]:
-    """Outputs (c,) at one instant and their derivative by the state (c, s)."""
+    """Outputs (c,) and their derivative by the state (c, s) at one instant."""
     return value_and_slope(lambda x: outputs_at(system, x, u, names), x)
 
 
@@ -154,20 +146,10 @@ def value_and_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple
 def correct(
     P: Float[Array, "s s"], C: Float[Array, "c s"], residual: Float[Array, " c"], variance: Float[Array, " c"]
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Correction of the state by the outputs of one sample.
-
-    The loop over the outputs is unrolled, which is faster for so few.
-
-    Args:
-        P: covariance of the predicted state, (s, s).
-        C: derivative of the outputs by the state, (c, s).
-        residual: measured minus predicted, (c,), NaN where missing.
-        variance: of the measurement noise, (c,).
-
-    Returns:
-        Correction of the state (s,), covariance after it (s, s), innovations (c,), their variances (c,), and which
-        outputs were measured (c,).
-    """
+    """Correction of the state (s,) by the outputs of one sample, the covariance after it, and the innovations (c,).
+    `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus predicted,
+    NaN where missing; `variance`: of the measurement noise. Also returned: the variances of the innovations, and which
+    outputs were measured. The loop over the outputs is unrolled, which is faster for so few."""
     used = jnp.isfinite(residual)
 
     def one(carry, output):
@@ -186,11 +168,9 @@ def correct(
 def gains(
     P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
-    """Gain of `correct`, and the matrix that whitens measured minus predicted.
-
-    The outputs are processed one after the other here, too. Factorising the matrices of all samples at once calls
-    LAPACK, which shares its threads with other calls: two of them at a time (jaxlib 0.10) wait for each other for ever.
-    """
+    """Gain of `correct`, and the matrix that whitens measured minus predicted. The outputs are processed one after the
+    other here, too. Factorising the matrices of all samples at once calls LAPACK, which shares its threads with other
+    calls: two of them at a time (jaxlib 0.10) wait for each other for ever."""
 
     def one(carry, output):
         P, gain = carry
@@ -235,13 +215,8 @@ def smooth(found: Filtered) -> tuple[Float[Array, "n s"], Float[Array, "n s s"]]
         return (x, P), (x, P)
 
     last = (found.state[-1], found.covariance[-1])
-    rows = (
-        found.state[:-1],
-        found.covariance[:-1],
-        found.transition[:-1],
-        found.predicted[1:],
-        found.predicted_covariance[1:],
-    )
+    rows = tuple(y[:-1] for y in (found.state, found.covariance, found.transition))
+    rows = (*rows, found.predicted[1:], found.predicted_covariance[1:])
     _, (x, P) = jax.lax.scan(back, last, rows, reverse=True)
     return jnp.concatenate([x, last[0][None]]), jnp.concatenate([P, last[1][None]])
 
@@ -262,25 +237,10 @@ class NoisePoint(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """States (w, n, s) before and after each sample's correction."""
+    """States before and after each sample's correction."""
 
     before: Float[Array, "w n s"]
     after: Float[Array, "w n s"]
-
-
-class _FilterInputs(NamedTuple):
-    """Inputs of the filter: the state before the first sample (w, s), its covariance (w, s, s), inputs at each sample
-    and at the next one (w, n), corrected outputs, the variances of their noise, and the derivatives of the corrected
-    outputs by the recorded ones (w, n, c)."""
-
-    system: System
-    begin: Float[Array, "w s"]
-    covariance: Float[Array, "w s s"]
-    now: dict[str, Array]
-    then: dict[str, Array]
-    measured: Float[Array, "w n c"]
-    variance: Float[Array, "w n c"]
-    scale: Float[Array, "w n c"]
 
 
 class _Local(NamedTuple):
@@ -298,29 +258,26 @@ class _Local(NamedTuple):
     density_slope: Float[Array, "w n s s"]
 
 
-def innovations_density(
-    flown: SegmentTrajectories, point: NoisePoint, start_deviation: Float[Array, " s"]
-) -> Float[Array, ""]:
-    """Log likelihood of all segments: the sum of `kalman.log_likelihood` over `innovations.filter_segments`.
+def _filter_path(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
+    """The log likelihood, and the path of the filter."""
+    prepared = prepare(flown, point.theta)
 
-    Args:
-        flown: segments of flights; without names (`nameless`), so that records of any name share a compiled program.
-        point: parameters and noise.
-        start_deviation: standard deviation of the measured initial state, (s,), SI.
-    """
-    return _density(point, flown, start_deviation)
+    def keep(sample):
+        return log_density_terms(sample.innovation, sample.variance, sample.used), _Path(sample.predicted, sample.state)
 
-
-def _value(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> Array:
-    return _filter_segments(point, flown, start_deviation)[0]
+    each = jax.vmap(lambda rows: kalman_filter(prepared.sensed, rows, point.F, flown.outputs, flown.substeps, keep))
+    terms, path = each(filter_inputs(flown, prepared, start_deviation, point.R))
+    return jnp.sum(terms), path
 
 
-_density = eqx.filter_custom_vjp(_value)
+@eqx.filter_custom_vjp
+def _density(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> Array:
+    return _filter_path(point, flown, start_deviation)[0]
 
 
 @_density.def_fwd
 def _forward(_perturbed: Any, point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array):
-    path = _filter_segments(point, flown, start_deviation)[1]
+    path = _filter_path(point, flown, start_deviation)[1]
     return jax.value_and_grad(_log_likelihood_along)(point, flown, start_deviation, path)
 
 
@@ -329,112 +286,76 @@ def _backward(slope: NoisePoint, cotangent: Array, *_: Any):
     return jax.tree.map(lambda g: cotangent * g, slope)
 
 
-def _filter_inputs(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> _FilterInputs:
-    prepared = prepare(flown, point.theta)
-    true = jnp.where(jnp.asarray(flown.inside)[:, :, None], prepared.true, jnp.nan)
-    begin = prepared.initial_states
-    return _FilterInputs(
-        prepared.sensed,
-        begin,
-        prepared.initial_covariance(begin, start_deviation),
-        prepared.drives,
-        later(prepared.drives, flown.held),
-        true,
-        prepared.noise_variance(point.R, flown.noise_growth),
-        prepared.scale,
-    )
-
-
-def _filter_segments(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array) -> tuple[Array, _Path]:
-    """The log likelihood, and the path of the filter."""
-    rows = _filter_inputs(point, flown, start_deviation)
-    system = rows.system
-
-    def one(begin, covariance, now, then, measured, variance, scale, dt):
-        def one_sample(carry, row):
-            x, P, total = carry
-            now, then, z, variance, scale = row
-            y, C = linearised_outputs(system, x, now, flown.outputs)
-            correction, P, e, S, used = correct(P, C, z - y, variance)
-            after = x + correction
-            step = lambda x: advance(system, x, now, then, dt, flown.substeps)  # noqa: E731
-            density = point.F**2 + system.noise_density(after, now)
-            predicted, transition = value_and_slope(step, after)
-            P = predicted_covariance(transition, P, density, dt)
-            return (predicted, P, total + log_density_terms(e / scale, S / scale**2, used)), _Path(x, after)
-
-        start = (begin, covariance, jnp.zeros(()))
-        (_, _, total), path = jax.lax.scan(one_sample, start, (now, then, measured, variance, scale))
-        return total, path
-
-    total, path = jax.vmap(one)(*rows[1:], jnp.asarray(flown.dt))
-    return jnp.sum(total), path
+def innovations_density(
+    flown: SegmentTrajectories, point: NoisePoint, start_deviation: Float[Array, " s"]
+) -> Float[Array, ""]:
+    """Log likelihood of all segments: the sum of `log_likelihood` over `innovations.filter_segments`. `flown` without
+    names (`nameless`), so that records of any name share a compiled program; `start_deviation` (s,) of the measured
+    initial state, SI."""
+    return _density(point, flown, start_deviation)
 
 
 def _log_likelihood_along(point: NoisePoint, flown: SegmentTrajectories, start_deviation: Array, path: _Path) -> Array:
     """The log likelihood along a given path, exact to first order in the change of the path with the point."""
     path = jax.lax.stop_gradient(path)
-    rows = _filter_inputs(point, flown, start_deviation)
-    local = _linearise_along(rows, point.F, flown, path)
-    noise = (rows.variance, rows.scale)
-    by_segment = jax.vmap(_linear)(rows.begin, rows.covariance, noise, jnp.asarray(flown.dt), path, local)
-    return jnp.sum(by_segment)
+    prepared = prepare(flown, point.theta)
+    rows = filter_inputs(flown, prepared, start_deviation, point.R)
+    local = _linearise_along(prepared.sensed, rows, point.F, flown, path)
+
+    def of_segment(rows: FilterInputs, path: _Path, local: _Local) -> Array:
+        """By the filter linearised along the path. The reverse pass computes each step again: storing costs more."""
+
+        @jax.checkpoint
+        def one_sample(carry, row):
+            x, P, total = carry
+            local, before, after, variance, scale = row
+            held = jax.lax.stop_gradient(local)
+            dx = x - before
+            matrix, residual = local.matrix + local.matrix_slope @ dx, local.residual - held.matrix @ dx
+            correction, P, e, S, used = correct(P, matrix, residual, variance)
+            dx = x + correction - after
+            transition = local.transition + local.transition_slope @ dx
+            P = predicted_covariance(transition, P, local.density + local.density_slope @ dx, rows.dt)
+            total = total + log_density_terms(e / scale, S / scale**2, used)
+            return (local.predicted + held.transition @ dx, P, total), None
+
+        by_sample = (local, path.before, path.after, rows.variance, rows.scale)
+        return jax.lax.scan(one_sample, (rows.begin, rows.covariance, jnp.zeros(())), by_sample)[0][2]
+
+    return jnp.sum(jax.vmap(of_segment)(rows, path, local))
 
 
-def _linearise_along(rows: _FilterInputs, F: Array, flown: SegmentTrajectories, path: _Path) -> _Local:
+def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: SegmentTrajectories, path: _Path) -> _Local:
     """Linearise all samples at once. The highest derivatives depend on the path only, not on the point."""
-    dt = jnp.broadcast_to(jnp.asarray(flown.dt)[:, None], path.before.shape[:2])
+    dt = jnp.broadcast_to(rows.dt[:, None], path.before.shape[:2])
     over_samples = lambda f: jax.vmap(jax.vmap(f))  # noqa: E731
 
     def functions(system: System) -> tuple[Callable[[Array], Array], ...]:
+        outputs = over_samples(lambda x, u: outputs_at(system, x, u, flown.outputs))
+        motion = over_samples(lambda x, now, then, dt: advance(system, x, now, then, dt, flown.substeps))
+        density = over_samples(system.noise_density)
         return (
-            lambda x: over_samples(lambda x, u: outputs_at(system, x, u, flown.outputs))(x, rows.now),
-            lambda x: over_samples(lambda *y: advance(system, y[0], y[1], y[2], y[3], flown.substeps))(
-                x, rows.now, rows.then, dt
-            ),
-            lambda x: over_samples(system.noise_density)(x, rows.now),
+            lambda x: outputs(x, rows.now),
+            lambda x: motion(x, rows.now, rows.then, dt),
+            lambda x: density(x, rows.now),
         )
 
-    outputs_of, motion_of, density_of = functions(rows.system)
-    (y, matrix), (predicted, transition) = _by_state(outputs_of, path.before), _by_state(motion_of, path.after)
-    outputs_of, motion_of, density_held = functions(jax.lax.stop_gradient(rows.system))
-    matrix_slope = _by_state(lambda x: _by_state(outputs_of, x)[1], path.before)[1]
-    transition_slope = _by_state(lambda x: _by_state(motion_of, x)[1], path.after)[1]
-    density_slope = _by_state(density_held, path.after)[1]
+    def by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
+        """f and its derivative by the state of the same sample, the last axis."""
+        along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
+        return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
+
+    outputs_of, motion_of, density_of = functions(system)
+    (y, matrix), (predicted, transition) = by_state(outputs_of, path.before), by_state(motion_of, path.after)
+    outputs_of, motion_of, density_held = functions(jax.lax.stop_gradient(system))
     matrix_slope, transition_slope, density_slope = jax.lax.stop_gradient(
-        (matrix_slope, transition_slope, density_slope)
+        (
+            by_state(lambda x: by_state(outputs_of, x)[1], path.before)[1],
+            by_state(lambda x: by_state(motion_of, x)[1], path.after)[1],
+            by_state(density_held, path.after)[1],
+        )
     )
     density = F**2 + density_of(path.after)
     return _Local(
         rows.measured - y, matrix, matrix_slope, predicted, transition, transition_slope, density, density_slope
     )
-
-
-def _by_state(f: Callable[[Array], Array], x: Float[Array, "w n s"]) -> tuple[Array, Array]:
-    """f and its derivative by the state of the same sample, the last axis."""
-    along = lambda e: jax.jvp(f, (x,), (jnp.broadcast_to(e, x.shape),))  # noqa: E731
-    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(x.shape[-1]))
-
-
-def _linear(begin: Array, covariance: Array, noise: Any, dt: Array, path: _Path, local: _Local) -> Array:
-    """Log likelihood of one segment by the filter linearised along the path.
-
-    The reverse pass computes each step again, which costs less than storing it.
-    """
-
-    @jax.checkpoint
-    def one_sample(carry, row):
-        x, P, total = carry
-        local, before, after, (variance, scale) = row
-        held = jax.lax.stop_gradient(local)
-        dx = x - before
-        matrix, residual = local.matrix + local.matrix_slope @ dx, local.residual - held.matrix @ dx
-        correction, P, e, S, used = correct(P, matrix, residual, variance)
-        dx = x + correction - after
-        transition, density = local.transition + local.transition_slope @ dx, local.density + local.density_slope @ dx
-        P = predicted_covariance(transition, P, density, dt)
-        total = total + log_density_terms(e / scale, S / scale**2, used)
-        return (local.predicted + held.transition @ dx, P, total), None
-
-    start = (begin, covariance, jnp.zeros(()))
-    return jax.lax.scan(one_sample, start, (local, path.before, path.after, noise))[0][2]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.dynamics.flight import Dynamics, Values
-from bayes_aero.dynamics.system import Row, System
+from bayes_aero.dynamics.system import OfPlain, Row, System
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -39,10 +39,8 @@ FLAT = Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice")
 
 
 class LinearSystem(System):
-    """Rates of the states, then further outputs: `matrix` (rows, columns) times states, inputs and one.
-
-    The row of an output that is also a state is added to the state.
-    """
+    """Rates of the states, then further outputs: `matrix` (rows, columns) times states, inputs and one. The row of an
+    output that is also a state is added to the state."""
 
     matrix: Float[Array, "r c"]
     named: tuple[str, ...] = eqx.field(static=True)
@@ -51,7 +49,6 @@ class LinearSystem(System):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """As the card lists them."""
         return self.named
 
     @property
@@ -72,10 +69,8 @@ class LinearSystem(System):
 
 @dataclass(frozen=True)
 class LinearDynamics(Dynamics):
-    """A card's linear rows with their parameters; `fixed` parameters keep their value, the others are free.
-
-    A constant that differs between manoeuvres has a parameter for each of them and is an input of the system.
-    """
+    """A card's linear rows with their parameters; `fixed` parameters keep their value, the others are free. A constant
+    that differs between manoeuvres has a parameter for each of them and is an input of the system."""
 
     rows: LinearCard
     parameters: tuple[Parameter, ...]
@@ -84,12 +79,10 @@ class LinearDynamics(Dynamics):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """SI units of all states."""
         return dict(self.named)
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Values of the parameters that are not estimated."""
         return dict(self.rows.fixed)
 
     @property
@@ -106,7 +99,6 @@ class LinearDynamics(Dynamics):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """As the card lists them."""
         return self.rows.states
 
     @property
@@ -120,7 +112,6 @@ class LinearDynamics(Dynamics):
         return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
     def values(self, theta: Any) -> dict[str, Any]:
-        """Values of fixed and free parameters by name."""
         return self.fixed | {name: theta[i] for i, name in enumerate(self.names)}
 
     def system(self, values: Values, aircraft: Aircraft) -> System:  # noqa: ARG002
@@ -152,17 +143,15 @@ class LinearDynamics(Dynamics):
 
 
 def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynamics:
-    """The linear system of a card, with its starting values, bounds and priors.
-
-    `lengths` are the samples of the manoeuvres, for constants that differ between them.
-    """
+    """The linear system of a card, with its starting values, bounds and priors. `lengths` are the samples of the
+    manoeuvres, for constants that differ between them."""
     if card.linear is None:
         raise InputError(f"card {card.name} has no section [linear]; add it, or use its [model]")
     units = channel_units(card)
     parameters = []
     for name in card.linear.parameters:
         unit, text = _meaning(name, card.linear, units)
-        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_side(name, card.linear))
+        parameter = replace(Parameter(name, unit, 0.0, 0.0, text, FLAT), **_sign_or_limits(name, card.linear))
         change = card.changes.get(name)
         given = {} if change is None else {key: value for key, value in vars(change).items() if value is not None}
         try:
@@ -173,7 +162,7 @@ def linear_dynamics(card: Card, lengths: tuple[int, ...] = (1,)) -> LinearDynami
     return LinearDynamics(card.linear, tuple(parameters), named, lengths)
 
 
-def _side(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
+def _sign_or_limits(name: str, rows: LinearCard) -> dict[str, Sign | Limits]:
     """The sign or the limits that a parameter has as its dimensionless counterpart."""
     for state, terms in zip(rows.states, rows.rates, strict=True):
         for term in terms:
@@ -199,35 +188,27 @@ def _meaning(name: str, rows: LinearCard, units: Mapping[str, str]) -> tuple[str
                 rate = index < len(rows.states)
                 unit = f"({units[row]}){'/s' if rate else ''}/({units[term.channel]})"
                 per = "constant part" if term.channel == ONE else f"per {term.channel}"
-                return _tidy(unit), f"{'rate of ' if rate else ''}{row}, {per}"
+                unit = si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
+                return unit, f"{'rate of ' if rate else ''}{row}, {per}"
     raise KeyError(name)
-
-
-def _tidy(unit: str) -> str:
-    return si_unit(unit.replace("/(1)", "").replace("(1)", "1")).replace("**", "^")
 
 
 # --- Delayed outputs of recorders, for a filter that has only the present state.
 
 
 class LateOutputs(System):
-    """A system with outputs delayed by `delays` (s): y(t - delay) to first order.
-
-    The delay must be short against the motion: for a sinusoid of 1 rad/s and a delay of 0.1 s the error is 0.5 %.
-    """
+    """A system with outputs delayed by `delays` (s): y(t - delay) to first order. The delay must be short against the
+    motion: for a sinusoid of 1 rad/s and a delay of 0.1 s the error is 0.5 %."""
 
     plain: System
     delays: Mapping[str, Any]
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Those of `plain`."""
-        return self.plain.states
-
-    @property
-    def envelope(self) -> Mapping[str, tuple[float, float]]:
-        """That of `plain`."""
-        return self.plain.envelope
+    states: ClassVar[Any] = OfPlain()
+    envelope: ClassVar[Any] = OfPlain()
+    complete_start: ClassVar[Any] = OfPlain()
+    noise_density: ClassVar[Any] = OfPlain()
+    decay: ClassVar[Any] = OfPlain()
+    start_covariance: ClassVar[Any] = OfPlain()
 
     @property
     def state_outputs(self) -> tuple[str, ...]:
@@ -245,19 +226,3 @@ class LateOutputs(System):
 
         slope = jax.jvp(late, (x,), (rate,))[1]
         return rate, now | {n: (state | now)[n] - delay * slope[n] for n, delay in self.delays.items()}
-
-    def complete_start(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """That of `plain`."""
-        return self.plain.complete_start(x, u)
-
-    def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """That of `plain`."""
-        return self.plain.noise_density(x, u)
-
-    def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """That of `plain`."""
-        return self.plain.decay(x, u)
-
-    def start_covariance(self, x: Float[Array, " s"], u: Row, deviation: Float[Array, " s"]) -> Float[Array, "s s"]:
-        """That of `plain`."""
-        return self.plain.start_covariance(x, u, deviation)

@@ -37,7 +37,7 @@ SHORT_PERIOD, PHUGOID, DUTCH_ROLL, ROLL, SPIRAL, OTHER = (
 
 
 @dataclass(frozen=True)
-class Mode:
+class MotionMode:
     """A mode by name, with its eigenvalue (1/s), the one of positive imaginary part of a pair."""
 
     name: str
@@ -54,23 +54,14 @@ class Steady:
     alpha: float = 0.0
 
 
-def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady) -> tuple[Mode, ...]:
-    """Modes of motion about steady flight with fixed controls.
-
-    Args:
-        dynamics: a linear system, or an aircraft under effects of either or both axes.
-        values: all parameter values by name.
-        aircraft: that of the card.
-        steady: the flight about which the equations are linearised; of no effect on a linear system.
-
-    Returns:
-        The modes, longitudinal ones first, the faster ones first.
-
-    Raises:
-        InputError: there is no such flight, or the dynamics have no motion of their own.
-    """
+def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady) -> tuple[MotionMode, ...]:
+    """Modes of motion about steady flight with fixed controls, longitudinal ones first, the faster ones first.
+    `aircraft` is that of the card; `steady` has no effect on a linear system."""
     if isinstance(dynamics, LinearDynamics):
-        return named_modes(*_of_system(dynamics, values, aircraft), steady.airspeed)
+        system, states = dynamics.system(values, aircraft), dynamics.states
+        u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}
+        A = jax.jacfwd(lambda x: system.motion(x, u)[0])(jnp.zeros(len(states)))
+        return named_modes(np.asarray(A), states, steady.airspeed)
     if not isinstance(dynamics, AircraftDynamics):
         raise InputError("a flight path of recorded accelerations has no modes of motion; fly a model of the aircraft")
     held = set(dynamics.held) - {"altitude", "psi"}
@@ -80,27 +71,28 @@ def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, ste
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     actual = model.actual_aircraft(values, aircraft)
     own = HELD[Axis.LONGITUDINAL] if Axis.LONGITUDINAL not in axes else ()
-    x, u = _prescribed(steady) if own else _trimmed(replace(model, axes=tuple(Axis)), values, actual, steady)
     wider = model if own else replace(model, axes=tuple(Axis))
+    u = dict.fromkeys((*CONTROLS, "aileron", "rudder", *SURFACES), 0.0)
+    if own:  # prescribed as in level flight
+        x, alpha = {}, steady.alpha
+        u |= dict.fromkeys(("q", "alpha_dot", "p_dot", "q_dot", "r_dot", "thrust", "thrust_left", "thrust_right"), 0.0)
+        u |= {"airspeed": steady.airspeed, "alpha": alpha, "theta": alpha, "altitude": steady.altitude}
+        u |= {"force_x": GRAVITY * math.sin(alpha), "force_z": -GRAVITY * math.cos(alpha)}
+    else:
+        trim = rigid_trim(wider, values, actual, Condition(steady.airspeed, steady.altitude))
+        x, half = trim.state, 0.5 * trim.thrust
+        u |= {n: trim.controls[n] for n in u if n in trim.controls} | {"altitude": trim.state["altitude"]}
+        u |= {"thrust": trim.thrust, "thrust_left": half, "thrust_right": half}
+    # arrays: one program for every trim
+    x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (x, u))
     A, states = _linearised(wider, values, actual, own, x, u), _moving(wider, own)
     kept = [k for k, n in enumerate(states) if Axis.LATERAL in axes or n not in LATERAL]
     return named_modes(np.asarray(A)[np.ix_(kept, kept)], [states[k] for k in kept], steady.airspeed)
 
 
-def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: float) -> tuple[Mode, ...]:
-    """Eigenvalues of a matrix of linear motion by the names of the modes.
-
-    Args:
-        A: derivative of the rates of `states` by them, SI.
-        states: names of the channels.
-        airspeed: m/s; scales velocities to angles.
-
-    Returns:
-        The modes; one whose motion no name fits is called "other".
-
-    Raises:
-        InputError: the matrix is not finite.
-    """
+def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: float) -> tuple[MotionMode, ...]:
+    """Eigenvalues of the derivative `A` of the rates of `states` by them, SI, by the names of the modes. Velocities are
+    scaled to angles by the airspeed, m/s. A mode whose motion no name fits is called "other"."""
     if not np.all(np.isfinite(A)):
         raise InputError("the equations of motion are not finite about steady flight; check the card's constants")
     kept = [k for k, n in enumerate(states) if n not in WITHOUT_FORCE]
@@ -117,7 +109,7 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     return (*_longitudinal(rest), *_lateral(lateral, own))
 
 
-Found = list[tuple[complex, dict[str, float]]]
+Eigenmotions = list[tuple[complex, dict[str, float]]]
 
 
 def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
@@ -125,7 +117,7 @@ def _share(motion: Mapping[str, float], names: Sequence[str]) -> float:
     return sum(motion.get(n, 0.0) ** 2 for n in names) / sum(x**2 for x in motion.values())
 
 
-def _longitudinal(found: Found) -> list[Mode]:
+def _longitudinal(found: Eigenmotions) -> list[MotionMode]:
     """The faster oscillation is the short period, the slower one the phugoid. A single one is the short period if alpha
     varies more than speed."""
     oscillations = [k for k, (value, _) in enumerate(found) if value.imag > 0.0]
@@ -135,55 +127,24 @@ def _longitudinal(found: Found) -> list[Mode]:
         name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
         known = _share(motion, LONGITUDINAL) > 0.5
         aperiodic = "" if value.imag > 0.0 else ", aperiodic"
-        named.append(Mode(both.get(k, f"{name}{aperiodic}" if known else OTHER), value))
+        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if known else OTHER), value))
     return named
 
 
-def _lateral(found: Found, states: Sequence[str]) -> list[Mode]:
-    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode.
-
-    Without sideslip there is neither a Dutch roll nor a spiral, without bank no spiral.
-    """
+def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
+    """The oscillation with most sideslip is the Dutch roll; the fastest aperiodic mode is the roll mode. Without
+    sideslip there is neither a Dutch roll nor a spiral, without bank no spiral."""
     oscillations = sorted((one for one in found if one[0].imag > 0.0), key=lambda one: -_share(one[1], ("beta",)))
     aperiodic = [one for one in found if one[0].imag == 0.0]
     names = (DUTCH_ROLL, "lateral phugoid") if "beta" in states else ()
-    named = [Mode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
+    named = [MotionMode(names[k] if k < len(names) else OTHER, value) for k, (value, _) in enumerate(oscillations)]
     first = min(aperiodic, key=lambda one: -_share(one[1], ("p",))) if "beta" not in states and aperiodic else None
     roll = first or (aperiodic[0] if aperiodic else None)
     spiral = aperiodic[-1] if {"beta", "phi"} <= set(states) and len(aperiodic) > 1 else None
     for one in aperiodic:
         name = ROLL if one is roll and "p" in states else SPIRAL if one is spiral else OTHER
-        named.append(Mode(name, one[0]))
+        named.append(MotionMode(name, one[0]))
     return named
-
-
-def _of_system(
-    dynamics: LinearDynamics, values: Mapping[str, Any], aircraft: Aircraft
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    system = dynamics.system(values, aircraft)
-    u = {name: jnp.zeros(()) for name in (*dynamics.inputs, *dynamics.rows.by_manoeuvre)}
-    return np.asarray(jax.jacfwd(lambda x: system.motion(x, u)[0])(jnp.zeros(len(dynamics.states)))), dynamics.states
-
-
-def _prescribed(steady: Steady) -> tuple[dict[str, Any], dict[str, Any]]:
-    """State and inputs of level flight with prescribed longitudinal motion."""
-    u = dict.fromkeys((*CONTROLS, "aileron", "rudder", *SURFACES, "q", "alpha_dot", "p_dot", "q_dot", "r_dot"), 0.0)
-    u |= {"airspeed": steady.airspeed, "alpha": steady.alpha, "theta": steady.alpha, "altitude": steady.altitude}
-    u |= {"force_x": GRAVITY * math.sin(steady.alpha), "force_z": -GRAVITY * math.cos(steady.alpha), "thrust": 0.0}
-    u |= {"thrust_left": 0.0, "thrust_right": 0.0}
-    return {}, {name: jnp.asarray(x, float) for name, x in u.items()}
-
-
-def _trimmed(
-    model: Model, values: Mapping[str, Any], aircraft: Aircraft, steady: Steady
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """State and inputs of level flight in trim."""
-    trim = rigid_trim(model, values, aircraft, Condition(steady.airspeed, steady.altitude))
-    u = {name: trim.controls.get(name, 0.0) for name in (*CONTROLS, "aileron", "rudder", *SURFACES)}
-    u |= {"thrust": trim.thrust, "altitude": trim.state["altitude"]}
-    u |= {f"thrust_{side}": 0.5 * trim.thrust for side in ("left", "right")}
-    x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (trim.state, u))
-    return x, u  # arrays: one program for every trim
 
 
 def _body(model: Model, values: Mapping[str, Any], aircraft: Aircraft, held: tuple[str, ...]) -> RigidBody:

@@ -51,9 +51,6 @@ FORCES = ("force_x", "force_y", "force_z")  # specific force at the centre of gr
 class FlightPath(InGusts):
     """Motion from accelerometers and gyros; `named` are its states without gusts."""
 
-    model: Model = eqx.field(static=True)
-    values: dict[str, Any]
-    aircraft: Aircraft
     named: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -81,16 +78,11 @@ class FlightPath(InGusts):
 
 @dataclass(frozen=True)
 class PathDynamics(EffectDynamics):
-    """The flight path under a model of sensor errors and of gusts.
+    """The flight path under a model of sensor errors and of gusts."""
 
-    `own` are parameters with a value for each manoeuvre; their effects must act sample by sample, as constant errors
-    do. `lengths` are the numbers of samples of the manoeuvres.
-    """
-
-    model: Model
     named: tuple[str, ...]
-    lengths: tuple[int, ...]
-    own: tuple[str, ...] = ()
+    lengths: tuple[int, ...]  # samples of the manoeuvres
+    own: tuple[str, ...] = ()  # parameters with a value for each, of effects that act sample by sample
 
     @cached_property
     def free(self) -> tuple[Parameter, ...]:
@@ -103,17 +95,14 @@ class PathDynamics(EffectDynamics):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The path, then gusts."""
         return FlightPath(self.model, {}, NO_AIRCRAFT, self.named).states
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Accelerations and rates."""
         return ("ax", "az", "q")
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """The path."""
         return self.named
 
     def values(self, theta: Any) -> dict[str, Any]:
@@ -131,21 +120,16 @@ class PathDynamics(EffectDynamics):
         return FlightPath(self.model, kept, aircraft, self.named)
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """The record corrected by the model's effects on channels.
-
-        Errors of accelerometers and gyros are corrected first, because a vane away from the centre of gravity senses
-        the true rates.
-        """
+        """Errors of accelerometers and gyros first: a vane away from the centre of gravity senses the true rates."""
         for part in self._in_order:
             channels = part.corrected(values, channels, aircraft)
         return channels
 
     @cached_property
-    def _in_order(self) -> tuple[Model, Model]:
-        """Errors of accelerometers and gyros, then the others."""
+    def _in_order(self) -> list[Model]:
         inertial = [e for e in self.model.effects if set(e.channels) <= INERTIAL]
         rest = [e for e in self.model.effects if e not in inertial]
-        return Model.of(inertial, axes=tuple(Axis)), Model.of(rest, axes=tuple(Axis))
+        return [Model.of(part, axes=tuple(Axis)) for part in (inertial, rest)]
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
@@ -166,8 +150,7 @@ def path_states(flights: Flights) -> tuple[str, ...]:
 
 
 def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
-    """The heading without jumps of a half or a full turn; None where it was not recorded, still jumps, or stands still
-    in a turn."""
+    """The heading without jumps of a half or full turn; None where not recorded, jumping, or at rest in a turn."""
     if "psi" not in flights.channels:
         return None
     ends = np.cumsum(flights.lengths)[:-1]
@@ -176,10 +159,8 @@ def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
         return None
     if {"phi", "theta", "q", "r"} <= set(flights.channels):
         seen = {"time": flights.time} | {name: flights.channels[name] for name in ("phi", "theta", "q", "r")}
-        views = zip(*(np.split(np.asarray(x), ends) for x in seen.values()), strict=True)
-        if any(
-            dead_heading(dict(zip(seen, view, strict=True)) | {"psi": x}) for view, x in zip(views, turned, strict=True)
-        ):
+        views = zip(*(np.split(np.asarray(x), ends) for x in seen.values()), turned, strict=True)
+        if any(dead_heading(dict(zip((*seen, "psi"), view, strict=True))) for view in views):
             return None
     return np.concatenate(turned)
 
@@ -211,34 +192,23 @@ MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 
 def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
-    """The flight path of these flights with the possible errors of their sensors.
-
-    Effects of the card keep the card's parameters: `vane_position` fixed stays fixed.
-
-    Returns:
-        The flights, their heading without jumps of a half or a full turn, and the dynamics.
-    """
+    """The flights, their heading without jumps, and their flight path with the possible errors of their sensors.
+    Effects of the card keep the card's parameters: `vane_position` fixed stays fixed."""
     states = path_states(flights)
     recorded = {*flights.recorded, *MARKS}
-    chosen = [
-        name
-        for name in (*COMMON, *OWN)
-        if set(CATALOGUE[name].channels) <= recorded and SHOWN_BY.get(name, states[0]) in states
-    ]
+    shown = [name for name in (*COMMON, *OWN) if SHOWN_BY.get(name, states[0]) in states]
+    chosen = [name for name in shown if set(CATALOGUE[name].channels) <= recorded]
     model = Model.of(chosen, axes=tuple(Axis))  # the path depends on all axes
     if card.linear is None:
         stated = Model.from_card(card)
         errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]
         names = {p.name for e in errors for p in e.parameters}
         known = {p.name: p for p in stated.parameters if p.name in names}
-        model = Model.of(
-            (*errors, *(e for e in model.effects if e not in errors)),
-            {name: value for name, value in stated.fixed if name in names},
-            model.axes,
-        )
+        fixed = {name: value for name, value in stated.fixed if name in names}
+        model = Model.of((*errors, *(e for e in model.effects if e not in errors)), fixed, model.axes)
         model = replace(model, parameters=tuple(known.get(p.name, p) for p in model.parameters))
     own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
     if "psi" in states:
         turned = flights.channels | {"psi": jnp.asarray(heading(flights))}
-        flights = Flights(turned, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
+        flights = replace(flights, channels=turned)
     return flights, PathDynamics(model, states, flights.lengths, own)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,19 +25,16 @@ START_SECONDS = 0.5  # s; the measured initial state is that of a straight line 
 
 
 class SegmentTrajectories(eqx.Module):
-    """Segments of flights, one a row, padded to one length with their last sample; `inside` marks the real samples.
-
-    `noise_growth`: noise of each output over that in attached flow, by sample; 1 where it is constant. `fixed`: each
-    segment starts at its first sample, except for the states given here (SI), one value for all segments or one for
-    each; None: the initial state is the measured one (see `simulate`) plus a fitted correction. Inputs are linear
-    between samples, or `held`.
-    """
+    """Segments of flights, one a row, padded to one length with their last sample. `fixed`: each segment starts at its
+    first sample, except for the states given here (SI), one value for all segments or one for each; None: the initial
+    state is the measured one (see `simulate`) plus a fitted correction. Inputs are linear between samples, or
+    `held`."""
 
     flights: Flights
     index: Int[np.ndarray, "w n"]
-    inside: Bool[np.ndarray, "w n"]
+    inside: Bool[np.ndarray, "w n"]  # the real samples
     dt: Float[np.ndarray, " w"]
-    noise_growth: Float[np.ndarray, "w n c"]
+    noise_growth: Float[np.ndarray, "w n c"]  # noise over that in attached flow; 1 where it is constant
     dynamics: Dynamics = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     begin: int = eqx.field(static=True, default=2)  # samples from which the measured initial state is read
@@ -54,6 +51,10 @@ class SegmentTrajectories(eqx.Module):
     def manoeuvre(self) -> Int[np.ndarray, " w"]:
         """Which manoeuvre each segment belongs to."""
         return self.flights.manoeuvre[self.index[:, 0]]
+
+    def only_inside(self, y: Float[Array, "w n c"]) -> Float[Array, "w n c"]:
+        """Outputs at the real samples; NaN in the padding."""
+        return jnp.where(jnp.asarray(self.inside)[:, :, None], y, jnp.nan)
 
     @property
     def growth(self) -> list[Float[np.ndarray, "_ c"]]:
@@ -73,9 +74,7 @@ class SegmentTrajectories(eqx.Module):
 
 class Simulated(NamedTuple):
     """Trajectories (w, n, ...), recorded outputs, residuals in units of the recorded channels, and initial states.
-
-    Recorded minus residual is the simulated output with the model's sensor errors.
-    """
+    Recorded minus residual is the simulated output with the model's sensor errors."""
 
     trajectory: Trajectory
     measured: Float[Array, "w n c"]
@@ -94,11 +93,9 @@ def segments(
     fixed: Mapping[str, float | Sequence[float]] | None = None,
     held: bool = False,
 ) -> SegmentTrajectories:
-    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres).
-
-    `outputs` are compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
-    `SegmentTrajectories`.
-    """
+    """Cut `manoeuvres` (default: all) into windows of about `window` s (default: whole manoeuvres). `outputs` are
+    compared with the simulation; default: all recorded ones that the dynamics make. `fixed`, `held`: see
+    `SegmentTrajectories`."""
     recorded = tuple(name for name in dynamics.outputs if name in flights.channels)
     chosen = recorded if outputs is None else tuple(outputs)
     unknown = [name for name in chosen if name not in recorded]
@@ -123,29 +120,23 @@ def segments(
     inside = np.stack([np.arange(longest) < len(row) for row in rows])
     begin = max(2, min(round(START_SECONDS / float(np.median(dts))) + 1, int(inside.sum(axis=1).min())))
     steady = np.ones((*index.shape, len(chosen)))
-    given = None if fixed is None else tuple(sorted((n, _plain(x, len(rows))) for n, x in fixed.items()))
+    given: dict[str, float | tuple[float, ...]] = {}
+    for name, x in sorted((fixed or {}).items()):
+        if not isinstance(x, float | int) and len(x) != len(rows):
+            raise InputError(f"{len(x)} initial values are given for {len(rows)} segments; give one, or one for each")
+        given[name] = float(x) if isinstance(x, float | int) else tuple(map(float, x))
+    starts = None if fixed is None else tuple(given.items())
     return SegmentTrajectories(
-        flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, given, held
+        flights, index, inside, np.array(dts), steady, dynamics, chosen, begin, substeps, starts, held
     )
-
-
-def _plain(given: float | Sequence[float], count: int) -> float | tuple[float, ...]:
-    """A fixed state, or one for each of the segments, hashable."""
-    if isinstance(given, float | int):
-        return float(given)
-    if len(given) != count:
-        raise InputError(f"{len(given)} initial values are given for {count} segments; give one, or one for each")
-    return tuple(map(float, given))
 
 
 class Prepared(NamedTuple):
     """Inputs of a simulation of the segments at one theta: system, initial states (w, b), inputs, corrected and
-    recorded outputs, and the derivatives `scale` of the corrected outputs by the recorded ones (w, n, c).
-
-    Delays of recorders are not corrected in `true`; the simulated outputs are delayed instead. Interpolating the record
-    would average its noise, least at zero delay and most at half a sample, so that a fit would prefer such a delay.
-    `sensed` is the system with delayed outputs, for a filter.
-    """
+    recorded outputs, and the derivatives `scale` of the corrected outputs by the recorded ones (w, n, c). Delays of
+    recorders are not corrected in `true`; the simulated outputs are delayed instead. Interpolating the record would
+    average its noise, least at zero delay and most at half a sample, so that a fit would prefer such a delay. `sensed`
+    is the system with delayed outputs, for a filter."""
 
     system: System
     sensed: System
@@ -174,6 +165,23 @@ class Prepared(NamedTuple):
     ) -> Float[Array, "w n c"]:
         """Variances of the noise of the corrected outputs; `R`: of the recorded outputs in attached flow, (c,)."""
         return R * (self.scale * jnp.asarray(growth)) ** 2
+
+
+def _measured_start(flown: SegmentTrajectories, channels: Mapping[str, Array]) -> Float[Array, "w b"]:
+    """Initial states: values at the first sample of a straight line through the first half second; zero where not
+    recorded. Fixed ones are the given ones, and the first sample where none is given."""
+    count = 1 if flown.fixed is not None else flown.begin
+    rows, given = flown.index[:, :count], dict(flown.fixed or ())
+    t = np.arange(count) - (count - 1) / 2.0
+    weight = jnp.asarray(1.0 / count + (t[0] * t) / (np.sum(t**2) or 1.0))
+    nothing = jnp.zeros(len(rows))
+
+    def begin(name: str) -> Array:
+        if name in given:
+            return nothing + np.array(given[name])
+        return channels[name][rows] @ weight if name in channels else nothing
+
+    return jnp.stack([begin(name) for name in flown.dynamics.start], axis=1)
 
 
 def prepare(flown: SegmentTrajectories, theta: Float[Array, " k"]) -> Prepared:
@@ -213,47 +221,12 @@ def simulate(flown: SegmentTrajectories, theta: Float[Array, " k"], departure: F
     modelled = jnp.stack([trajectory.outputs[name] for name in flown.outputs], axis=2)
     residual = (prepared.true - modelled) / prepared.scale
     if isinstance(prepared.sensed, LateOutputs):
-        residual = _late(flown, prepared.sensed.delays, prepared.measured, residual)
+        last, dt = jnp.asarray(flown.inside.sum(axis=1) - 1), jnp.asarray(flown.dt)
+        every = jnp.zeros(flown.index.shape[1], int)
+        late = jax.vmap(lambda x, back, dt, last: advance(x, back, every + dt, every, every + last), (0, None, 0, 0))
+        for c, name in enumerate(flown.outputs):  # the simulated outputs are delayed
+            if name in prepared.sensed.delays:
+                measured, back = prepared.measured[:, :, c], -jnp.asarray(prepared.sensed.delays[name])
+                shifted = late(measured - residual[:, :, c], back, dt, last)
+                residual = residual.at[:, :, c].set(measured - shifted)
     return Simulated(trajectory, prepared.measured, jnp.where(flown.inside[:, :, None], residual, 0.0), begin)
-
-
-def _late(
-    flown: SegmentTrajectories,
-    delays: Mapping[str, Any],
-    measured: Float[Array, "w n c"],
-    residual: Float[Array, "w n c"],
-) -> Float[Array, "w n c"]:
-    """Residuals with delayed recorders: the simulated outputs are delayed."""
-    last, dt = jnp.asarray(flown.inside.sum(axis=1) - 1), jnp.asarray(flown.dt)
-    for c, name in enumerate(flown.outputs):
-        if name in delays:
-            simulated = measured[:, :, c] - residual[:, :, c]
-            shifted = jax.vmap(_delayed, (0, None, 0, 0))(simulated, delays[name], dt, last)
-            residual = residual.at[:, :, c].set(measured[:, :, c] - shifted)
-    return residual
-
-
-def _delayed(x: Float[Array, " n"], seconds: Any, dt: Any, last: Any) -> Float[Array, " n"]:
-    """x(t - seconds) of one segment."""
-    every = jnp.zeros(len(x), int)
-    return advance(x, -jnp.asarray(seconds), every + dt, every, every + last)
-
-
-def _measured_start(flown: SegmentTrajectories, channels) -> Float[Array, "w b"]:
-    """Initial states: values at the first sample of a straight line through the first half second; zero where not
-    recorded.
-
-    Fixed initial states are the given ones, and the first sample where none is given.
-    """
-    if flown.fixed is not None:
-        given, first_row = dict(flown.fixed), flown.index[:, 0]
-        nothing = jnp.zeros(len(first_row))
-        own = [channels[n][first_row] if n in channels else nothing for n in flown.dynamics.start]
-        named = zip(flown.dynamics.start, own, strict=True)
-        return jnp.stack([nothing + np.array(given[n]) if n in given else x for n, x in named], axis=1)
-    count = flown.begin
-    t = np.arange(count) - (count - 1) / 2.0
-    weight = jnp.asarray(1.0 / count + (t[0] * t) / np.sum(t**2))
-    rows = flown.index[:, :count]
-    nothing = jnp.zeros(len(rows))
-    return jnp.stack([channels[n][rows] @ weight if n in channels else nothing for n in flown.dynamics.start], axis=1)

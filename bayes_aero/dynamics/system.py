@@ -54,7 +54,7 @@ class System(eqx.Module):
         return x
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
-        """Spectral density of the white noise that drives each state, (s,): unit of the state squared, per second."""
+        """Spectral density (s,) of the white noise that drives each state: unit of the state squared, per second."""
         return jnp.zeros_like(x)
 
     def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:  # noqa: ARG002
@@ -66,12 +66,19 @@ class System(eqx.Module):
         return jnp.diag(jnp.square(deviation))
 
 
-class Trajectory(NamedTuple):
-    """States (n, s), outputs by name (n,), and whether each sample was reached inside the envelope (n,).
+class OfPlain:
+    """An attribute or method of the object that this one extends, its field `plain`."""
 
-    From the sample at which the simulation leaves the envelope, the last state inside is held, so that all values are
-    finite.
-    """
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        return self if instance is None else getattr(instance.plain, self.name)
+
+
+class Trajectory(NamedTuple):
+    """States (n, s), outputs by name (n,), and whether each sample was reached inside the envelope (n,). From the
+    sample at which the simulation leaves the envelope, the last state inside is held, so that all values are finite."""
 
     states: Float[Array, "n s"]
     outputs: dict[str, Float[Array, " n"]]
@@ -89,11 +96,9 @@ def integrate(
     held: bool = False,
 ) -> Trajectory:
     """Fourth-order Runge-Kutta at the sample time `dt` (s), or `substeps` times finer; inputs linear between samples.
-
     Inputs that are `held` keep each sample's value until the next one (zero-order hold). Fixed steps suffice for
     flight, where the largest eigenvalue is about 7 /s. A fast state (the lag of the separation point) needs `substeps`.
-    `outputs` are those to return (default: all). Only forward derivatives are defined, by system, start and inputs.
-    """
+    `outputs` are those to return (default: all). Only forward derivatives are defined, by system, start and inputs."""
     now = {name: jnp.asarray(x) for name, x in inputs.items()}
     every = jax.eval_shape(lambda x, u: motion(system, x, u), start, {name: x[0] for name, x in now.items()})[1]
     chosen = tuple(every if outputs is None else outputs)
@@ -102,20 +107,18 @@ def integrate(
 
 def advance(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int) -> Array:
     """The state a sample later."""
-    return _stages(system, x, now, then, dt, substeps, lambda _: None)[0]
+    return _stages(system, x, now, then, dt, substeps, lambda *_: None)[0]
 
 
 def step(system: System, x: Any, now: Row, then: Row, dt: Any) -> tuple[Array, dict[str, Any]]:
     """The state a sample later, and the outputs now."""
-    after, found = _stages(system, x, now, then, dt, 1, lambda outputs: outputs)
+    after, found = _stages(system, x, now, then, dt, 1, lambda _, outputs: outputs)
     return after, {name: y[0] for name, y in found.items()}
 
 
 def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int, read: Any) -> tuple[Array, Any]:
-    """The state one sample later, and `read` of the outputs at every stage.
-
-    The stages are a loop, so that the motion is compiled only once.
-    """
+    """The state one sample later, and `read` of the state and the outputs at every stage. The stages are a loop, so
+    that the motion is compiled only once."""
     h = dt / substeps
 
     def one_sample(carry, stage):
@@ -125,7 +128,7 @@ def _stages(system: System, x: Any, now: Row, then: Row, dt: Any, substeps: int,
         gathered = gathered + weight * k
         begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
         ahead = jnp.where(last, 0.0, ahead)
-        return (begin, jnp.where(last, 0.0, gathered), begin + ahead * h * k), read(outputs)
+        return (begin, jnp.where(last, 0.0, gathered), begin + ahead * h * k), read(point, outputs)
 
     (after, _, _), found = jax.lax.scan(one_sample, (x, jnp.zeros_like(x), x), stage_table(substeps))
     return after, found
@@ -204,10 +207,8 @@ def stage_table(substeps: int) -> tuple[Array, Array, Array, Array]:
 
 @lru_cache
 def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
-    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction.
-
-    Under `jax.vmap` segments are joined along the segments' axis, directions along the directions' axis.
-    """
+    """Derivative of states (w, n, s) and `outputs` (w, n) of w segments in one direction. Under `jax.vmap` segments are
+    joined along the segments' axis, directions along the directions' axis."""
 
     @jax.custom_batching.custom_vmap
     def tangent(system, x, inside, inputs, dt, t_system, t_start, t_inputs):
@@ -220,13 +221,18 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
         (system, *flight, t_system, t_start, t_inputs), marks = arguments, jax.tree.map(bool, batched)
         alike = not any(jax.tree.leaves(marks[0]))
         if alike and not any(jax.tree.leaves(marks[:5])):  # directions
-            x, inside, inputs, dt = flight
-            towards = tuple(_last(t, m, size) for t, m in zip(arguments[5:], marks[5:], strict=True))
-            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
+            wide = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
+            towards = tuple(jax.tree.map(wide, t, m) for t, m in zip(arguments[5:], marks[5:], strict=True))
+            found = _along(system, *flight, towards, substeps, outputs, held)
             found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
         elif alike and not any(jax.tree.leaves(marks[5])):  # segments
+
+            def end_to_end(t, m):
+                t = t if m else jnp.broadcast_to(t, (size, *t.shape))
+                return t.reshape(-1, *t.shape[2:])
+
             trees, known = (*flight, t_start, t_inputs), (*marks[1:5], *marks[6:])
-            own = [_laid(t, m, size) for t, m in zip(trees, known, strict=True)]
+            own = [jax.tree.map(end_to_end, t, m) for t, m in zip(trees, known, strict=True)]
             found = tangent(system, *own[:4], t_system, *own[4:])
             found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)
         else:
@@ -235,22 +241,6 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
         return found, jax.tree.map(lambda _: True, found)
 
     return tangent
-
-
-def _last(tree: Any, marks: Any, size: int) -> Any:
-    """Move directions from the first axis to the last; repeat where there is no such axis."""
-    give = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
-    return jax.tree.map(give, tree, marks)
-
-
-def _laid(tree: Any, marks: Any, size: int) -> Any:
-    """Merge a new axis of segments with the existing one."""
-
-    def give(t, m):
-        wide = t if m else jnp.broadcast_to(t, (size, *t.shape))
-        return wide.reshape(-1, *wide.shape[2:])
-
-    return jax.tree.map(give, tree, marks)
 
 
 def _along(
@@ -267,13 +257,12 @@ def _along(
     """In d directions `towards`, of the system's numbers (..., d), the start (w, s, d) and inputs (w, n, d)."""
     t_system, t_start, t_inputs = towards
     (w, n, _), directions = x.shape, t_start.shape[-1]
-    h = (dt / substeps)[:, None, None]
-    shares, *table = stage_table(substeps)
+    shares, then = stage_table(substeps)[0], later(inputs, held)
     at = lambda now, then: jax.vmap(lambda r: between(now, then, r))(shares)  # noqa: E731
-    u = at(inputs, later(inputs, held))  # m w n
+    u = at(inputs, then)  # m w n
     t_first = {name: jnp.moveaxis(t, -1, 0) for name, t in t_inputs.items()}
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
-    points = stage_points(system, x, u, h, table)[0]
+    points = stage_points(system, x, inputs, then, dt, substeps)[0]
     read = tuple(name for name in outputs if name not in system.state_outputs)
     dynamic, static = eqx.partition(
         system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
@@ -288,7 +277,8 @@ def _along(
 
             size, back = jax.vjp(all_of, x, dynamic, {name: u[name] for name in t_u})
             by_x, by_system, by_u = jax.vmap(back)(jnp.eye(len(size)))
-            return by_x, _flat(by_system, len(size)), by_u
+            flat = [jnp.zeros((len(size), 0)), *(y.reshape(len(size), -1) for y in jax.tree.leaves(by_system))]
+            return by_x, jnp.concatenate(flat, axis=1), by_u
 
         return jax.vmap(at)
 
@@ -316,31 +306,24 @@ def _along(
     return dx, found
 
 
-def _flat(tree: Any, rows: int) -> Float[Array, "r p"]:
-    """All leaves (r, ...) side by side."""
-    return jnp.concatenate([jnp.zeros((rows, 0)), *(y.reshape(rows, -1) for y in jax.tree.leaves(tree))], axis=1)
-
-
 def stage_points(
-    system: Any, x: Float[Array, "w n s"], u: Channels, h: Any, table: Sequence[Array]
+    system: Any, x: Float[Array, "w n s"], now: Channels, then: Channels, dt: Float[Array, " w"], substeps: int
 ) -> tuple[Float[Array, "m w n s"], Float[Array, "w n s"]]:
-    """States at all Runge-Kutta stages, all samples at once, and those a sample later.
-
-    `u`: inputs at the stages, (m, w, n); `h`: time of a Runge-Kutta step, s; `table`: steps, weights and ends of
-    `stage_table`.
-    """
-    slope = jax.vmap(jax.vmap(lambda x, u: motion(system, x, u)[0]))
-
-    def one_stage(carry, stage):
-        begin, gathered, point = carry
-        u, ahead, weight, last = stage
-        k = slope(point, u)
-        gathered = gathered + weight * k
-        begin = jnp.where(last, begin + h / 6.0 * gathered, begin)
-        return (begin, jnp.where(last, 0.0, gathered), begin + jnp.where(last, 0.0, ahead) * h * k), point
-
-    (after, *_), points = jax.lax.scan(one_stage, (x, jnp.zeros_like(x), x), (u, *table))
+    """States at all m Runge-Kutta stages, all samples at once, and those a sample later; inputs (w, n)."""
+    one = lambda x, now, then, dt: _stages(system, x, now, then, dt, substeps, lambda point, _: point)  # noqa: E731
+    after, points = jax.vmap(jax.vmap(one, (0, 0, 0, None), (0, 1)), out_axes=(0, 1))(x, now, then, dt)
     return points, after
+
+
+def linear_step(A: Float[Array, "m *n s s"], b: Float[Array, "m *n s d"], dx: Float[Array, "*n s d"], h: Any) -> Array:
+    """A small change of the state one sample later, from the derivatives of the motion at its m stages."""
+    slope = lambda i, x: jnp.sum(A[i][..., None] * x[..., None, :, :], axis=-2) + b[i]  # noqa: E731
+    for i in range(0, len(A), len(NODES)):
+        k1 = slope(i, dx)
+        k2 = slope(i + 1, dx + 0.5 * h * k1)
+        k3 = slope(i + 2, dx + 0.5 * h * k2)
+        dx = dx + h / 6.0 * (k1 + 2.0 * (k2 + k3) + slope(i + 3, dx + h * k3))
+    return dx
 
 
 def _recurrence(
@@ -348,24 +331,9 @@ def _recurrence(
 ) -> Float[Array, "w n s d"]:
     """Sensitivities of the states from those of the motion at every stage."""
 
-    def slope(A, b, dx):
-        return jnp.sum(A[..., None] * dx, axis=1) + b
-
     def along(segment):
         A, b, begin, h = segment
-
-        def one_stage(dx, row):
-            A, b = row
-            new = dx
-            for i in range(0, A.shape[0], 4):
-                k1 = slope(A[i], b[i], new)
-                k2 = slope(A[i + 1], b[i + 1], new + 0.5 * h * k1)
-                k3 = slope(A[i + 2], b[i + 2], new + 0.5 * h * k2)
-                k4 = slope(A[i + 3], b[i + 3], new + h * k3)
-                new = new + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-            return new, dx
-
-        return jax.lax.scan(one_stage, begin, (A, b))[1]
+        return jax.lax.scan(lambda dx, row: (linear_step(*row, dx, h), dx), begin, (A, b))[1]
 
     # One segment after the other: of many at once XLA makes slower code for the small products.
     return jax.lax.map(along, (A, b, begin, h))

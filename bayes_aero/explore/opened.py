@@ -33,30 +33,19 @@ from bayes_aero.report.text.phrases import for_people, plain_unit
 
 
 @dataclass(frozen=True)
-class Opened:
-    """A result of identify, fly or diagnose. SI and radians.
-
-    Attributes:
-        folder: of the result.
-        command: identify, fly or diagnose.
-        identified: the model with its values.
-        card: with which the result was made.
-        records: flights of the result.
-        told: what the result says.
-        errors: standard errors by parameter, where the result has them.
-        departures: by manoeuvre and state, what was fitted to its measured value at the first sample; empty: the
-            initial states are the measured ones.
-        checks: of the records.
-    """
+class OpenedResult:
+    """A result of identify, fly or diagnose. SI and radians."""
 
     folder: Path
-    command: str
+    command: str  # identify, fly or diagnose
     identified: Finished
-    card: Card
+    card: Card  # with which the result was made
     records: Sequence[FlightRecord]
-    told: Mapping[str, Any]
-    errors: Mapping[str, float]
+    told: Mapping[str, Any]  # what the result says
+    errors: Mapping[str, float]  # standard errors by parameter, where the result has them
     departures: Mapping[str, Mapping[str, float]]
+    """By manoeuvre and state, what was fitted to its measured value at the first sample; empty: the initial states are
+    the measured ones."""
     checks: RecordChecks
 
     @property
@@ -87,7 +76,7 @@ class Opened:
             )
         return tuple(said)
 
-    def groups(self, added: tuple[str, ...] = ()) -> tuple[Group, ...]:
+    def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
         """The sliders, with those of the effects that are `added`."""
         found = self.identified
         if isinstance(found, IdentifiedLinear):
@@ -103,17 +92,8 @@ class Opened:
 COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
 
 
-def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> Opened:
-    """Read a result, its card and its records.
-
-    Args:
-        given: folder or file of the result.
-        card: the card, where it is not found by itself.
-        folders: where the records are, where they are not found by themselves.
-
-    Raises:
-        InputError: there is no result, its fit did not converge, or the card or a record has changed or is not found.
-    """
+def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> OpenedResult:
+    """Read the result in a folder or file, its card and its records, which may lie in `folders`."""
     file = result_file(given)
     if file is None:
         raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
@@ -123,40 +103,33 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     whose = card_of(told["provenance"], file, card)
     command = COMMANDS[told["schema"].split("/")[1]]
     try:
-        records = fitted_records(
-            told["provenance"], file, whose, remedy="give its folder with --records", folders=folders
-        )
-        known = _errors(told, command), _departures(told, command)
+        remedy = "give its folder with --records"
+        records = fitted_records(told["provenance"], file, whose, remedy=remedy, folders=folders)
+        known = _fitted_numbers(told, command)
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
             raise
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
     checks = record_checks(records, whose, seed=0, seek=False)
-    return Opened(folder, command, identified, whose, records, told, *known, checks)
+    return OpenedResult(folder, command, identified, whose, records, told, *known, checks)
 
 
-def _errors(told: Mapping[str, Any], command: str) -> dict[str, float]:
-    """Standard errors, the residuals' autocorrelation counted."""
+def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Standard errors, the residuals' autocorrelation counted, and departures of the initial states of output error."""
+    departures: dict[str, dict[str, float]] = {}
     if command == "identify":
         found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
     elif command == "fly":
         found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
-        if with_process_noise(told):
+        if with_process_noise(told):  # whose fit has no initial states
             found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
+        else:
+            for manoeuvre, states in told["initial_states"].items():
+                departures[manoeuvre] = {name: float(state["departure"]) for name, state in states.items()}
     else:
         found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
         found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
-    return {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
-
-
-def _departures(told: Mapping[str, Any], command: str) -> dict[str, dict[str, float]]:
-    """Those of output error; the values of a fit with process noise have no fitted initial states."""
-    if command != "fly" or with_process_noise(told):
-        return {}
-    return {
-        manoeuvre: {name: float(state["departure"]) for name, state in states.items()}
-        for manoeuvre, states in told["initial_states"].items()
-    }
+    return {name: float(x) for name, x in found.items() if x is not None and x > 0.0}, departures
 
 
 # --- What is chosen on the page: values, effects that are off, effects that are added, and the model of it.
@@ -172,10 +145,8 @@ class Choice:
 
 
 def shown_effects(model: Model, added: Sequence[str] = ()) -> tuple[Effect, ...]:
-    """Effects of a model that can be switched off, and the added ones: those with parameters that a simulation without
-    noise follows, not fixed at neutral."""
-    wider = with_added(model, added)
-    return tuple(e for e in wider.acting if e.parameters and e.disturbance is None)
+    """Effects that can be switched off: with parameters that a simulation without noise follows, not at neutral."""
+    return tuple(e for e in with_added(model, added).acting if e.parameters and e.disturbance is None)
 
 
 def addable(model: Model, channels: Sequence[str]) -> tuple[Effect, ...]:
@@ -197,11 +168,9 @@ def addable(model: Model, channels: Sequence[str]) -> tuple[Effect, ...]:
 
 
 def flown_model(model: Model, choice: Choice) -> Model:
-    """The model that is flown: every parameter of the effects that act is free, and nothing else is there.
-
-    A lag that is off is left out: its separation point would be a state with the least lag. So are random processes,
-    which a simulation without noise does not follow, and effects that the card fixes at neutral.
-    """
+    """The model that is flown: every parameter of the effects that act is free, and nothing else is there. A lag that
+    is off is left out: its separation point would be a state with the least lag. So are random processes, which a
+    simulation without noise does not follow, and effects that the card fixes at neutral."""
     wider = with_added(model, choice.added)
     neutral = {p.name: p.neutral for e in wider.effects for p in e.parameters}
     gone = {e.name for e in wider.acting if e.stage is Stage.LAG and e.name in choice.off}
@@ -213,13 +182,7 @@ def flown_model(model: Model, choice: Choice) -> Model:
 
 
 def values_of(model: Model, values: Mapping[str, float], choice: Choice) -> dict[str, float]:
-    """Values of the model's parameters, SI: chosen, else the result's, else where a fit begins; neutral where off.
-
-    Args:
-        model: of `flown_model`.
-        values: of the result.
-        choice: what was chosen.
-    """
+    """Of a `flown_model`, SI: chosen values, else the result's `values`, else where a fit begins; neutral where off."""
     found = {p.name: choice.values.get(p.name, values.get(p.name, p.start)) for p in model.parameters}
     for e in model.effects:
         for p in e.parameters:
@@ -243,12 +206,8 @@ def with_added(model: Model, added: Sequence[str]) -> Model:
 FOLDER = "exports"
 
 
-def chosen_model(opened: Opened, choice: Choice, values: Mapping[str, float]) -> Identified:
-    """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral.
-
-    Raises:
-        InputError: it is a linear system.
-    """
+def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, float]) -> Identified:
+    """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
     identified = opened.identified
     if isinstance(identified, IdentifiedLinear):
         raise InputError(LIMITS.removesuffix("."))
@@ -257,43 +216,26 @@ def chosen_model(opened: Opened, choice: Choice, values: Mapping[str, float]) ->
     every = {p.name: identified.values.get(p.name, p.neutral) for p in model.parameters} | dict(values) | off
     every = {p.name: every[p.name] for p in model.parameters}
     fixed = {name: every[name] for name in (*dict(model.fixed), *off)}
-    said = _changes(identified, choice, every, off)
-    return replace(
-        identified,
-        model=replace(model, fixed=tuple(fixed.items())),
-        values=every,
-        sources=(*identified.sources, said) if said else identified.sources,
-    )
+    changes, before = [], identified.values
+    for name, x in sorted(every.items(), key=lambda row: row[0] not in before):  # what was moved, then what is new
+        if name not in off and x != before.get(name):
+            changes.append(f"{name} = {x:.10g} ({f'was {before[name]:.10g}' if name in before else 'new'})")
+    changed = ", ".join((*changes, *(f"{name} off" for name in sorted(choice.off))))
+    said = f"Changed by hand with open, SI and radians: {changed}. These values are no estimates."
+    sources = (*identified.sources, *((said,) if changed else ()))
+    return replace(identified, model=replace(model, fixed=tuple(fixed.items())), values=every, sources=sources)
 
 
-def export_chosen(opened: Opened, choice: Choice, values: Mapping[str, float], form: str) -> tuple[Path, list[str]]:
-    """Write the chosen model into a new folder below the result; what is there stays.
-
-    Returns:
-        The folder, and its files.
-
-    Raises:
-        InputError: the model has no counterpart in this form, or the folder cannot be written.
-    """
+def export_chosen(
+    opened: OpenedResult, choice: Choice, values: Mapping[str, float], form: str
+) -> tuple[Path, list[str]]:
+    """Write the chosen model into a new folder below the result; that folder and its files. What is there stays."""
     found = chosen_model(opened, choice, values)
     root = opened.folder / FOLDER
     names = (f"{found.name}_{form}{'' if k == 1 else f'_{k}'}" for k in count(1))
     target = next(root / name for name in names if not (root / name).exists() and not (root / name).is_symlink())
     facts = write_export(found, form, target)
     return target, facts["files"]
-
-
-def _changes(identified: Identified, choice: Choice, now: Mapping[str, float], off: Mapping[str, float]) -> str:
-    """What was changed by hand; nothing where nothing was."""
-    moved = [
-        f"{name} = {x:.10g} (was {identified.values[name]:.10g})"
-        for name, x in now.items()
-        if name not in off and name in identified.values and x != identified.values[name]
-    ]
-    new = [f"{name} = {x:.10g} (new)" for name, x in now.items() if name not in identified.values and name not in off]
-    gone = [f"{name} off" for name in sorted(choice.off)]
-    changed = ", ".join((*moved, *new, *gone))
-    return f"Changed by hand with open, SI and radians: {changed}. These values are no estimates." if changed else ""
 
 
 # --- A linear system on the page: a group of sliders for each of its rows.
@@ -304,13 +246,8 @@ LIMITS = (
 )
 
 
-def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[Group, ...]:
-    """The parameters of each row, every parameter once, with the row that the card writes first.
-
-    Args:
-        found: the system with its values.
-        errors: standard errors, SI, where they are known.
-    """
+def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
+    """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
     rows, free = found.rows, {p.name: p for p in found.fitted.free}
     many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
     titles = [f"rate of {name}" for name in rows.states] + [f"output {name}" for name in rows.outputs]
@@ -320,12 +257,10 @@ def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple
     for title, part in zip(titles, parts, strict=True):
         names = [n for parameter in part for n in many.get(parameter, [parameter]) if n in free and n not in seen]
         seen |= {*names}
-        sliders = []
-        for name in dict.fromkeys(names):
-            p, value = free[name], found.values[name]
-            sliders.append(slider(p, value, errors.get(name, 0.0), abs(p.start) or 1.0))
+        own = [free[n] for n in dict.fromkeys(names)]
+        sliders = tuple(slider(p, found.values[p.name], errors.get(p.name, 0.0), abs(p.start) or 1.0) for p in own)
         if sliders:
-            groups.append(Group(title, f"{title} of the linear system", False, tuple(sliders), switch=False))
+            groups.append(SliderGroup(title, f"{title} of the linear system", False, sliders, switch=False))
     return tuple(groups)
 
 
@@ -338,9 +273,7 @@ SHARE = 0.3  # of the value, at least: a parameter known to 0.1 % still moves so
 @dataclass(frozen=True)
 class Slider:
     """A parameter in the unit in which people read it: where it begins, its standard error (0: unknown), its range.
-
-    `factor` converts SI to this unit.
-    """
+    `factor` converts SI to this unit."""
 
     name: str
     unit: str
@@ -353,7 +286,7 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class Group:
+class SliderGroup:
     """An effect with its sliders; `added`: it is not part of the result's model; `switch`: it can be switched off."""
 
     name: str
@@ -365,30 +298,21 @@ class Group:
 
 def groups_of(
     model: Model, values: Mapping[str, float], errors: Mapping[str, float], added: Sequence[str] = ()
-) -> tuple[Group, ...]:
-    """Every effect that can be switched off, with its sliders.
-
-    Args:
-        model: of the result.
-        values: its parameters, SI.
-        errors: standard errors, SI, where they are known.
-        added: names of effects to add.
-    """
+) -> tuple[SliderGroup, ...]:
+    """Every effect that can be switched off, with its sliders; values and standard `errors` in SI."""
     choice = Choice(added=tuple(added))
-    begin = values_of(flown_model(model, choice), values, choice)
-    known = {p.name: p for p in flown_model(model, choice).parameters}
-    return tuple(
-        Group(
-            e.name,
-            e.claim,
-            e.name in added,
-            tuple(
-                slider(known[p.name], begin[p.name], errors.get(p.name, 0.0), _largest(known[p.name], e))
-                for p in e.parameters
-            ),
-        )
-        for e in shown_effects(model, added)
-    )
+    flown = flown_model(model, choice)
+    begin, known = values_of(flown, values, choice), {p.name: p for p in flown.parameters}
+    groups = []
+    for e in shown_effects(model, added):
+        sliders = []
+        for p in (known[p.name] for p in e.parameters):
+            largest = e.sizes.get(p.name, (0.0, 0.0))[1]  # plausible departure from neutral
+            if not math.isfinite(p.neutral) or largest <= 0.0:
+                largest = abs(p.start) or 1.0
+            sliders.append(slider(p, begin[p.name], errors.get(p.name, 0.0), largest))
+        groups.append(SliderGroup(e.name, e.claim, e.name in added, tuple(sliders)))
+    return tuple(groups)
 
 
 def slider(p: Parameter, value: float, error: float, largest: float) -> Slider:
@@ -398,11 +322,3 @@ def slider(p: Parameter, value: float, error: float, largest: float) -> Slider:
     unit, factor = for_people(p.unit)
     shown = (factor * x for x in (value, error, low, high))
     return Slider(p.name, plain_unit(unit), factor, p.description, *shown)
-
-
-def _largest(p: Parameter, effect: Effect) -> float:
-    """The largest plausible departure from neutral, for a parameter without a standard error."""
-    size = effect.sizes.get(p.name, (0.0, 0.0))[1]
-    if math.isfinite(p.neutral) and size > 0.0:
-        return size
-    return 1.0 if p.start == 0.0 else abs(p.start)

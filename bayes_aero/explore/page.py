@@ -50,7 +50,7 @@ class Exchange(DataModel):
     told = String("")
 
 
-class Page:
+class ExplorePage:
     """A document with its state."""
 
     def __init__(self, simulator: Simulator, document: Document) -> None:
@@ -73,43 +73,38 @@ class Page:
         left.tags = [self.exchange]
         self.exchange.on_change("asked", self._asked)
         self.answer(Asked())
+        facts = {
+            "style": _part("page.css"),
+            "script": _part("page.js"),
+            "heading": self.opened.title,
+            "aircraft": self.opened.identified.title,
+            "version": __version__,
+            "manoeuvres": simulator.manoeuvres,
+            "addable": [(e.name, e.claim) for e in self.opened.addable(tuple(simulator.flights.channels))],
+            "limits": self.opened.limits,
+            "linear": self.opened.linear,
+            "forms": tuple(FORMS),
+            "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
+            "sources": self.opened.identified.sources,
+            "start": "as fitted" if self.opened.departures else "as measured",
+            "draws": DRAWS,
+            "most": MOST,
+            "most_fan": MOST_FAN,
+        }
         document.title = self.opened.title
         document.add_root(left)
         document.add_root(right)
         document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
-        document.template_variables.update(self._facts())
+        document.template_variables.update(facts)
         start = CustomJS(
             args={"exchange": self.exchange, "time": self.shared.time}, code="explore.start(exchange, time)"
         )
         document.js_on_event("document_ready", start)
 
-    def _view(self, name: str, *, recorded: bool = False) -> View:
+    def _view(self, name: str, *, recorded: bool = False) -> TimePanel:
         """`recorded`: nothing is compared with it, so that it has no tolerance."""
         unit, band = self.units.get(name, "1"), None if recorded else self.tolerances.get(name)
-        return View(name, axis_label(name, unit), for_people(unit)[1], self.shared, band)
-
-    def _facts(self) -> dict[str, Any]:
-        """What the template shows."""
-        opened = self.opened
-        have = self.simulator.flights.channels
-        return {
-            "style": _part("page.css"),
-            "script": _part("page.js"),
-            "heading": opened.title,
-            "aircraft": opened.identified.title,
-            "version": __version__,
-            "manoeuvres": self.simulator.manoeuvres,
-            "addable": [(e.name, e.claim) for e in opened.addable(tuple(have))],
-            "limits": opened.limits,
-            "linear": opened.linear,
-            "forms": tuple(FORMS),
-            "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
-            "sources": opened.identified.sources,
-            "start": "as fitted" if opened.departures else "as measured",
-            "draws": DRAWS,
-            "most": MOST,
-            "most_fan": MOST_FAN,
-        }
+        return TimePanel(name, axis_label(name, unit), for_people(unit)[1], self.shared, band)
 
     def _asked(self, _attribute: str, _old: str, new: str) -> None:
         """Whatever is asked gets an answer: the browser waits for it before it asks again."""
@@ -125,11 +120,7 @@ class Page:
             self.exchange.update(told=json.dumps({"id": number, "error": told}))
 
     def answer(self, asked: Asked) -> None:
-        """Fly, draw and tell what is asked.
-
-        Raises:
-            InputError: there is no such manoeuvre, or an added effect cannot be simulated through it.
-        """
+        """Fly, draw and tell what is asked."""
         begin = clock.perf_counter()
         choice = self._choice(asked)
         before = self.simulator.result(asked.manoeuvre)
@@ -145,13 +136,14 @@ class Page:
                 exported = f"Exported to {folder}: {', '.join(files)}."
         except InputError as reason:
             failed = f"{reason}."
+        left = "" if now.inside.all() else f"The simulation leaves the envelope at {time[np.argmin(now.inside)]:.1f} s."
         told = {
             "id": asked.id,
             "window": [float(time[0]), float(time[-1])],
-            "groups": self._groups(choice),
+            "groups": [asdict(group) for group in self.opened.groups(choice.added)],
             "scores": self._scores(asked.manoeuvre, window, before, now),
             "gain": self._gain(asked.manoeuvre, window, before, now),
-            "note": self._note(time, now),
+            "note": " ".join(filter(None, (left, self.simulator.no_coefficients))),
             "said": said,
             "exported": exported,
             "fan": self.fanned is not None,
@@ -171,10 +163,6 @@ class Page:
         values = {name: x / factors[name] for name, x in asked.values.items() if name in factors}
         return Choice(values, frozenset(asked.off) & {group.name for group in groups if group.switch}, added)
 
-    def _groups(self, choice: Choice) -> list[dict[str, Any]]:
-        """The sliders, for the browser to build."""
-        return [asdict(group) for group in self.opened.groups(choice.added)]
-
     def _draw(self, asked: Asked, time: np.ndarray, window: np.ndarray, before: Flown, now: Flown) -> None:
         """What is flown now always; record and result where manoeuvre or window have changed."""
         at, recorded = time[window], self.simulator.recorded(asked.manoeuvre)
@@ -184,7 +172,9 @@ class Page:
                 view.draw_record(at, recorded[view.name][window])
             for view in self.inputs:
                 view.fit([recorded[view.name][window]])
-            for view, old, truth in self._pairs(before, recorded):
+            for view in (*self.outputs, *self.coefficients):
+                old = {**before.simulated, **before.coefficients}[view.name]
+                truth = recorded[view.name] if view in self.outputs else before.formed.get(view.name, old)
                 view.draw_before(at, old[window])
                 view.fit([truth[window], old[window]])
             begin, end = asked.window or (float(time[0]), float(time[-1]))
@@ -197,14 +187,6 @@ class Page:
             if formed is not None and (place != self.drawn or not np.array_equal(formed, self.formed[view.name])):
                 view.draw_record(at, formed[window])
         self.drawn, self.formed = place, now.formed
-
-    def _pairs(self, before: Flown, recorded: Parts) -> list[tuple[View, np.ndarray, np.ndarray]]:
-        """Panels with the result and what it is compared with."""
-        found = [(view, before.simulated[view.name], recorded[view.name]) for view in self.outputs]
-        for view in self.coefficients:
-            modelled = before.coefficients[view.name]
-            found.append((view, modelled, before.formed.get(view.name, modelled)))
-        return found
 
     def _fanned(self, asked: Asked, time: np.ndarray, window: np.ndarray) -> str:
         """Draw the fan, or remove it, where it has changed; where its draws come from."""
@@ -247,17 +229,12 @@ class Page:
         inflation = told.get("variance_inflation") or told.get("trajectories", {}).get("variance_inflation") or 1.0
         return {"nats": gain(recorded, before.simulated, now.simulated, window, sd, inflation), "inflation": inflation}
 
-    def _note(self, time: np.ndarray, now: Flown) -> str:
-        """Where the simulation has left its envelope, and what is not shown."""
-        left = "" if now.inside.all() else f"The simulation leaves the envelope at {time[np.argmin(now.inside)]:.1f} s."
-        return " ".join(filter(None, (left, self.simulator.no_coefficients)))
-
 
 def page_of(simulator: Simulator) -> Callable[[Document], None]:
     """What fills the document of each visitor."""
 
     def fill(document: Document) -> None:
-        Page(simulator, document)
+        ExplorePage(simulator, document)
 
     return fill
 
@@ -286,11 +263,7 @@ class Asked:
 
 
 def read_asked(text: str) -> Asked:
-    """The state from the browser's JSON.
-
-    Raises:
-        InputError: it is not what the page sends.
-    """
+    """The state from the browser's JSON."""
     try:
         if len(text) > MOST_CHARACTERS:
             raise ValueError("it is too long")
@@ -359,13 +332,8 @@ def gain(
 ) -> float:
     """Change of the log likelihood from the result to now, nats.
 
-    Args:
-        recorded: outputs (n,).
-        before: simulated by the result.
-        now: simulated now.
-        window: samples that count.
-        deviations: standard deviation of the normal residuals of each output that counts.
-        inflation: samples that count for one, because residuals are coloured.
+    `deviations`: standard deviation of the normal residuals of each output that counts; `inflation`: samples that count
+    for one, because residuals are coloured.
 
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, eq. 4.11, with a diagonal covariance.
@@ -410,11 +378,9 @@ class Shared:
         self.now.update(data={k: np.pad(x, (0, n - len(x)), constant_values=np.nan) for k, x in every.items()})
 
 
-class View:
+class TimePanel:
     """One panel. `factor` converts SI to the unit of its label, `band` (SI) is the tolerance about the measurement.
-
-    What is flown now has one source for all panels, so that a step is one message to the browser.
-    """
+    What is flown now has one source for all panels, so that a step is one message to the browser."""
 
     def __init__(self, name: str, label: str, factor: float, shared: Shared, band: float | None) -> None:
         """An empty panel."""
@@ -425,24 +391,19 @@ class View:
         self.columns = f"t {name}", f"y {name}"
         self.fan = ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
         self.range = Range1d(start=0.0, end=1.0)
-        self.figure = self._figure(shared)
-
-    def _figure(self, shared: Shared) -> Any:
         box = BoxZoomTool(dimensions="width")
         wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
-        f = figure(
+        borders = {"min_border_left": 62, "min_border_right": 6, "min_border_top": 3, "min_border_bottom": 3}
+        f = self.figure = figure(
             x_range=shared.time,
             y_range=self.range,
-            y_axis_label=self.label,
+            y_axis_label=label,
             sizing_mode="stretch_both",
             min_height=LEAST,
             tools=[box, wheel, CrosshairTool(overlay=shared.cross)],
             active_drag=box,
             toolbar_location=None,
-            min_border_left=62,
-            min_border_right=6,
-            min_border_top=3,
-            min_border_bottom=3,
+            **borders,
         )
         if self.band is not None:
             f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
@@ -455,35 +416,33 @@ class View:
         before = {"color": COLOURS["before"], "line_dash": "dashed", "line_width": 1.4, "level": "overlay"}
         f.line("t", "y", source=self.before, **before)
         for line, (at, value) in ((now, self.columns), (shown, ("t", "y"))):
-            tips = [("t", f"@{{{at}}}{{0.00}} s"), (self.label, f"@{{{value}}}{{0.[0000]}}")]
+            tips = [("t", f"@{{{at}}}{{0.00}} s"), (label, f"@{{{value}}}{{0.[0000]}}")]
             f.add_tools(HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
-        return f
 
     def draw_record(self, time: Curve, y: Curve) -> None:
         """The measurement, with its tolerance."""
-        y = self.factor * y
-        index = extremes([y], MOST)
-        columns = {"t": time[index], "y": _drawable(y[index])}
+        t, y = self._drawable(time, y)
         half = self.band or 0.0
-        self.record.update(data=columns | {"low": columns["y"] - half, "high": columns["y"] + half})
+        self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
 
     def draw_before(self, time: Curve, y: Curve) -> None:
         """The result."""
-        y = self.factor * y
-        index = extremes([y], MOST)
-        self.before.update(data={"t": time[index], "y": _drawable(y[index])})
+        self.before.update(data=dict(zip(("t", "y"), self._drawable(time, y), strict=True)))
 
     def line_now(self, time: Curve, y: Curve) -> dict[str, np.ndarray]:
         """The columns of what is flown now."""
-        y = self.factor * y
-        index = extremes([y], MOST)
-        return dict(zip(self.columns, (time[index], _drawable(y[index])), strict=True))
+        return dict(zip(self.columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
         """Draws; none removes them."""
-        chosen = [(extremes([self.factor * y], MOST_FAN), self.factor * y) for y in draws]
-        ys = [_drawable(y[index]) for index, y in chosen]
-        self.fan.update(data={"xs": [time[index] for index, _ in chosen], "ys": ys})
+        lines = [self._drawable(time, y, MOST_FAN) for y in draws]
+        self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
+
+    def _drawable(self, time: Curve, y: Curve, most: int = MOST) -> tuple[Curve, Curve]:
+        """A line in the panel's unit that a canvas can take; values of a diverged simulation are gaps."""
+        y = self.factor * y
+        index = extremes([y], most)
+        return time[index], np.where(np.abs(y[index]) < FARTHEST, y[index], np.nan)
 
     def fit(self, shown: Sequence[Curve]) -> None:
         """A vertical scale for the measurement (first) and the result; what is flown now cannot flatten them."""
@@ -492,7 +451,7 @@ class View:
         self.range.update(start=found.start, end=found.end)
 
 
-def stacked(views: Sequence[View], name: str) -> Column:
+def stacked(views: Sequence[TimePanel], name: str) -> Column:
     """Panels below each other, the time axis below the last."""
     for view in views:
         last = view is views[-1]
@@ -501,11 +460,6 @@ def stacked(views: Sequence[View], name: str) -> Column:
             view.figure.xaxis.axis_label = "time of the record [s]"
             view.figure.min_height = LEAST + AXIS
     return column([view.figure for view in views], sizing_mode="stretch_both", spacing=0, name=name)
-
-
-def _drawable(y: Curve) -> Curve:
-    """Values that a canvas can take; those of a diverged simulation are gaps."""
-    return np.where(np.abs(y) < FARTHEST, y, np.nan)
 
 
 def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:

@@ -25,10 +25,8 @@ FORBIDDEN = 403
 
 
 class LocalOnly(Router):
-    """Requests whose Host header names this machine go to the page, all others are refused.
-
-    A foreign name that resolves to 127.0.0.1 could otherwise read the page through the user's browser.
-    """
+    """Requests whose Host header names this machine go to the page, all others are refused. A foreign name that
+    resolves to 127.0.0.1 could otherwise read the page through the user's browser."""
 
     def __init__(self, app: BokehTornado, hosts: frozenset[str]) -> None:
         """`hosts`: names with port."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,8 +16,8 @@ from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
 from bayes_aero.errors import InputError
-from bayes_aero.explore.opened import Choice, Opened, flown_model, values_of
-from bayes_aero.jobs.fitted import Finished, IdentifiedLinear, drawn
+from bayes_aero.explore.opened import Choice, OpenedResult, flown_model, values_of
+from bayes_aero.jobs.fitted import IdentifiedLinear, drawn
 from bayes_aero.jobs.options import FIXED, HELD
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
@@ -30,21 +29,13 @@ DRAWS = 40  # of the fan
 
 @dataclass(frozen=True)
 class Flown:
-    """A manoeuvre as flown at some values, SI and radians, each quantity (n,).
-
-    Attributes:
-        values: parameters by name.
-        simulated: outputs with the model's sensor errors, as a recorder would have them.
-        coefficients: of the model, along the recorded motion, and X.
-        formed: measured coefficients, formed from the record under the same values.
-        inside: whether the simulation has stayed inside its envelope.
-    """
+    """A manoeuvre as flown at some values, SI and radians, each quantity (n,)."""
 
     values: Mapping[str, float]
-    simulated: Mapping[str, Float[np.ndarray, " n"]]
-    coefficients: Mapping[str, Float[np.ndarray, " n"]]
-    formed: Mapping[str, Float[np.ndarray, " n"]]
-    inside: Bool[np.ndarray, " n"]
+    simulated: Mapping[str, Float[np.ndarray, " n"]]  # with the model's sensor errors, as a recorder would have them
+    coefficients: Mapping[str, Float[np.ndarray, " n"]]  # of the model, along the recorded motion, and X
+    formed: Mapping[str, Float[np.ndarray, " n"]]  # from the record under the same values
+    inside: Bool[np.ndarray, " n"]  # the envelope until now
 
 
 @dataclass(frozen=True)
@@ -57,7 +48,7 @@ class Ready:
 
 
 @dataclass(frozen=True)
-class Structure:
+class FlownModel:
     """A model of certain effects (None: a linear system), what flies it, and the integration steps a sample."""
 
     model: Model | None
@@ -68,12 +59,8 @@ class Structure:
 class Simulator:
     """The manoeuvres of a result under its model and under models derived from it; what is prepared is kept."""
 
-    def __init__(self, opened: Opened) -> None:
-        """Join the records.
-
-        Raises:
-            InputError: the model cannot be simulated through them.
-        """
+    def __init__(self, opened: OpenedResult) -> None:
+        """Join the records."""
         self.opened = opened
         self.card, _ = on_recorded_axes(opened.card, opened.records, OF_AXIS, DERIVED)
         found = opened.identified
@@ -85,7 +72,7 @@ class Simulator:
         self.biases = self.card.output_biases if opened.command == "fly" else {}
         self._ready: dict[Any, Ready] = {}
         self._results: dict[int, Flown] = {}
-        self._structures: dict[tuple[tuple[str, ...], frozenset[str]], Structure] = {}
+        self._structures: dict[tuple[tuple[str, ...], frozenset[str]], FlownModel] = {}
         dynamics = self._structure(Choice()).dynamics
         self.outputs = tuple(n for n in dynamics.outputs if n in self.flights.channels)
         self.inputs = tuple(n for n in dynamics.inputs if n in self.flights.channels and n not in self.outputs)
@@ -112,11 +99,7 @@ class Simulator:
         return self._results[manoeuvre]
 
     def fly(self, manoeuvre: int, choice: Choice) -> Flown:
-        """The manoeuvre at the chosen values.
-
-        Raises:
-            InputError: an added effect cannot be simulated through this record.
-        """
+        """The manoeuvre at the chosen values."""
         values = self._values(choice)
         theta = jnp.asarray(list(values.values()))
         ready = self._prepared(manoeuvre, choice, values)
@@ -131,11 +114,7 @@ class Simulator:
         return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
-        """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from.
-
-        Raises:
-            InputError: the result has neither a posterior nor a covariance.
-        """
+        """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from."""
         opened, values = self.opened, self._values(Choice())
         draws = drawn(opened.identified, opened.folder, opened.told, opened.identified.names, count, seed)
         theta = np.tile(list(values.values()), (count, 1))
@@ -152,15 +131,19 @@ class Simulator:
             found["X"] = np.asarray(X)
         return draws.origin, found
 
-    def _structure(self, choice: Choice) -> Structure:
+    def _structure(self, choice: Choice) -> FlownModel:
         key = choice.added, choice.off
         if key not in self._structures:
             opened = self.opened
             asked = opened.told.get("fitted_outputs", ()) if opened.command == "fly" else ()
-            model, plain = _flown(opened.identified, choice, self.flights, asked)
+            if isinstance(opened.identified, IdentifiedLinear):  # has nothing to choose
+                model, plain = None, opened.identified.dynamics(self.flights)
+            else:
+                model = flown_model(opened.identified.model, choice)
+                plain = aircraft_dynamics(model, self.flights, asked)
             dynamics = biased_dynamics(plain, self.flights, self.biases)
             steps = _steps(dynamics, {p.name: p.start for p in dynamics.free}, self.flights)
-            self._structures[key] = Structure(model, dynamics, steps)
+            self._structures[key] = FlownModel(model, dynamics, steps)
         return self._structures[key]
 
     def _values(self, choice: Choice) -> dict[str, float]:
@@ -182,36 +165,19 @@ class Simulator:
             whole = segments(self.flights, own.dynamics, **options)
             away = self.opened.departures.get(self.manoeuvres[manoeuvre], {})
             departure = np.array([[away.get(name, 0.0) for name in own.dynamics.start]])
-            alone = _unpadded(whole.part([manoeuvre]).nameless)
-            self._ready[key] = Ready(alone, self._residuals(manoeuvre, own.model), departure)
+            alone = whole.part([manoeuvre]).nameless
+            n = int(alone.inside.sum())  # without the samples that give all segments one length
+            cut = {name: getattr(alone, name)[:, :n] for name in ("index", "inside", "noise_growth")}
+            residuals = None
+            if own.model is not None:
+                try:
+                    record, _ = despiked(join([self.opened.records[manoeuvre]], self.card))
+                    flights = replace(record.nameless, channels=dict(record.channels))
+                    residuals = EquationError(flights, own.model, (), ())
+                except InputError as reason:
+                    self.no_coefficients = f"Coefficients are not shown: {reason}."
+            self._ready[key] = Ready(replace(alone, **cut), residuals, departure)
         return self._ready[key]
-
-    def _residuals(self, manoeuvre: int, model: Model | None) -> EquationError | None:
-        """Coefficients of one manoeuvre; None where the record does not give them."""
-        if model is None:
-            return None
-        try:
-            alone, _ = despiked(join([self.opened.records[manoeuvre]], self.card))
-        except InputError as reason:
-            self.no_coefficients = f"Coefficients are not shown: {reason}."
-            return None
-        own = replace(alone.nameless, channels=dict(alone.channels))
-        return EquationError(own, model, (), ())
-
-
-def _flown(found: Finished, choice: Choice, flights: Flights, outputs: Sequence[str]) -> tuple[Model | None, Dynamics]:
-    """The model of the chosen effects, and what flies it; a linear system has no choice."""
-    if isinstance(found, IdentifiedLinear):
-        return None, found.dynamics(flights)
-    model = flown_model(found.model, choice)
-    return model, aircraft_dynamics(model, flights, outputs)
-
-
-def _unpadded(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """One segment without the samples that give all segments one length."""
-    n = int(flown.inside.sum())
-    index, inside, growth = (x[:, :n] for x in (flown.index, flown.inside, flown.noise_growth))
-    return replace(flown, index=index, inside=inside, noise_growth=growth)
 
 
 def _steps(dynamics: Dynamics, values: Mapping[str, float], flights: Flights) -> int:
@@ -232,8 +198,4 @@ def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any
 
 
 _fly = eqx.filter_jit(_one)
-
-
-@eqx.filter_jit
-def _fly_draws(flown: SegmentTrajectories, residuals: EquationError | None, thetas: Any, departure: Any) -> tuple:
-    return jax.vmap(lambda theta: _one(flown, residuals, theta, departure))(thetas)
+_fly_draws = eqx.filter_jit(eqx.filter_vmap(_one, in_axes=(None, None, 0, None)))

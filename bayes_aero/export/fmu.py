@@ -87,14 +87,8 @@ START = {"airspeed": 100.0, "density": 1.225}
 
 
 def write_fmu(found: Identified, folder: Path) -> Path:
-    """Build the FMU in `folder`.
-
-    Inputs are the channels that the model reads, outputs its coefficients and separation points, parameters its own.
-    A step holds the inputs and solves the lag of the separation point exactly.
-
-    Raises:
-        InputError: pythonfmu is not installed.
-    """
+    """Build the FMU in `folder`. Inputs are the channels that the model reads, outputs its coefficients and separation
+    points, parameters its own. A step holds the inputs and solves the lag of the separation point exactly."""
     if find_spec("pythonfmu") is None:
         raise InputError('an FMU needs the package pythonfmu; install it with: pip install "bayes-aero[export]"')
     name = re.sub(r"\W", "_", f"{found.name}_aerodynamics")
@@ -102,7 +96,7 @@ def write_fmu(found: Identified, folder: Path) -> Path:
     with tempfile.TemporaryDirectory() as there:
         function, slave = Path(there) / f"{name}_function.py", Path(there) / f"{name}_slave.py"
         function.write_text(python_source(found), encoding="utf-8")
-        slave.write_text(_slave(found, name, function.stem), encoding="utf-8")
+        slave.write_text(slave_source(found, name, function.stem), encoding="utf-8")
         words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there, str(function)]
         # a process of its own: pythonfmu imports the slave by its name, and keeps that module
         done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
@@ -113,10 +107,13 @@ def write_fmu(found: Identified, folder: Path) -> Path:
         return write_whole(made.read_bytes(), folder / made.name)
 
 
-def _slave(found: Identified, name: str, module: str) -> str:
+def slave_source(found: Identified, name: str, module: str) -> str:
+    """The text of the FMU's Python class, which evaluates the function of `module`."""
     program = found.program
     signals, points = program.inputs_of("signal"), program.inputs_of("state")
-    outputs = {n: _meaning(found, n) for n in program.outputs if n != "lag"}
+    outputs = {n: "separation point" for n in program.outputs if n != "lag"}
+    outputs |= {n: f"{text} without lag" for n, text in outputs.items() if n.endswith("_static")}
+    outputs |= dict.fromkeys(found.exported.coefficients, "coefficient")
     return SLAVE.format(
         module=module,
         name=name,
@@ -126,9 +123,3 @@ def _slave(found: Identified, name: str, module: str) -> str:
         start={n: x for n, x in START.items() if n in signals},
         description=" ".join(about(found)),
     )
-
-
-def _meaning(found: Identified, output: str) -> str:
-    if output in found.exported.coefficients:
-        return "coefficient"
-    return "separation point without lag" if output.endswith("_static") else "separation point"

@@ -43,19 +43,15 @@ class Draws:
 
 @dataclass(frozen=True)
 class Identified:
-    """A model of effects with values of its parameters, SI and radians.
-
-    `aircraft` is the card's, which the effects of stage AIRCRAFT change. `flown` has the lowest and the highest value
-    of each channel in the records. `sources` say where the values come from.
-    """
+    """A model of effects with values of its parameters, SI and radians."""
 
     name: str
     title: str
     model: Model
-    aircraft: Aircraft
+    aircraft: Aircraft  # the card's, which the effects of stage AIRCRAFT change
     values: Mapping[str, float]
-    sources: tuple[str, ...]
-    flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sources: tuple[str, ...]  # where the values come from
+    flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # range of each channel in the records
     draws: Draws | None = None
 
     @property
@@ -80,13 +76,20 @@ class Identified:
     @property
     def left_out(self) -> tuple[str, ...]:
         """A sentence on each effect of the model that is not exported."""
-        return tuple(_why_not(e, self.values) for e in self.model.acting if not _is_of_aircraft(e))
+        said = []
+        for e in (e for e in self.model.acting if not _is_of_aircraft(e)):
+            size = ", ".join(
+                f"{p.name} = {self.values[p.name]:.4g} {p.unit}" for p in e.parameters if p.name in self.values
+            )
+            what = "the record, not the aircraft" if e.stage is Stage.CHANNEL else "a random process of the air"
+            said.append(f"{e.name} ({size}) is not exported: it is {what}. {e.claim}")
+        return tuple(said)
 
     @cached_property
     def actual_aircraft(self) -> Aircraft:
         """The aircraft with the effects that act on it."""
         changed = self.exported.actual_aircraft(self.values, self.aircraft)
-        return Aircraft(**{f.name: _plain(getattr(changed, f.name)) for f in fields(changed)})
+        return _constants(changed, lambda _, x: float(x))
 
     @property
     def separates(self) -> bool:
@@ -113,33 +116,35 @@ class Identified:
 
     @cached_property
     def program(self) -> Program:
-        """Coefficients and separation points from signals, states, parameters and constants of the aircraft.
-
-        A lagged point X is an input `state.X`; the outputs then are its static value `X_static` and `lag`, the time
-        constant in s with which it follows.
-        """
+        """Coefficients and separation points from signals, states, parameters and constants of the aircraft. A lagged
+        point X is an input `state.X`; the outputs then are its static value `X_static` and `lag`, the time constant in
+        s with which it follows."""
         return self.traced(self._outputs, self.points if self.lagged else ())
 
     @property
     def inputs(self) -> dict[str, float]:
         """Values of the parameters and of the aircraft's constants, as inputs of a program."""
         found = {f"parameter.{name}": float(x) for name, x in self.values.items()}
-        for f in fields(self.aircraft):
-            value = getattr(self.aircraft, f.name)
-            if isinstance(value, tuple):
-                found |= {f"aircraft.{f.name}.{i}": float(x) for i, x in enumerate(value)}
-            elif value is not None:
-                found[f"aircraft.{f.name}"] = float(value)
+
+        def keep(name: str, x: Any) -> float:
+            return found.setdefault(f"aircraft.{name}", float(x))
+
+        _constants(self.aircraft, keep)
         return found
 
     def traced(self, function: Callable[..., Mapping[str, Any]], states: Sequence[str]) -> Program:
         """A function of values, signals, aircraft and states, each by name, as a program."""
-        first = {f"signal.{name}": _example(name) for name in self.signals} | {f"state.{name}": 0.5 for name in states}
+        first = {f"signal.{name}": 0.5 for name in self.signals} | {f"state.{name}": 0.5 for name in states}
+        for name in (n for n in self.signals if n in STANDARD_CHANNELS):
+            low, high = STANDARD_CHANNELS[name].plausible
+            first[f"signal.{name}"] = 0.5 * (low + high) + 0.01 * (high - low)
 
         def outputs(given: Mapping[str, Any]) -> Mapping[str, Any]:
             values = {name: given[f"parameter.{name}"] for name in self.values}
-            signals = {name: _floored(name, given[f"signal.{name}"]) for name in self.signals}
-            aircraft = self.exported.actual_aircraft(values, _aircraft(self.aircraft, given))
+            signals = {name: given[f"signal.{name}"] for name in self.signals}
+            signals |= {n: jnp.maximum(signals[n], least) for n, least in LEAST.items() if n in signals}
+            aircraft = _constants(self.aircraft, lambda name, _: given[f"aircraft.{name}"])
+            aircraft = self.exported.actual_aircraft(values, aircraft)
             return function(values, signals, aircraft, {name: given[f"state.{name}"] for name in states})
 
         program = translated(outputs, self.inputs | first)
@@ -183,21 +188,9 @@ class Identified:
         return found | self.lag(values, signals, aircraft)
 
 
-def _floored(name: str, x: Any) -> Any:
-    """A signal, or the least value that a model may divide by."""
-    return jnp.maximum(x, LEAST[name]) if name in LEAST else x
-
-
 def _is_of_aircraft(effect: Effect) -> bool:
     """Whether a simulator needs it: it is part of the aircraft, and no random process."""
     return effect.stage not in (Stage.CHANNEL, Stage.INFLOW) and effect.disturbance is None
-
-
-def _why_not(effect: Effect, values: Mapping[str, float]) -> str:
-    """What it is, and how large."""
-    size = ", ".join(f"{p.name} = {values[p.name]:.4g} {p.unit}" for p in effect.parameters if p.name in values)
-    what = "the record, not the aircraft" if effect.stage is Stage.CHANNEL else "a random process of the air"
-    return f"{effect.name} ({size}) is not exported: it is {what}. {effect.claim}"
 
 
 def _scoped(effect: Effect) -> Effect:
@@ -218,30 +211,16 @@ def _scoped(effect: Effect) -> Effect:
     return replace(effect, increments=increments)
 
 
-def _example(name: str) -> float:
-    """A value at which to trace."""
-    if name in STANDARD_CHANNELS:
-        low, high = STANDARD_CHANNELS[name].plausible
-        return 0.5 * (low + high) + 0.01 * (high - low)
-    return 0.5
-
-
-def _aircraft(aircraft: Aircraft, given: Mapping[str, Any]) -> Aircraft:
-    """The aircraft with constants of a trace."""
+def _constants(aircraft: Aircraft, made: Callable[[str, Any], Any]) -> Aircraft:
+    """An aircraft whose constants are `made` of their names and values; those of a position are NAME.0 to NAME.2."""
     found = {}
     for f in fields(aircraft):
         value = getattr(aircraft, f.name)
         if isinstance(value, tuple):
-            found[f.name] = tuple(given[f"aircraft.{f.name}.{i}"] for i in range(len(value)))
+            found[f.name] = tuple(made(f"{f.name}.{i}", x) for i, x in enumerate(value))
         else:
-            found[f.name] = None if value is None else given[f"aircraft.{f.name}"]
+            found[f.name] = None if value is None else made(f.name, value)
     return Aircraft(**found)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(float(x) for x in value)
-    return None if value is None else float(value)
 
 
 # --- Sentences that every exported form has: origin, conventions, validity, what is left out.
@@ -312,20 +291,16 @@ def states(found: Identified) -> tuple[str, ...]:
 
 def at_rest(found: Identified) -> tuple[str, ...]:
     """Where the model stops following the signals that it divides by."""
-    floors = [
-        f"{name} below {LEAST[name]:g} {unit(name)}" for name in found.program.inputs_of("signal") if name in LEAST
-    ]
-    if not floors:
-        return ()
-    return (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",)
+    read = [name for name in found.program.inputs_of("signal") if name in LEAST]
+    floors = " and ".join(f"{name} below {LEAST[name]:g} {unit(name)}" for name in read)
+    return (f"Coefficients are finite at rest: {floors} counts as that value.",) if read else ()
 
 
 def about(found: Identified) -> tuple[str, ...]:
     """All of them, a sentence or two each."""
-    drawn = found.draws
-    uncertain = (
-        () if drawn is None else (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
-    )
+    drawn, uncertain = found.draws, ()
+    if drawn is not None:
+        uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
     sentences = (
         f"{found.title}. Exported by {version()}.",
         *found.sources,
@@ -406,7 +381,11 @@ def _table(name: str, rows: Mapping[str, float]) -> str:
 
 def _body(program: Program) -> str:
     """Assignments and the returned dict; what is read once stands where it is read, if the line stays short."""
-    known: dict[str, tuple[str, int]] = {name: (_input(name), 9) for name in program.inputs}
+    known: dict[str, tuple[str, int]] = {}
+    for name in program.inputs:
+        kind, own = name.split(".", 1)
+        text = {"parameter": f"P[{json.dumps(own)}]", "aircraft": f"A[{json.dumps(own)}]"}.get(kind, own)
+        known[name] = text, 9
     uses, lines, number = program.uses, [], 0
 
     def value(x: Operand) -> tuple[str, int]:
@@ -422,11 +401,6 @@ def _body(program: Program) -> str:
     lines.append("    return {")
     lines += [f'        "{name}": {value(x)[0]},' for name, x in program.outputs.items()]
     return "\n".join([*lines, "    }", ""])
-
-
-def _input(name: str) -> str:
-    kind, own = name.split(".", 1)
-    return {"parameter": f"P[{json.dumps(own)}]", "aircraft": f"A[{json.dumps(own)}]"}.get(kind, own)
 
 
 def _expression(operation: str, given: list[tuple[str, int]]) -> tuple[str, int]:

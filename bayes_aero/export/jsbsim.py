@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from bayes_aero.errors import InputError
@@ -94,14 +95,8 @@ COMPOSED: dict[str, Callable[[Node], Node]] = {
 def functions(
     program: Program, inputs: Mapping[str, Node], outputs: Mapping[str, str], steps: str = "step"
 ) -> list[Node]:
-    """The program as functions in their order: steps that are read more than once, then the outputs.
-
-    Args:
-        program: steps and outputs.
-        inputs: how each input is read.
-        outputs: names of the properties of the outputs.
-        steps: branch of the properties of the steps.
-    """
+    """The program as functions in their order: steps that are read more than once, then the outputs. `inputs`: how each
+    input is read; `outputs`: their properties by name; `steps`: branch of the properties of steps."""
     known, uses, found = dict(inputs), program.uses, []
 
     def node(x: Operand) -> Node:
@@ -109,10 +104,8 @@ def functions(
 
     for step in program.steps:
         arguments = [node(x) for x in step.arguments]
-        if step.operation in SAME:
-            content = call(SAME[step.operation], *arguments)
-        else:
-            content = COMPOSED[step.operation](*arguments)
+        composed = COMPOSED.get(step.operation) or partial(call, SAME[step.operation])
+        content = composed(*arguments)
         if uses[step.name] > 1:
             name = f"{PREFIX}/{steps}/{step.name}"
             found.append(named("function", name, content))
@@ -156,12 +149,14 @@ def aerodynamics_xml(found: Identified) -> str:
     """The aerodynamics section: signals in SI, coefficients, and forces and moments in body axes."""
     root = Element("aerodynamics")
     root.append(Comment("\n" + "\n".join(re.sub("-{2,}", "-", line) for line in about(found)) + "\n"))
-    program = _without_lag(found)
+    program = found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
     signals = program.inputs_of("signal")
     root.extend(
         named("function", f"{PREFIX}/state/{n}", _rest(read(_separated(n)))) for n in program.inputs_of("state")
     )
-    root.extend(named("function", _signal(n), _from(n)) for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0)
+    for name in (n for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0):
+        own, factor = PROPERTIES[name]
+        root.append(named("function", _signal(name), call("product", read(own), value(factor))))
     root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
     if "alpha_dot" in signals:
         slope = found.lift_slope
@@ -194,10 +189,8 @@ def system_xml(found: Identified) -> str:
 
 
 def aircraft_xml(found: Identified) -> str:
-    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with.
-
-    Without a lateral model it is symmetric, so that it stays in its plane of symmetry.
-    """
+    """A body with the card's mass, inertia and thrust line, to fly the aerodynamics with. Without a lateral model it is
+    symmetric, so that it stays in its plane of symmetry."""
     a = found.actual_aircraft
     if Axis.LATERAL not in found.model.axes:
         point, engine = ((x, 0.0, z) for x, _, z in (a.reference_point, a.engine))
@@ -222,7 +215,7 @@ def aircraft_xml(found: Identified) -> str:
     _location(mass, (0.0,) * 3, name="CG")
     SubElement(root, "ground_reactions")
     force = SubElement(SubElement(root, "external_reactions"), "force", name="thrust", frame="BODY")
-    force.append(_bare(call("quotient", read(THRUST), value(POUND))))
+    force.append(call("function", call("quotient", read(THRUST), value(POUND))))
     _location(force, a.engine)
     direction = SubElement(force, "direction")
     for name, x in zip("xyz", (math.cos(a.engine_inclination), 0.0, -math.sin(a.engine_inclination)), strict=True):
@@ -232,21 +225,15 @@ def aircraft_xml(found: Identified) -> str:
     return _text(root)
 
 
-def _without_lag(found: Identified) -> Program:
-    return found.program.giving({name: x for name, x in found.program.outputs.items() if name != "lag"})
-
-
 def _inputs(found: Identified, program: Program) -> dict[str, Node]:
     """How each input of a program is read."""
     known = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
     known |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
     known |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
-    return known | {f"signal.{n}": _read_signal(n) for n in program.inputs_of("signal")}
-
-
-def _read_signal(name: str) -> Node:
-    known, factor = PROPERTIES.get(name, (_signal(name), 1.0))
-    return read(known) if factor == 1.0 else read(_signal(name))
+    for name in program.inputs_of("signal"):
+        own, factor = PROPERTIES.get(name, (_signal(name), 1.0))
+        known[f"signal.{name}"] = read(own if factor == 1.0 else _signal(name))
+    return known
 
 
 def _signal(name: str) -> str:
@@ -254,11 +241,6 @@ def _signal(name: str) -> str:
     si = unit(name).replace("/", "_").replace("^", "")
     kind = "signal" if name in PROPERTIES else "input"
     return f"{PREFIX}/{kind}/{name.replace('_', '-')}" + (f"-{si}" if si not in ("", "1") else "")
-
-
-def _from(name: str) -> Node:
-    known, factor = PROPERTIES[name]
-    return call("product", read(known), value(factor))
 
 
 def _output(name: str) -> str:
@@ -291,31 +273,24 @@ def _alpha_dot(found: Identified) -> list[Node]:
     """Alpha-dot by a Newton step a frame, carried on to the present frame by its last change."""
     used = PROPERTIES["alpha_dot"][0]
     now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
-    step = call("quotient", call("difference", read(now), read(used)), _slope_of_rate(found))
+    # 1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it
+    area = found.actual_aircraft.wing_area / FOOT**2
+    inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
+    gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
+    slope = call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
+    step = call("quotient", call("difference", read(now), read(used)), slope)
     ahead = call("difference", call("product", value(2.0), read(solved)), read(before))
+    # alpha-dot of the frame before, from the accelerations of its forces
+    u, w, u_dot, w_dot = (read(n) for n in ("velocities/u-aero-fps", "velocities/w-aero-fps", *RATES_OF_SPEED))
+    size = call("sum", call("product", u, u), call("product", w, w))
+    turning = call("difference", call("product", u, w_dot), call("product", w, u_dot))
     contents = {
-        now: _rate_now(),
+        now: call("quotient", turning, call("max", size, value(1.0))),
         before: _first(read(now), read(solved)),
         solved: _first(read(now), call("sum", read(used), step)),
         used: _first(read(now), ahead),
     }
     return [named("fcs_function", name, content) for name, content in contents.items()]
-
-
-def _rate_now() -> Node:
-    """Alpha-dot of the frame before, from the accelerations of its forces."""
-    u, w, u_dot, w_dot = (read(n) for n in ("velocities/u-aero-fps", "velocities/w-aero-fps", *RATES_OF_SPEED))
-    size = call("sum", call("product", u, u), call("product", w, w))
-    turning = call("difference", call("product", u, w_dot), call("product", w, u_dot))
-    return call("quotient", turning, call("max", size, value(1.0)))
-
-
-def _slope_of_rate(found: Identified) -> Node:
-    """1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it."""
-    area = found.actual_aircraft.wing_area / FOOT**2
-    inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
-    gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
-    return call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
 
 
 def _separated(point: str) -> str:
@@ -331,10 +306,6 @@ def _first(begin: Node, later: Node) -> Node:
     """`begin` in the first frame, then `later`."""
     limit = call("product", value(FIRST_FRAMES), read("simulation/dt"))
     return call("ifthen", call("le", read("simulation/sim-time-sec"), limit), begin, later)
-
-
-def _bare(content: Node) -> Node:
-    return call("function", content)
 
 
 def _number(parent: Node, name: str, size: float, measure: str) -> None:

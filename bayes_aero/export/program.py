@@ -17,15 +17,12 @@ Operand = str | float
 """The name of an input or of a step, or a number."""
 
 
-def _logistic(x: Any) -> Any:
-    return 0.5 * (1.0 + np.tanh(0.5 * x))
-
-
 OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "pow": np.power,
     "sqrt": np.sqrt, "cbrt": np.cbrt, "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "logistic": _logistic,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh,
+    "logistic": lambda x: 0.5 * (1.0 + np.tanh(0.5 * x)),
     "abs": np.abs, "sign": np.sign, "floor": np.floor, "ceil": np.ceil, "min": np.minimum, "max": np.maximum,
     "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
     "and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "select": np.where,
@@ -34,7 +31,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 @dataclass(frozen=True)
-class Step:
+class Operation:
     """One operation; its result has the `name`."""
 
     name: str
@@ -46,15 +43,13 @@ class Step:
 class Program:
     """Steps in their order, and the outputs by name. Inputs are named `parameter.CLa`, `signal.alpha`, `state.X`."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[Operation, ...]
     outputs: Mapping[str, Operand]
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Inputs on which the outputs depend, in alphabetical order."""
-        made = {step.name for step in self.steps}
-        read = (x for x in (*self.outputs.values(), *(x for s in self.steps for x in s.arguments)))
-        return tuple(sorted({x for x in read if isinstance(x, str) and x not in made}))
+        return tuple(sorted({*self.uses} - {step.name for step in self.steps}))
 
     def inputs_of(self, kind: str) -> tuple[str, ...]:
         """Names of the inputs of a kind (`parameter`, `signal`, `state`, `aircraft`), without it."""
@@ -97,44 +92,31 @@ class Builder:
         self._known: dict[tuple[str, tuple[Operand, ...]], str] = {}
         self._made: dict[Operand, tuple[str, tuple[Operand, ...]]] = {}
 
-    def apply(self, operation: str, *arguments: Operand) -> Operand:
-        """The result of an operation."""
-        if all(isinstance(x, float) for x in arguments):
-            return float(OPERATIONS[operation](*arguments))
-        simple = _simplified(operation, arguments)
-        if simple is None and operation == "add":
-            simple = self._cancelled(*arguments)
-        if simple is not None:
-            return simple
-        name = self._known.setdefault((operation, arguments), f"t{len(self._known) + 1}")
-        self._made[name] = (operation, arguments)
+    def apply(self, operation: str, *given: Operand) -> Operand:
+        """The result of an operation; sums with 0, products with 0 or 1 and quotients by 1 need none."""
+        if all(isinstance(x, float) for x in given):
+            return float(OPERATIONS[operation](*given))
+        if operation == "add" and 0.0 in given:
+            return given[0] if given[1] == 0.0 else given[1]
+        if operation == "mul" and 0.0 in given:
+            return 0.0
+        if operation == "mul" and 1.0 in given:
+            return given[0] if given[1] == 1.0 else given[1]
+        if (operation == "sub" and given[1] == 0.0) or (operation in ("div", "pow") and given[1] == 1.0):
+            return given[0]
+        if operation == "add":  # y of x + (y - x), of which effects that replace a value consist
+            for x, other in (given, given[::-1]):
+                made, (first, *rest) = self._made.get(other, ("", (None,)))
+                if made == "sub" and rest == [x]:
+                    return first
+        name = self._known.setdefault((operation, given), f"t{len(self._known) + 1}")
+        self._made[name] = (operation, given)
         return name
-
-    def _cancelled(self, first: Operand, second: Operand) -> Operand | None:
-        """y of x + (y - x), of which effects that replace a value consist."""
-        for x, other in ((first, second), (second, first)):
-            operation, given = self._made.get(other, ("", ()))
-            if operation == "sub" and given[1] == x:
-                return given[0]
-        return None
 
     def program(self, outputs: Mapping[str, Operand]) -> Program:
         """All steps that these outputs need."""
-        steps = tuple(Step(name, operation, given) for (operation, given), name in self._known.items())
+        steps = tuple(Operation(name, operation, given) for (operation, given), name in self._known.items())
         return Program(steps, {}).giving(outputs)
-
-
-def _simplified(operation: str, given: tuple[Operand, ...]) -> Operand | None:
-    """What needs no operation: sums with 0, products with 0 or 1, quotients by 1."""
-    if operation == "add" and 0.0 in given:
-        return given[0] if given[1] == 0.0 else given[1]
-    if operation == "mul" and 0.0 in given:
-        return 0.0
-    if operation == "mul" and 1.0 in given:
-        return given[0] if given[1] == 1.0 else given[1]
-    if (operation == "sub" and given[1] == 0.0) or (operation in ("div", "pow") and given[1] == 1.0):
-        return given[0]
-    return None
 
 
 def terms(program: Program, output: str) -> Iterable[tuple[float, Operand]]:
@@ -166,11 +148,7 @@ INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 
 
 def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], inputs: Mapping[str, float]) -> Program:
-    """A function of scalars by name, traced at `inputs`, as a program.
-
-    Raises:
-        InputError: an effect does something that is no elementary operation of single numbers.
-    """
+    """A function of scalars by name, traced at `inputs`, as a program."""
     given = {name: jnp.asarray(x, dtype=jnp.float64) for name, x in inputs.items()}
     names = tuple(given)
 
@@ -213,7 +191,10 @@ def _applied(equation: Any, given: tuple[Operand, ...], builder: Builder) -> lis
     if name == "square":
         return [builder.apply("mul", given[0], given[0])]
     if name == "integer_pow":
-        return [_power(given[0], params["y"], builder)]
+        if not 2 <= params["y"] <= 4:
+            return [builder.apply("pow", given[0], float(params["y"]))]
+        square = builder.apply("mul", given[0], given[0])  # small ones as products, which are exact to the last bit
+        return [square if params["y"] == 2 else builder.apply("mul", square, given[0] if params["y"] == 3 else square)]
     if name == "rsqrt":
         return [builder.apply("div", 1.0, builder.apply("sqrt", given[0]))]
     if name == "clamp":
@@ -225,14 +206,6 @@ def _applied(equation: Any, given: tuple[Operand, ...], builder: Builder) -> lis
     if operation not in OPERATIONS:
         raise _unknown(where, name)
     return [builder.apply(operation, *given)]
-
-
-def _power(x: Operand, exponent: int, builder: Builder) -> Operand:
-    """x to a whole number; small ones as products, which are exact to the last bit."""
-    if not 2 <= exponent <= 4:
-        return builder.apply("pow", x, float(exponent))
-    square = builder.apply("mul", x, x)
-    return square if exponent == 2 else builder.apply("mul", square, x if exponent == 3 else square)
 
 
 def _number(x: Any, where: str) -> float:

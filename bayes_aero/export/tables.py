@@ -31,36 +31,49 @@ POINT_RANGE = (0.0, 1.0)
 INCIDENCE = "incidence"
 
 
+Axes = Mapping[str, Float[np.ndarray, " n"]]
+
+
 @dataclass(frozen=True)
 class Gridded:
-    """One table: the sum of its `parts` (sign and operand of the program) over `axes`; `error` is of interpolation."""
+    """One table over `axes`: the sum of the outputs of `program` with their `signs`; `error` is of interpolation."""
 
     name: str
     output: str
-    parts: tuple[tuple[float, Operand], ...]
-    axes: Mapping[str, Float[np.ndarray, " n"]]
+    signs: tuple[float, ...]
+    program: Program
+    axes: Axes
     values: Float[np.ndarray, "*n"]
-    error: float
+    error: float = 0.0
+
+    def at(self, axes: Axes, inputs: Mapping[str, Any]) -> Float[np.ndarray, "*n"]:
+        """Its values over `axes`, with these `Identified.inputs`."""
+        grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True)) if axes else {}
+        given = dict(inputs) | {f"{kind}.{name}": x for name, x in grid.items() for kind in ("signal", "state")}
+        summands = self.program.evaluated(given)
+        total = sum(sign * summands[str(i)] for i, sign in enumerate(self.signs))
+        return np.broadcast_to(np.asarray(total, dtype=float), [len(x) for x in axes.values()]).copy()
 
 
 def tables_of(found: Identified) -> Iterator[Gridded]:
-    """Tables whose sums are the coefficients and the incidence; the static separation point and its lag.
-
-    Raises:
-        InputError: the result does not say where was flown, or a table needs too many points.
-    """
+    """Tables whose sums are the coefficients and the incidence; the static separation point and its lag."""
     program = program_by_incidence(found)
-    reach: dict[str, list[Gridded]] = {}
+    incidences: dict[str, list[Gridded]] = {}
     for output in sorted(program.outputs, key=lambda name: not name.startswith(INCIDENCE)):
         summed = output in found.exported.coefficients or output.startswith(INCIDENCE)
         parts = tuple(terms(program, output)) if summed else ((1.0, program.outputs[output]),)
         groups: dict[tuple[str, ...], list[tuple[float, Operand]]] = {}
         for sign, operand in parts:
-            groups.setdefault(_read_by(program, operand), []).append((sign, operand))
+            part = program.giving({"": operand})  # what it depends on decides on its table
+            groups.setdefault((*part.inputs_of("signal"), *part.inputs_of("state")), []).append((sign, operand))
         for inputs, own in groups.items():
-            bounds = {axis: _incidences(reach) if axis == INCIDENCE else _range(found, axis) for axis in inputs}
-            table = _gridded(found, program, output, bounds, tuple(own))
-            reach.setdefault(output, []).append(table)
+            axes = {axis: np.array(_range(found, axis, incidences)) for axis in inputs}
+            part = program.giving({str(i): operand for i, (_, operand) in enumerate(own)})
+            signs = tuple(sign for sign, _ in own)
+            coarse = Gridded("_".join([output, *axes]), output, signs, part, axes, np.zeros(()))
+            table = _refined(coarse, found.inputs)
+            if output.startswith(INCIDENCE):
+                incidences.setdefault(output, []).append(table)
             yield table
 
 
@@ -93,95 +106,45 @@ def _only(model: Model, stage: Stage, increments: Any) -> Model:
 
 def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:
     """Write tables.nc, and a CSV file of each table; the names of the files."""
-    made, files = list(tables_of(found)), []
-    sets = {table.name: _dataset(found, table) for table in made}
+    made = list(tables_of(found))
     root = xr.Dataset(attrs={"about": "\n".join(about(found)), "sum": "a coefficient is the sum of its tables"})
-    tree = xr.DataTree.from_dict({"/": root, **sets})
+    tree = xr.DataTree.from_dict({"/": root, **{table.name: _dataset(found, table) for table in made}})
     write_whole(tree.to_netcdf(engine="h5netcdf"), folder / "tables.nc")
     for table in made:
-        file = f"{table.name}.csv"
-        write_whole(_frame(table).to_csv(index=False, float_format="%.12g"), folder / file)
-        files.append(file)
-    return ("tables.nc", *files)
+        grid = np.meshgrid(*table.axes.values(), indexing="ij") if table.axes else []
+        columns = {f"{name} [{_unit_of(name)}]": x.ravel() for name, x in zip(table.axes, grid, strict=True)}
+        frame = pd.DataFrame(columns | {f"{table.output} [{_unit_of(table.output)}]": table.values.ravel()})
+        write_whole(frame.to_csv(index=False, float_format="%.12g"), folder / f"{table.name}.csv")
+    return ("tables.nc", *(f"{table.name}.csv" for table in made))
 
 
-def _read_by(program: Program, operand: Operand) -> tuple[str, ...]:
-    """Signals and states on which an operand depends, without their kind."""
-    part = program.giving({"": operand})
-    return (*part.inputs_of("signal"), *part.inputs_of("state"))
-
-
-def _gridded(
-    found: Identified,
-    program: Program,
-    output: str,
-    bounds: Mapping[str, tuple[float, float]],
-    parts: tuple[tuple[float, Operand], ...],
-) -> Gridded:
-    """A table whose axes are refined until linear interpolation is accurate."""
-    part = program.giving({str(i): operand for i, (_, operand) in enumerate(parts)})
-    name = "_".join([output, *bounds])
-    axes = {axis: np.array(x) for axis, x in bounds.items()}
-    fixed = found.inputs
-
-    def values() -> Float[np.ndarray, "*n"]:
-        return _evaluated(part, parts, axes, fixed)
-
+def _refined(table: Gridded, inputs: Mapping[str, Any]) -> Gridded:
+    """The table on axes on which linear interpolation is accurate."""
+    axes = dict(table.axes)
     while True:
-        table = values()
-        allowed = max(ACCURACY * float(np.ptp(table)), 1e-12) if table.size else 0.0
-        errors = {axis: _errors(part, parts, axes, fixed, table, axis) for axis in axes}
+        values = table.at(axes, inputs)
+        allowed = max(ACCURACY * float(np.ptp(values)), 1e-12) if values.size else 0.0
+        middles = {axis: 0.5 * (x[1:] + x[:-1]) for axis, x in axes.items()}
+        errors = {}
+        for k, (axis, middle) in enumerate(middles.items()):  # largest half way between each two points of the axis
+            low, high = (np.take(values, np.arange(len(middle)) + i, axis=k) for i in (0, 1))
+            error = np.abs(table.at(axes | {axis: middle}, inputs) - 0.5 * (low + high))
+            errors[axis] = error.max(axis=tuple(i for i in range(error.ndim) if i != k))
         if all(np.all(x <= allowed) for x in errors.values()):
-            return Gridded(name, output, parts, dict(axes), table, sum((float(x.max()) for x in errors.values()), 0.0))
-        for axis, error in errors.items():
-            between = 0.5 * (axes[axis][1:] + axes[axis][:-1])
-            axes[axis] = np.sort(np.concatenate([axes[axis], between[error > allowed]]))
+            return replace(table, axes=axes, values=values, error=sum((float(x.max()) for x in errors.values()), 0.0))
+        axes = {n: np.sort(np.concatenate([x, middles[n][errors[n] > allowed]])) for n, x in axes.items()}
         if np.prod([len(x) for x in axes.values()]) > MOST_CELLS:
             raise InputError(
-                f"the table of {output} over {', '.join(bounds)} needs more than {MOST_CELLS} points; export --to "
+                f"the table of {table.output} over {', '.join(axes)} needs more than {MOST_CELLS} points; export --to "
                 "python, fmu or jsbsim instead"
             )
 
 
-def _evaluated(
-    part: Program,
-    parts: Sequence[tuple[float, Operand]],
-    axes: Mapping[str, Float[np.ndarray, " n"]],
-    fixed: Mapping[str, Any],
-) -> Float[np.ndarray, "*n"]:
-    grid = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True)) if axes else {}
-    given = dict(fixed) | {f"{kind}.{name}": x for name, x in grid.items() for kind in ("signal", "state")}
-    terms_by_number = part.evaluated(given)
-    total = sum(sign * terms_by_number[str(i)] for i, (sign, _) in enumerate(parts))
-    return np.broadcast_to(np.asarray(total, dtype=float), [len(x) for x in axes.values()]).copy()
-
-
-def _errors(
-    part: Program,
-    parts: Sequence[tuple[float, Operand]],
-    axes: Mapping[str, Float[np.ndarray, " n"]],
-    fixed: Mapping[str, Any],
-    table: Float[np.ndarray, "*n"],
-    axis: str,
-) -> Float[np.ndarray, " m"]:
-    """Largest error of linear interpolation half way between each two points of an axis."""
-    points, k = axes[axis], list(axes).index(axis)
-    between = dict(axes) | {axis: 0.5 * (points[1:] + points[:-1])}
-    low, high = np.take(table, range(len(points) - 1), axis=k), np.take(table, range(1, len(points)), axis=k)
-    error = np.abs(_evaluated(part, parts, between, fixed) - 0.5 * (low + high))
-    return error.max(axis=tuple(i for i in range(error.ndim) if i != k))
-
-
-def _incidences(reach: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
-    """Lowest and highest incidence of any separation point."""
-    sums = [
-        [(t.values.min(), t.values.max()) for t in tables] for n, tables in reach.items() if n.startswith(INCIDENCE)
-    ]
-    low, high = (np.array([np.sum([pair[k] for pair in one]) for one in sums]) for k in (0, 1))
-    return float(low.min()), float(high.max())
-
-
-def _range(found: Identified, axis: str) -> tuple[float, float]:
+def _range(found: Identified, axis: str, incidences: Mapping[str, Sequence[Gridded]]) -> tuple[float, float]:
+    """What an axis spans: all incidences of any separation point, or what was flown."""
+    if axis == INCIDENCE:
+        reach = [np.sum([(t.values.min(), t.values.max()) for t in tables], axis=0) for tables in incidences.values()]
+        return float(min(low for low, _ in reach)), float(max(high for _, high in reach))
     if axis in found.points:
         return POINT_RANGE
     if axis not in found.flown:
@@ -195,26 +158,15 @@ def _range(found: Identified, axis: str) -> tuple[float, float]:
 
 def _dataset(found: Identified, table: Gridded) -> xr.Dataset:
     """The table with units, its error, and its values for each draw."""
-    dims = tuple(table.axes)
-    unit_of = _unit_of(table.output)
+    dims, unit_of, drawn = tuple(table.axes), _unit_of(table.output), found.draws
     about_table = {"units": unit_of, "output": table.output, "interpolation_error": table.error}
     coords = {n: (n, x, {"units": _unit_of(n), "long_name": meaning(n)}) for n, x in table.axes.items()}
     data: dict[str, Any] = {"value": (dims, table.values, about_table)}
-    drawn = found.draws
     if drawn is not None:
         if table.values.size * len(drawn.values) > MOST_WITH_DRAWS:
             raise InputError(f"table {table.name} with {len(drawn.values)} draws is too large; give fewer --draws")
-        program = program_by_incidence(found)
-        part = program.giving({str(i): operand for i, (_, operand) in enumerate(table.parts)})
-        each = [
-            _evaluated(
-                part,
-                table.parts,
-                table.axes,
-                found.inputs | {f"parameter.{n}": x for n, x in zip(drawn.names, row, strict=True)},
-            )
-            for row in drawn.values
-        ]
+        names = [f"parameter.{n}" for n in drawn.names]
+        each = [table.at(table.axes, found.inputs | dict(zip(names, row, strict=True))) for row in drawn.values]
         data["draws"] = (("draw", *dims), np.stack(each), {"units": unit_of, "origin": drawn.origin})
     return xr.Dataset(data, coords=coords)
 
@@ -223,10 +175,3 @@ def _unit_of(name: str) -> str:
     if name.startswith(INCIDENCE):
         return "rad"
     return "s" if name == "lag" else unit(name) or "1"
-
-
-def _frame(table: Gridded) -> pd.DataFrame:
-    """A row for each point: axes, with their units, and the value."""
-    grid = np.meshgrid(*table.axes.values(), indexing="ij") if table.axes else []
-    columns = {f"{name} [{_unit_of(name)}]": x.ravel() for name, x in zip(table.axes, grid, strict=True)}
-    return pd.DataFrame(columns | {f"{table.output} [{_unit_of(table.output)}]": table.values.ravel()})

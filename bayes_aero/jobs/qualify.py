@@ -51,7 +51,16 @@ from bayes_aero.qualification.flights import (
     next_parameters,
 )
 from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
-from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Further, Kind, Outside, Qualification, Strip, Test
+from bayes_aero.qualification.result import (
+    FAILS_TO,
+    PASSES_FROM,
+    FlightKind,
+    Further,
+    Outside,
+    Qualification,
+    Strip,
+    Test,
+)
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.qualification import QualificationContext, qualification_page, test_table
 from bayes_aero.report.tables.table import write_csv
@@ -241,12 +250,12 @@ def _outside(
     region = Region.of({n: np.asarray(x) for n, x in flown.flights.channels.items() if n in shared})
     found = []
     for strip in strips:
-        if strip.kind is Kind.NEXT or not region.channels:
+        if strip.kind is FlightKind.NEXT or not region.channels:
             continue
-        source = tested if strip.kind is Kind.TEST and tested is not None else flown
+        source = tested if strip.kind is FlightKind.TEST and tested is not None else flown
         own = source.flights.manoeuvre == source.flights.names.index(strip.manoeuvre)
         recorded = {n: np.asarray(x)[own] for n, x in source.flights.channels.items() if n in region.channels}
-        if strip.kind is Kind.TEST:
+        if strip.kind is FlightKind.TEST:
             found.append(region.outside(strip.manoeuvre, "recorded", strip.time, recorded))
         found.append(region.outside(strip.manoeuvre, "simulated", strip.time, recorded | _simulated(strip, recorded)))
     return tuple(one for one in found if one is not None), region

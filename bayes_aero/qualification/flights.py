@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.trajectories.histories import posterior_draws
 from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, Noise, left_out, masked
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
@@ -30,19 +30,15 @@ from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.progress import Progress
-from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, Further, Kind, OpenTolerance
+from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, FlightKind, Further, OpenTolerance
 from bayes_aero.residuals.equation_error import EquationError
 
 
 def errors(
     flown: SegmentTrajectories, theta: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "w n c"], Float[np.ndarray, "w n"], Bool[np.ndarray, " w"]]:
-    """Recorded minus simulated from the measured initial states, SI.
-
-    Returns:
-        Errors; the separated share of the flow (0 without a separation point); whether each manoeuvre stays inside the
-        envelope.
-    """
+    """Recorded minus simulated from the measured initial states, SI; the separated share of the flow (0 without a
+    separation point); whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
     found = trajectories(flown, jnp.asarray(theta), still)
     X = found.trajectory.outputs.get("X")
@@ -54,10 +50,7 @@ def errors(
 def spread(
     alone: SegmentTrajectories, theta: Float[np.ndarray, " k"], draws: Float[np.ndarray, "m k"]
 ) -> Float[np.ndarray, "m n c"]:
-    """Flights of one manoeuvre with drawn parameters minus the simulation at `theta`, SI.
-
-    Infinite from the sample at which a flight leaves the envelope.
-    """
+    """Flights of one manoeuvre with drawn parameters minus the simulation at `theta`, SI; infinite once outside."""
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def residual(one: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n c"]:
@@ -72,21 +65,10 @@ def spread(
 
 
 def gust_spread(
-    alone: SegmentTrajectories,
-    draws: Float[np.ndarray, "m k"],
-    gusts: Mapping[str, float],
-    rng: np.random.Generator,
+    alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], gusts: Mapping[str, float], rng: np.random.Generator
 ) -> Float[np.ndarray, "m n c"]:
-    """What gusts add to flights of one manoeuvre with drawn parameters, SI.
-
-    A flight begins in gusts of their own distribution, with the measured flow at vane and pitot tube.
-
-    Args:
-        alone: the manoeuvre.
-        draws: parameters of its dynamics.
-        gusts: intensities and lengths by parameter name; the other gusts are calm.
-        rng: of the gusts.
-    """
+    """What gusts add to flights of one manoeuvre with drawn parameters, SI; calm air where `gusts` has no value. A
+    flight begins in gusts of their own distribution, with the measured flow at vane and pitot tube."""
     gusty = disturbed(alone)
     free = gusty.dynamics.free
     calm = {p.name: p.start for p in free if p.name in gusty.dynamics.disturbance_parameters}
@@ -134,7 +116,7 @@ KEPT = 1e-10  # of the largest eigenvalue of a scaled covariance: directions bel
 class OpenTest:
     """An undecided test: what drawn parameters and all else add to each of m flights at n samples, SI."""
 
-    kind: Kind
+    kind: FlightKind
     manoeuvre: str
     output: str
     tolerance: float
@@ -178,20 +160,8 @@ def further_flights(
     values: dict[str, float],
     envelope: Envelope,
 ) -> Further:
-    """Test points for the undecided tolerances.
-
-    Args:
-        tests: the undecided tests.
-        names: the k parameters.
-        errors: of drawn parameters, by which `tests` were flown.
-        flights: the fitted records.
-        model: whose parameters these are.
-        values: their estimates, SI.
-        envelope: inside which manoeuvres are proposed.
-
-    Raises:
-        InputError: the coefficients cannot be formed, or the model cannot be flown.
-    """
+    """Test points for the undecided tolerances, inside the envelope. `errors` of the drawn parameters `names`, by which
+    `tests` were flown; `flights`: the fitted records; `values`: the estimates of the model's parameters, SI."""
     scale = np.std(errors, axis=0)
     moving = np.flatnonzero(scale > 0.0)
     names, errors = [names[int(k)] for k in moving], errors[:, moving] / scale[moving]
@@ -200,8 +170,20 @@ def further_flights(
     useful = [one for one, chance in zip(open_, known, strict=True) if _decided(chance)]
     first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
     points, refused = (), {}
+
+    def nats(told: Float[np.ndarray, "k k"]) -> float:
+        """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
+        after = _after(first, told)
+        moved = [one for one in useful if one.deviation(first) > 0.0]
+        return float(np.sum(np.log([one.deviation(first) / max(one.deviation(after), 1e-300) for one in moved])))
+
     if useful:
-        state = _state(flights, model, values)
+        missing = [n for n in required_of(model.axes) if n not in flights.channels]
+        if missing:
+            raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
+        full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
+        estimate = np.array([values[name] for name in model.names])
+        state = linearised(full, EquationError.of(flights, model), model.coefficients, estimate)
         variants = variants_of(state, (), envelope)
         possible = [
             replace(one, told=_precision(one.told, names, scale[moving]))
@@ -211,7 +193,7 @@ def further_flights(
         points = best_points(
             possible,
             np.zeros_like(first),
-            nats=lambda told: _nats(useful, first, told),
+            nats=nats,
             expected=lambda told: tuple(one.probability(errors, _shrunk(errors, first, told)) for one in open_),
             decided=lambda told: all(_decided(one.probability(errors, _shrunk(errors, first, told))) for one in useful),
         )
@@ -224,13 +206,6 @@ def further_flights(
 
 def _decided(chance: float) -> bool:
     return not FAILS_TO < chance < PASSES_FROM
-
-
-def _nats(useful: Sequence[_Linear], first: np.ndarray, told: np.ndarray) -> float:
-    """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
-    after = _after(first, told)
-    ratios = [one.deviation(first) / max(one.deviation(after), 1e-300) for one in useful if one.deviation(first) > 0.0]
-    return float(np.sum(np.log(ratios)))
 
 
 def _after(first: Float[np.ndarray, "k k"], told: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
@@ -258,16 +233,6 @@ def _precision(told: Information, names: Sequence[str], scale: Float[np.ndarray,
     whole = np.zeros((len(names), len(names)))
     whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
     return whole
-
-
-def _state(flights: Flights, model: Model, values: dict[str, float]) -> SelectionState:
-    """The model at its estimates on the fitted records, by coefficients."""
-    missing = [n for n in required_of(model.axes) if n not in flights.channels]
-    if missing:
-        raise InputError(f"test points are judged by coefficients, and {missing[0]} was not recorded")
-    full = CandidateModel(model, tuple(e.name for e in model.effects if e.parameters), (), {})
-    theta = np.array([values[name] for name in model.names])
-    return linearised(full, EquationError.of(flights, model), model.coefficients, theta)
 
 
 # --- The same model fitted to all manoeuvres but one, and to each by itself: hold-out errors, and the next flight.
@@ -334,9 +299,7 @@ def next_parameters(
     alone: Sequence[OutputErrorResult], inflation: float, count: int, seed: int, progress: Progress | None = None
 ) -> Float[np.ndarray, "m k"] | None:
     """Draws of the parameters of a flight not yet flown, by partial pooling; None with fewer than two usable fits.
-
-    Every manoeuvre enters by the normal approximation of its likelihood, with coloured residuals counted.
-    """
+    Every manoeuvre enters by the normal approximation of its likelihood, with coloured residuals counted."""
     usable = [fit for fit in alone if fit.status in USABLE]
     if len(usable) < 2:
         return None
@@ -353,10 +316,8 @@ def next_parameters(
 
 
 def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound.
-
-    At the maximum of the density the gradient of the likelihood is minus that of the prior.
-    """
+    """The maximum of the likelihood and its information in units of the priors; none of parameters at a bound. At the
+    maximum of the density the gradient of the likelihood is minus that of the prior."""
     parameters = fit.parameters
     unit = np.array([float(prior_unit(p.prior, x)) for p, x in zip(parameters, fit.estimate, strict=True)])
     mean = np.array([p.prior.normal[0] for p in parameters])

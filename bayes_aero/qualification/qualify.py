@@ -20,7 +20,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import HoldOut, OpenTest, errors, gust_spread, mean_square, spread
-from bayes_aero.qualification.result import Chance, Kind, Outside, Recorded, Strip, Test, Verdict
+from bayes_aero.qualification.result import Chance, FlightKind, Outside, RecordBeside, Strip, Test, ToleranceVerdict
 from bayes_aero.qualification.structure import Structure
 
 CENTRAL = (0.025, 0.975)
@@ -30,34 +30,24 @@ FAR = 1e30  # of a flight that left the envelope
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What is not known of a model.
+    """What is not known of a model."""
 
-    Attributes:
-        estimate: its parameters, (k,), SI.
-        draws: of their posterior, (m, k).
-        following: of the next flight's, (m, k); None where their scatter between manoeuvres is not known. They are used
-            where they do not make flights differ by more than flights left out did.
-        hold_out: errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them.
-        fitted: whether the parameters were fitted to these trajectories, whose errors then do not hold their own.
-        gusts: intensities and lengths by parameter name; empty in calm air.
-        met: whether the records met these gusts, so that their errors hold them.
-    """
-
-    estimate: Float[np.ndarray, " k"]
-    draws: Float[np.ndarray, "m k"]
+    estimate: Float[np.ndarray, " k"]  # its parameters, SI
+    draws: Float[np.ndarray, "m k"]  # of their posterior
     following: Float[np.ndarray, "m k"] | None = None
+    """Of the next flight's; None where their scatter between manoeuvres is not known. They are used where they do not
+    make flights differ by more than flights left out did."""
     hold_out: HoldOut | None = None
-    fitted: bool = True
-    gusts: Mapping[str, float] = field(default_factory=dict)
-    met: bool = True
+    """Errors of manoeuvres that were not fitted; None: those of the fitted ones stand for them."""
+    fitted: bool = True  # to these trajectories, whose errors then do not hold those of the parameters
+    gusts: Mapping[str, float] = field(default_factory=dict)  # intensities and lengths by parameter; empty in calm air
+    met: bool = True  # whether the records met these gusts, so that their errors hold them
 
 
 @dataclass(frozen=True)
-class Found:
+class QualifiedFlights:
     """Tests and strips; whether the next flight has the scatter of the parameters, None without a next flight.
-
-    `undecided`: tests that the parameters' posterior leaves open.
-    """
+    `undecided`: tests that the parameters' posterior leaves open."""
 
     tests: tuple[Test, ...]
     strips: tuple[Strip, ...]
@@ -69,7 +59,7 @@ class Found:
 class _Case:
     """One manoeuvre as it is flown: its row of the segments, parameters, and errors that parameters do not explain."""
 
-    kind: Kind
+    kind: FlightKind
     flown: SegmentTrajectories
     row: int
     draws: Float[np.ndarray, "m k"]
@@ -84,20 +74,10 @@ def qualify(
     *,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Found:
-    """Every test of every manoeuvre, and its time histories.
-
-    Args:
-        flown: the fitted manoeuvres, with the outputs that have a band.
-        tests: manoeuvres that were not fitted.
-        unknown: what is not known of the model.
-        bands: half the width of the tolerance by output, SI.
-        seed: of all draws.
-        progress: called with a stage and the share of it that is done.
-
-    Raises:
-        InputError: the simulation with the estimates leaves the envelope in a manoeuvre.
-    """
+) -> QualifiedFlights:
+    """Every test of every manoeuvre, and its time histories. `flown`: the fitted manoeuvres, with the outputs that have
+    a band; `tests`: others; `bands`: half the width of the tolerance by output, SI; `progress` is called with a stage
+    and the share of it that is done."""
     cases = _cases(flown, tests, unknown, seed)
     found: list[Test] = []
     strips: list[Strip] = []
@@ -109,9 +89,9 @@ def qualify(
         found += result
         strips.append(strip)
         undecided += still if case.draws is unknown.draws else []
-    ahead = [case for case in cases if case.kind is Kind.NEXT]
+    ahead = [case for case in cases if case.kind is FlightKind.NEXT]
     scattered = ahead[0].draws is unknown.following if ahead else None
-    return Found(tuple(found), tuple(strips), scattered, tuple(undecided))
+    return QualifiedFlights(tuple(found), tuple(strips), scattered, tuple(undecided))
 
 
 def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknown: Uncertain, seed: int) -> list[_Case]:
@@ -144,10 +124,10 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         taken = np.minimum(explained + by_gusts, most)
         return Structure.of(error, separated, flown.inside, np.asarray(flown.dt), taken)
 
-    cases = [_Case(Kind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
+    cases = [_Case(FlightKind.AGAIN, flown, k, unknown.draws, structure(fitted, own)) for k in range(len(flown.index))]
     left_out = structure(held.errors, held.explained)
     if tests is not None:
-        cases += [_Case(Kind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
+        cases += [_Case(FlightKind.TEST, tests, k, unknown.draws, left_out) for k in range(len(tests.index))]
     if unknown.following is None and unknown.hold_out is None:
         return cases
     draws, ahead = unknown.draws, left_out
@@ -156,7 +136,7 @@ def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknow
         shown = np.mean(held.errors[flown.inside] ** 2, axis=0)
         if np.median(scatter / np.maximum(shown, 1e-300)) <= 1.0 or unknown.hold_out is None:
             draws, ahead = unknown.following, structure(held.errors, scatter)
-    cases += [_Case(Kind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
+    cases += [_Case(FlightKind.NEXT, flown, k, draws, ahead) for k in range(len(flown.index))]
     return cases
 
 
@@ -176,7 +156,7 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            own = error if case.kind is Kind.AGAIN else None
+            own = error if case.kind is FlightKind.AGAIN else None
             flights = flights + case.structure.draws(len(flights), separated, dt, rng, own)
         if counted == "gusts":
             flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
@@ -186,30 +166,20 @@ def _judged(
     size, found, still = np.abs(error[keep]), [], []
     rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
-        beside = Recorded(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
-        record = None if case.kind is Kind.NEXT else beside
+        beside = RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
-        found.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), record))
-        if found[-1].chance.verdict is Verdict.UNDECIDED:
+        shown = None if case.kind is FlightKind.NEXT else beside
+        found.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
+        if found[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
             still.append(OpenTest(case.kind, name, output, bands[output], *parts))
-    return found, _strip(case.kind, name, alone, error[keep], flights[:, keep]), still
-
-
-def _strip(
-    kind: Kind,
-    name: str,
-    alone: SegmentTrajectories,
-    error: Float[np.ndarray, "n c"],
-    apart: Float[np.ndarray, "m n c"],
-) -> Strip:
-    """What was recorded and simulated, and the central part of the flights."""
-    flights, index = alone.flights, alone.index[0][alone.inside[0]]
-    measured = {n: np.asarray(flights.channels[n])[index] for n in alone.outputs}
-    simulated = {n: measured[n] - error[:, c] for c, n in enumerate(alone.outputs)}
-    low, high = np.quantile(np.nan_to_num(apart, posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
-    ends = [{n: simulated[n] + x[:, c] for c, n in enumerate(alone.outputs)} for x in (low, high)]
-    return Strip(kind, name, np.asarray(flights.time)[index], measured, simulated, *ends)
+    record, index = alone.flights, alone.index[0][keep]
+    measured = {n: np.asarray(record.channels[n])[index] for n in outputs}
+    simulated = {n: measured[n] - error[keep, c] for c, n in enumerate(outputs)}
+    ends = np.quantile(np.nan_to_num(flights[:, keep], posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
+    low, high = ({n: simulated[n] + x[:, c] for c, n in enumerate(outputs)} for x in ends)
+    strip = Strip(case.kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
+    return found, strip, still
 
 
 # --- The flown region: the convex hull of flown samples, and how far another motion lies outside.
@@ -248,11 +218,8 @@ class Region:
     @classmethod
     def of(cls, flown: Mapping[str, Float[np.ndarray, " n"]]) -> Region:
         """The region of the channels (n,) that are of `CHANNELS`; airspeed where there is no Mach number."""
-        names = tuple(
-            n if n in flown or n != "mach" else "airspeed"
-            for n in CHANNELS
-            if n in flown or (n == "mach" and "airspeed" in flown)
-        )
+        channels = [n if n in flown or n != "mach" else "airspeed" for n in CHANNELS]
+        names = tuple(n for n in channels if n in flown)
         if not names:
             return cls((), np.zeros((0, 0)), np.zeros(0))
         points = np.stack([np.asarray(flown[n], float) for n in names], axis=1)
@@ -262,7 +229,11 @@ class Region:
     def offsets(self, motion: Mapping[str, Float[np.ndarray, " m"]]) -> Float[np.ndarray, "m k"]:
         """From the nearest point of the hull to every sample, in units of `scale`; zero inside."""
         samples = np.stack([np.asarray(motion[n], float) for n in self.channels], axis=1) / self.scale
-        points = np.unique(_extremes_kept(self.points, MOST_FLOWN) / self.scale, axis=0)
+        points = self.points
+        if len(points) > MOST_FLOWN:  # evenly thinned, with the extremes of every channel
+            kept = np.linspace(0, len(points) - 1, MOST_FLOWN).astype(int)
+            points = points[np.unique([*kept, *np.argmin(points, axis=0), *np.argmax(points, axis=0)])]
+        points = np.unique(points / self.scale, axis=0)
         found = np.array([sample - nearest(points, sample) for sample in samples])
         return np.where(np.linalg.norm(found, axis=1, keepdims=True) > ROUNDING, found, 0.0)
 
@@ -279,11 +250,3 @@ class Region:
         excess = dict(zip(self.channels, map(float, offsets[worst] * self.scale), strict=True))
         share, when = float(np.mean(distance > NOTABLE)), float(time[kept[worst]] - time[0])
         return Outside(manoeuvre, kind, self.channels, share, float(distance[worst]), when, excess)
-
-
-def _extremes_kept(points: Float[np.ndarray, "n k"], most: int) -> Float[np.ndarray, "m k"]:
-    """Evenly thinned, with the extremes of every channel."""
-    if len(points) <= most:
-        return points
-    kept = np.linspace(0, len(points) - 1, most).astype(int)
-    return points[np.unique([*kept, *np.argmin(points, axis=0), *np.argmax(points, axis=0)])]

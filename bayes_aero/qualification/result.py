@@ -17,7 +17,7 @@ PASSES_FROM, FAILS_TO = 0.95, 0.05
 """Probabilities from which a tolerance passes, and to which it fails; our choice."""
 
 
-class Verdict(Enum):
+class ToleranceVerdict(Enum):
     """Of a tolerance; the value is the word for the user."""
 
     PASSES = "passes"
@@ -25,7 +25,7 @@ class Verdict(Enum):
     FAILS = "fails"
 
 
-class Kind(Enum):
+class FlightKind(Enum):
     """What is flown: a fitted manoeuvre again, a manoeuvre that was not fitted, or a fitted one on the next flight."""
 
     AGAIN = "again"
@@ -47,15 +47,15 @@ class Chance:
         return cls(passed / count, float(np.sqrt(near * (1.0 - near) / (count + 2.0))))
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ToleranceVerdict:
         """Decided where the probability lies beyond a threshold by two Monte Carlo standard errors."""
         if self.value - 2.0 * self.error >= PASSES_FROM:
-            return Verdict.PASSES
-        return Verdict.FAILS if self.value + 2.0 * self.error <= FAILS_TO else Verdict.UNDECIDED
+            return ToleranceVerdict.PASSES
+        return ToleranceVerdict.FAILS if self.value + 2.0 * self.error <= FAILS_TO else ToleranceVerdict.UNDECIDED
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordBeside:
     """The model with its estimates beside the record: largest error (SI), and the share of time inside the band."""
 
     largest: float
@@ -69,28 +69,19 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Test:
-    """One output of one manoeuvre.
-
-    Attributes:
-        kind: what is flown.
-        manoeuvre: whose inputs and initial state.
-        output: the channel.
-        tolerance: half the width of its band, SI.
-        chances: probability of the whole manoeuvre inside the band by what is counted: `parameters` alone, then
-            `structure` with them, then `gusts` with both, where gusts are counted.
-        within: expected share of the time inside, all counted.
-        recorded: the record of a manoeuvre that was flown; None for the next flight.
-    """
+    """One output of one manoeuvre."""
 
     __test__ = False  # not one of pytest's
 
-    kind: Kind
-    manoeuvre: str
+    kind: FlightKind
+    manoeuvre: str  # whose inputs and initial state
     output: str
-    tolerance: float
+    tolerance: float  # half the width of its band, SI
     chances: Mapping[str, Chance]
-    within: float
-    recorded: Recorded | None = None
+    """Probability of the whole manoeuvre inside the band by what is counted: `parameters` alone, then `structure` with
+    them, then `gusts` with both, where gusts are counted."""
+    within: float  # expected share of the time inside, all counted
+    recorded: RecordBeside | None = None  # None for the next flight
 
     @property
     def chance(self) -> Chance:
@@ -100,32 +91,22 @@ class Test:
 
 @dataclass(frozen=True)
 class Outside:
-    """How far a manoeuvre leaves the flown region, the convex hull of all fitted samples.
-
-    Attributes:
-        manoeuvre: which.
-        motion: recorded or simulated.
-        channels: of the hull.
-        share: of the samples farther outside than `region.NOTABLE`.
-        distance: of the farthest sample, in units of half the flown range of each channel (`Region.scale`).
-        time: of that sample, s from the start.
-        excess: by channel, from the nearest point of the hull to that sample, SI.
-    """
+    """How far a manoeuvre leaves the flown region, the convex hull of all fitted samples."""
 
     manoeuvre: str
-    motion: str
-    channels: tuple[str, ...]
-    share: float
-    distance: float
-    time: float
-    excess: Mapping[str, float]
+    motion: str  # recorded or simulated
+    channels: tuple[str, ...]  # of the hull
+    share: float  # of the samples farther outside than `qualify.NOTABLE`
+    distance: float  # of the farthest sample, in units of half the flown range of each channel (`Region.scale`)
+    time: float  # of that sample, s from the start
+    excess: Mapping[str, float]  # by channel, from the nearest point of the hull to that sample, SI
 
 
 @dataclass(frozen=True)
 class Strip:
     """One manoeuvre over time in s (n,): recorded, simulated, and the central 95 % of flights by output, (n,)."""
 
-    kind: Kind
+    kind: FlightKind
     manoeuvre: str
     time: Float[np.ndarray, " n"]
     measured: Mapping[str, np.ndarray]
@@ -138,7 +119,7 @@ class Strip:
 class OpenTolerance:
     """An undecided test: the probability to pass now, and if the parameters were known exactly."""
 
-    kind: Kind
+    kind: FlightKind
     manoeuvre: str
     output: str
     present: float
@@ -152,64 +133,48 @@ class OpenTolerance:
 
 @dataclass(frozen=True)
 class Further:
-    """Test points for undecided tests, in the order of flying: `expected` of a point are probabilities to pass.
-
-    `refused`: manoeuvres that cannot be proposed, with the reason; `why_not`: why there are no points at all.
-    """
+    """Test points for undecided tests, in the order of flying: `expected` of a point are probabilities to pass."""
 
     tests: tuple[OpenTolerance, ...]
     points: tuple[TestPoint, ...] = ()
-    refused: Mapping[str, str] = field(default_factory=dict)
-    why_not: str = ""
+    refused: Mapping[str, str] = field(default_factory=dict)  # manoeuvres that cannot be proposed, with the reason
+    why_not: str = ""  # why there are no points at all
 
 
 @dataclass(frozen=True)
 class Qualification:
-    """All tests of a model.
-
-    Attributes:
-        tests: manoeuvres and outputs.
-        outside: where manoeuvres leave the flown region.
-        channels: of the flown region.
-        unjudged: channels of the region that were not recorded.
-        strips: time histories of what was flown.
-        tolerances: half width in SI and source, by output.
-        draws: Monte Carlo draws a test.
-        origins: where parameters, structure, gusts and the scatter between manoeuvres come from, a sentence each.
-        notes: remarks.
-        further: flights that would decide what is undecided; None where nothing is.
-        health: faults of the channels of all records, fitted and new.
-        consistency: whether their sensors agree; None: not asked.
-    """
+    """All tests of a model."""
 
     tests: tuple[Test, ...]
     outside: tuple[Outside, ...]
-    channels: tuple[str, ...]
-    unjudged: tuple[str, ...]
+    channels: tuple[str, ...]  # of the flown region
+    unjudged: tuple[str, ...]  # channels of the region that were not recorded
     strips: tuple[Strip, ...]
-    tolerances: Mapping[str, tuple[float, str]]
-    draws: int
+    tolerances: Mapping[str, tuple[float, str]]  # half width in SI and source, by output
+    draws: int  # Monte Carlo draws a test
     origins: Mapping[str, str] = field(default_factory=dict)
+    """Where parameters, structure, gusts and the scatter between manoeuvres come from, a sentence each."""
     notes: tuple[str, ...] = ()
-    further: Further | None = None
-    health: tuple[HealthFinding, ...] = ()
-    consistency: Consistency | None = None
+    further: Further | None = None  # flights that would decide what is undecided; None where nothing is
+    health: tuple[HealthFinding, ...] = ()  # faults of the channels of all records, fitted and new
+    consistency: Consistency | None = None  # whether their sensors agree; None: not asked
 
     def of(self, output: str) -> tuple[Test, ...]:
         """The tests of one output."""
         return tuple(test for test in self.tests if test.output == output)
 
-    def verdict(self, output: str) -> Verdict:
+    def verdict(self, output: str) -> ToleranceVerdict:
         """Of a tolerance: it fails where one of its tests does, and passes where all do, those on record, too."""
         tests = self.of(output)
-        if any(test.chance.verdict is Verdict.FAILS for test in tests):
-            return Verdict.FAILS
+        if any(test.chance.verdict is ToleranceVerdict.FAILS for test in tests):
+            return ToleranceVerdict.FAILS
         recorded = all(test.recorded is None or test.recorded.passed for test in tests)
-        sure = all(test.chance.verdict is Verdict.PASSES for test in tests)
-        return Verdict.PASSES if recorded and sure else Verdict.UNDECIDED
+        sure = all(test.chance.verdict is ToleranceVerdict.PASSES for test in tests)
+        return ToleranceVerdict.PASSES if recorded and sure else ToleranceVerdict.UNDECIDED
 
     @property
-    def whole(self) -> Verdict:
+    def whole(self) -> ToleranceVerdict:
         """Of the model: it fails where one tolerance does, and passes where all do."""
         found = {self.verdict(output) for output in self.tolerances}
-        return next(v for v in (Verdict.FAILS, Verdict.UNDECIDED, Verdict.PASSES) if v in found)
+        worst_first = (ToleranceVerdict.FAILS, ToleranceVerdict.UNDECIDED, ToleranceVerdict.PASSES)
+        return next(verdict for verdict in worst_first if verdict in found)

@@ -26,23 +26,14 @@ SIZES = 3  # independent values of the size in a manoeuvre's errors, which follo
 
 @dataclass(frozen=True)
 class Structure:
-    """Errors of c outputs.
+    """Errors of c outputs that parameters do not explain."""
 
-    Attributes:
-        phi: autoregression of means over `BLOCK_SECONDS`, (c, p).
-        innovation: standard deviation of its innovations in attached flow, (c,), SI.
-        fast: standard deviation of the white rest, (c,), SI.
-        growth: how many times the errors grow in fully separated flow, less one, (c,).
-        sizes: how many independent values of their size the errors amount to.
-        left: share of the mean square of slow errors that nothing else explains, (c,).
-    """
-
-    phi: Float[np.ndarray, "c p"]
-    innovation: Float[np.ndarray, " c"]
-    fast: Float[np.ndarray, " c"]
-    growth: Float[np.ndarray, " c"]
-    sizes: int
-    left: Float[np.ndarray, " c"]
+    phi: Float[np.ndarray, "c p"]  # autoregression of means over `BLOCK_SECONDS`
+    innovation: Float[np.ndarray, " c"]  # standard deviation of its innovations in attached flow, SI
+    fast: Float[np.ndarray, " c"]  # standard deviation of the white rest, SI
+    growth: Float[np.ndarray, " c"]  # how many times the errors grow in fully separated flow, less one
+    sizes: int  # how many independent values of their size the errors amount to
+    left: Float[np.ndarray, " c"]  # share of the mean square of slow errors that nothing else explains
 
     @classmethod
     def of(
@@ -53,15 +44,9 @@ class Structure:
         dt: Float[np.ndarray, " w"],
         explained: Float[np.ndarray, " c"],
     ) -> Structure:
-        """Of the errors of w manoeuvres, n samples each where `inside`.
-
-        Args:
-            errors: recorded minus simulated, SI.
-            separated: the separated share of the flow; 0 where it is attached.
-            inside: the real samples.
-            dt: sample times, s.
-            explained: mean squares that something else explains (parameters, gusts), SI squared.
-        """
+        """Of errors (recorded minus simulated, SI) of w manoeuvres, n samples each where `inside`. `separated`: the
+        separated share of the flow; `dt`: sample times, s; `explained`: mean squares that something else explains
+        (parameters, gusts), SI squared."""
         growth = SeparatedFlow(errors, separated, inside).growths() if np.ptp(separated[inside]) > 0.0 else 0.0
         growth = growth + np.zeros(errors.shape[2])
         sized = errors / (1.0 + growth * separated[:, :, None])
@@ -77,7 +62,7 @@ class Structure:
         white = np.mean((fast * (1.0 + growth * separated[inside][:, None])) ** 2, axis=0)
         total = np.maximum(np.mean(errors[inside] ** 2, axis=0) - white, 1e-300)
         left = np.maximum(1.0 - explained / total, 0.0)
-        gained = np.array([_growing(one, [f.shape[1] for f in folds]) for one in phi])
+        gained = np.array([_mean_square_from_zero(one, [f.shape[1] for f in folds]) for one in phi])
         return cls(phi, np.sqrt(slow * left / gained), fast, growth, SIZES * len(errors), left)
 
     def draws(
@@ -122,13 +107,9 @@ def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray
     return means, error - line
 
 
-def _companion(phi: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
-    return np.vstack([phi, np.eye(ORDER - 1, ORDER)])
-
-
-def _growing(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
+def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
     """Mean square of series of these lengths that begin at zero, of unit innovations."""
-    A, P, found = _companion(phi), np.zeros((ORDER, ORDER)), []
+    A, P, found = np.vstack([phi, np.eye(ORDER - 1, ORDER)]), np.zeros((ORDER, ORDER)), []
     for _ in range(max(lengths)):
         P = A @ P @ A.T
         P[0, 0] += 1.0

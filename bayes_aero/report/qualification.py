@@ -10,14 +10,14 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.qualification.result import (
     Chance,
+    FlightKind,
     Further,
-    Kind,
     OpenTolerance,
     Outside,
     Qualification,
     Strip,
     Test,
-    Verdict,
+    ToleranceVerdict,
 )
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.design import order_sentence, point_columns
@@ -91,8 +91,8 @@ def _signature() -> HtmlTable:
 
 
 def _strips(found: Qualification) -> tuple[Block, ...]:
-    flown = [s for s in found.strips if s.kind is not Kind.NEXT]
-    following = [s for s in found.strips if s.kind is Kind.NEXT]
+    flown = [s for s in found.strips if s.kind is not FlightKind.NEXT]
+    following = [s for s in found.strips if s.kind is FlightKind.NEXT]
     shown = flown[:MOST_SHOWN]
     more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
     text = (
@@ -123,7 +123,7 @@ def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
             Line("record", COLOURS["measured"], measured, width=1.0),
         ]
         lines += [Line(f"flights, {end}", FLIGHTS, x, width=0.6) for end, x in (("2.5 %", low), ("97.5 %", high))]
-        if strip.kind is Kind.NEXT:
+        if strip.kind is FlightKind.NEXT:
             lines[1] = Line("record of the manoeuvre", COLOURS["prior"], measured, width=1.0)
         panels.append(
             Panel(axis_label(output, unit), tuple(lines), shade=((2, 3),), band=factor * tolerance, height=LOW)
@@ -231,13 +231,13 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
 
 def _label(test: OpenTolerance) -> str:
     """Output, manoeuvre, and whether it is flown on the next flight."""
-    ahead = " on the next flight" if test.kind is Kind.NEXT else ""
+    ahead = " on the next flight" if test.kind is FlightKind.NEXT else ""
     return f"{GREEK.get(test.output, test.output)} of {test.manoeuvre}{ahead}"
 
 
 # --- Tables of a qualification: a verdict for each tolerance, every test, and where the flown region is left.
 
-SHOWN = {Kind.AGAIN: "fitted, flown again", Kind.TEST: "not fitted", Kind.NEXT: "next flight"}
+SHOWN = {FlightKind.AGAIN: "fitted, flown again", FlightKind.TEST: "not fitted", FlightKind.NEXT: "next flight"}
 NEGLIGIBLE = 1e-3  # of an excess, in the units of people
 COUNTED = ("parameters", "structure", "gusts")
 
@@ -267,21 +267,21 @@ def verdict_table(found: Qualification) -> Table:
     rows = list(found.tolerances)
     column = columns_of(rows)
 
-    def least(kind: Kind):
+    def least(kind: FlightKind):
         return lambda output: chance_text(weakest(t for t in found.of(output) if t.kind is kind))
 
     def records(output: str) -> str:
         beside = [t.recorded for t in found.of(output) if t.recorded is not None]
         return f"{sum(one.passed for one in beside)} of {len(beside)}"
 
-    new = any(test.kind is Kind.TEST for test in found.tests)
+    new = any(test.kind is FlightKind.TEST for test in found.tests)
     columns = [
         column(lambda n: band(n, found.tolerances[n][0]), "", "tolerance", "tolerance"),
         column(lambda n: found.verdict(n).value, "", "verdict", "verdict"),
         column(records, "", "records\ninside", "records inside"),
-        column(least(Kind.AGAIN), "", "fitted,\nflown again", "again"),
-        *([column(least(Kind.TEST), "", "not fitted", "not fitted")] if new else []),
-        column(least(Kind.NEXT), "", "next flight", "next flight"),
+        column(least(FlightKind.AGAIN), "", "fitted,\nflown again", "again"),
+        *([column(least(FlightKind.TEST), "", "not fitted", "not fitted")] if new else []),
+        column(least(FlightKind.NEXT), "", "next flight", "next flight"),
     ]
     note = (
         "Probability that a flight stays inside the tolerance about the simulation from start to end, of the weakest "
@@ -373,9 +373,9 @@ def excess(one: Outside) -> str:
 # --- What a qualification says, and what the rule says: what of its text was read, and what was not.
 
 WHOLE = {
-    Verdict.PASSES: "The model qualifies: it passes every tolerance.",
-    Verdict.UNDECIDED: "It is not decided whether the model qualifies.",
-    Verdict.FAILS: "The model does not qualify.",
+    ToleranceVerdict.PASSES: "The model qualifies: it passes every tolerance.",
+    ToleranceVerdict.UNDECIDED: "It is not decided whether the model qualifies.",
+    ToleranceVerdict.FAILS: "The model does not qualify.",
 }
 DEFINITION = (
     "A test is passed if the flight stays inside the tolerance about the simulation from start to end. The simulation "
@@ -406,8 +406,8 @@ UNREAD = (
 
 def verdict_sentence(found: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
-    by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in Verdict}
-    marks = {Verdict.PASSES: "Passes", Verdict.UNDECIDED: "Undecided", Verdict.FAILS: "Fails"}
+    by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in ToleranceVerdict}
+    marks = dict(zip(ToleranceVerdict, ("Passes", "Undecided", "Fails"), strict=True))
     listed = [
         f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
     ]
@@ -417,7 +417,8 @@ def verdict_sentence(found: Qualification) -> str:
 def sentences(found: Qualification) -> tuple[str, ...]:
     """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
     said = []
-    for kind, words in ((Kind.AGAIN, "fitted manoeuvre flown again"), (Kind.TEST, "manoeuvre that was not fitted")):
+    flown = {FlightKind.AGAIN: "fitted manoeuvre flown again", FlightKind.TEST: "manoeuvre that was not fitted"}
+    for kind, words in flown.items():
         tests = [t for t in found.tests if t.kind is kind]
         if not tests:
             continue
@@ -428,7 +429,7 @@ def sentences(found: Qualification) -> tuple[str, ...]:
         said.append(
             f"{len(tests)} tests of a {words}: {expected:.1f} are expected to pass, {passed} of the records do."
         )
-    following = [t for t in found.tests if t.kind is Kind.NEXT]
+    following = [t for t in found.tests if t.kind is FlightKind.NEXT]
     if following:
         least = min(following, key=lambda t: t.chance.value)
         said.append(

@@ -26,39 +26,15 @@ DURATION = 90.0  # s
 RECORDS = ("demo_stall_1", "demo_stall_2")
 
 TRUTH: dict[str, float] = {
-    "CL0": 0.15,
-    "CLa": 3.6,
-    "CLaM": 7.0,
-    "Cm0": 0.06,
-    "Cma": -0.35,
-    "Cmq": -8.0,
-    "Cmde": -0.70,
-    "CD0": 0.045,
-    "e": 0.85,
-    "CDX": 0.10,
-    "CmX": -0.10,
-    "a1": 25.0,
-    "alpha_star": 0.27,
-    "tau1": 0.0,
-    "tau2": 20.0,
-}
+    "CL0": 0.15, "CLa": 3.6, "CLaM": 7.0, "Cm0": 0.06, "Cma": -0.35, "Cmq": -8.0, "Cmde": -0.70, "CD0": 0.045,
+    "e": 0.85, "CDX": 0.10, "CmX": -0.10, "a1": 25.0, "alpha_star": 0.27, "tau1": 0.0, "tau2": 20.0,
+}  # fmt: skip
 """Parameters of the simulated aircraft: round numbers near those of a small transport."""
 
 LATERAL_TRUTH: dict[str, float] = {
-    "CYbe": -0.75,
-    "CYr": 0.3,
-    "CYdr": 0.2,
-    "Clbe": -0.1,
-    "Clp": -0.45,
-    "Clr": 0.15,
-    "Clda": -0.12,
-    "Cldr": 0.02,
-    "Cnbe": 0.13,
-    "Cnp": -0.06,
-    "Cnr": -0.2,
-    "Cnda": 0.01,
-    "Cndr": -0.09,
-}
+    "CYbe": -0.75, "CYr": 0.3, "CYdr": 0.2, "Clbe": -0.1, "Clp": -0.45, "Clr": 0.15, "Clda": -0.12, "Cldr": 0.02,
+    "Cnbe": 0.13, "Cnp": -0.06, "Cnr": -0.2, "Cnda": 0.01, "Cndr": -0.09,
+}  # fmt: skip
 """The same of its lateral derivatives, for cards that model the lateral axis; rates by b/2V."""
 
 LATERAL_EFFECTS = (
@@ -71,13 +47,8 @@ SPREAD, USUAL_SPREAD = {"alpha_star": 0.08, "e": 0.10}, 0.12
 """Of aircraft drawn near it: relative, either way; the usual one of parameters that are not listed."""
 
 DISTURBANCE = {
-    "sigma_CL": 0.012,
-    "sigma_CD": 0.003,
-    "sigma_Cm": 0.001,
-    "rho_CL": 0.5,
-    "rho_CD": 0.3,
-    "rho_Cm": 0.8,
-}
+    "sigma_CL": 0.012, "sigma_CD": 0.003, "sigma_Cm": 0.001, "rho_CL": 0.5, "rho_CD": 0.3, "rho_Cm": 0.8,
+}  # fmt: skip
 """Turbulence and the like: first-order autoregressive increments of the coefficients."""
 
 
@@ -96,12 +67,7 @@ RECORDED = (
 
 
 def simulate_stall(
-    number: int,
-    *,
-    card: Card | None = None,
-    seed: int = SEED,
-    sensor_noise: float = 1.0,
-    disturbance: float = 1.0,
+    number: int, *, card: Card | None = None, seed: int = SEED, sensor_noise: float = 1.0, disturbance: float = 1.0
 ) -> FlightRecord:
     """Manoeuvre 0 or 1 of the recipe; `sensor_noise` and `disturbance` scale what the card and the recipe state."""
     card = card or read_card("attas")
@@ -151,19 +117,27 @@ def flight_time() -> Series:
 
 
 def random_pilot(rng: np.random.Generator, duration: float, stall: float, moved: Collection[str]) -> Pilot:
-    """One manoeuvre of `duration` s at random, into a stall at alpha `stall` (rad), at the samples of `flight_time`.
-
-    Of `SURFACES` only those in `moved` are deflected.
-    """
+    """One manoeuvre of `duration` s at random, into a stall at alpha `stall` (rad), at the samples of `flight_time`. Of
+    `SURFACES` only those in `moved` are deflected."""
     time = flight_time()
     surfaces = {name: _pulses(time, rng, duration, 3, *DEFLECTIONS[name]) for name in SURFACES}  # drawn in any case
+    alpha, thrust = _alpha(time, rng, duration, np.rad2deg(stall)), _thrust(time, rng, duration)
+    parts = []
+    for begin in np.sort(rng.uniform(4.0, duration - 10.0, 4)):
+        unit, size = rng.uniform(0.6, 1.0), np.deg2rad(rng.uniform(1.0, 2.0)) * rng.choice([-1.0, 1.0])
+        parts += three_two_one_one(begin, unit, size)
+    banks = _banks(time, rng, duration)
+    sideslips = _pulses(time, rng, duration, int(rng.integers(2, 4)), 5.0, True)
+    stabilizer = np.full_like(time, rng.uniform(-1.0, 1.0))  # deg
+    for begin in rng.uniform(6.0, duration - 10.0, rng.integers(2, 4)):
+        stabilizer[time >= begin] += rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1.0)
     return Pilot(
-        alpha=_alpha(time, rng, duration, np.rad2deg(stall)),
-        thrust=_thrust(time, rng, duration),
-        excitation=_excitation(time, rng, duration),
-        phi=_banks(time, rng, duration),
-        beta=_sideslips(time, rng, duration),
-        stabilizer=_stabilizer(time, rng, duration),
+        alpha=alpha,
+        thrust=thrust,
+        excitation=rounded(pulses(time, parts), 0.4, DT),
+        phi=banks,
+        beta=rounded(sideslips, 2.0, DT),
+        stabilizer=rounded(np.deg2rad(stabilizer), 2.0, DT),
         trim_gain=0.15,
         **{name: x if name in moved else np.zeros_like(time) for name, x in surfaces.items()},
     )
@@ -233,15 +207,6 @@ def _thrust(time: Series, rng: np.random.Generator, duration: float) -> Series:
     return ramps(time, points)
 
 
-def _excitation(time: Series, rng: np.random.Generator, duration: float) -> Series:
-    """Four elevator 3-2-1-1 sequences; rad."""
-    parts = []
-    for begin in np.sort(rng.uniform(4.0, duration - 10.0, 4)):
-        unit, size = rng.uniform(0.6, 1.0), np.deg2rad(rng.uniform(1.0, 2.0)) * rng.choice([-1.0, 1.0])
-        parts += three_two_one_one(begin, unit, size)
-    return rounded(pulses(time, parts), 0.4, DT)
-
-
 def _banks(time: Series, rng: np.random.Generator, duration: float) -> Series:
     """Bank to bank, up to 30 deg either way, with wings level in between; rad."""
     points, t, side = [(0.0, 0.0)], rng.uniform(4.0, 12.0), rng.choice([-1.0, 1.0])
@@ -253,19 +218,6 @@ def _banks(time: Series, rng: np.random.Generator, duration: float) -> Series:
         points += [(t, points[-1][1]), (t + 0.1, 0.0)]
         t += rng.uniform(6.0, 18.0)
     return rounded(np.deg2rad(ramps(time, points)), 5.0, DT)
-
-
-def _sideslips(time: Series, rng: np.random.Generator, duration: float) -> Series:
-    """Two or three excursions to one side and the other, up to 5 deg; rad."""
-    return rounded(_pulses(time, rng, duration, int(rng.integers(2, 4)), 5.0, True), 2.0, DT)
-
-
-def _stabilizer(time: Series, rng: np.random.Generator, duration: float) -> Series:
-    """Trimmed in two or three steps of up to 1 deg; rad."""
-    signal = np.full_like(time, rng.uniform(-1.0, 1.0))
-    for begin in rng.uniform(6.0, duration - 10.0, rng.integers(2, 4)):
-        signal[time >= begin] += rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1.0)
-    return rounded(np.deg2rad(signal), 2.0, DT)
 
 
 def _pulses(
@@ -295,6 +247,7 @@ MANOEUVRES = (
 SECONDS = {RANDOM_STALL: 90.0}
 USUAL_SECONDS = 60.0
 SHORTEST, MOST_SAMPLES = 5.0, 200_000
+BUFFET = 2.0  # growth of the disturbance with 1 - X
 BEFORE, AFTER = 5.0, 2.0  # s flown beyond both ends: to settle, and for what reaches across them
 
 Chosen = Mapping[str, Mapping[str, float]]
@@ -302,10 +255,8 @@ Chosen = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Request:
-    """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s).
-
-    `amplitude` multiplies the inputs of a standard manoeuvre.
-    """
+    """What to simulate: `effects` by name with true values (SI), the manoeuvre, its noise and sampling (s). `amplitude`
+    multiplies the inputs of a standard manoeuvre."""
 
     effects: Chosen
     manoeuvre: str = RANDOM_STALL
@@ -317,6 +268,16 @@ class Request:
     airspeed: float | None = None
     altitude: float = 5200.0
     amplitude: float = 1.0
+
+    @property
+    def disturbance(self) -> float:
+        """Of the coefficients, over that of the demo."""
+        return self.noise_scale if self.noise in ("ar1", "buffet") else 0.0
+
+    @property
+    def buffet(self) -> float:
+        """Growth of the disturbance with 1 - X."""
+        return BUFFET if self.noise == "buffet" else 0.0
 
     @property
     def seconds(self) -> float:

@@ -116,11 +116,6 @@ def hidden_flights(
     raise failure
 
 
-def _finite(x: np.ndarray, kept: slice) -> np.ndarray:
-    """A channel that holds its last value where the flight breaks down after what is kept: filters would spread NaN."""
-    return np.where(np.isfinite(x), x, x[kept.stop - 1])
-
-
 def _flights(
     effects: Mapping[str, Mapping[str, float]], values: Mapping[str, Any], seed: list[int], setting: _Setting
 ) -> list[HiddenFlight]:
@@ -153,7 +148,8 @@ def _flights(
                 f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
                 "make them smaller"
             )
-        true = {key: _finite(everything[key], kept) for key in FLOWN}
+        # a flight that breaks down after what is kept holds its last value: filters would spread NaN
+        true = {key: np.where(np.isfinite(everything[key]), everything[key], flown[key][-1]) for key in FLOWN}
         rec = misrecorded(misrecording, values, true | commanded[number], marks, card.aircraft)
         rec = {key: x[kept] for key, x in rec.items()}
         channels = sensed(rngs[number], rec, card, setting.sensor_noise, setting.noise == "outliers")
@@ -211,15 +207,6 @@ def _known(name: str) -> Effect:
     return CATALOGUE[name]
 
 
-def _flown(name: str) -> Effect:
-    """An effect that the simulated aircraft has: its lateral motion is prescribed."""
-    effect = _known(name)
-    refuse_unsimulated(effect)
-    if not effect.acts_on(FLOWN_AXES):
-        raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
-    return effect
-
-
 @cache
 def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
@@ -239,7 +226,11 @@ def _values(
     values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
     values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * SPREAD.get(name, USUAL_SPREAD)) for name, x in TRUTH.items()}
     for name, given in effects.items():
-        own = {p.name for p in _flown(name).parameters}
+        effect = _known(name)
+        refuse_unsimulated(effect)
+        if not effect.acts_on(FLOWN_AXES):
+            raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
+        own = {p.name for p in effect.parameters}
         if not set(given) <= own:
             raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
         values |= given

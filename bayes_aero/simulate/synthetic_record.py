@@ -57,7 +57,6 @@ from bayes_aero.simulate.demo import (
     resampled,
 )
 
-BUFFET = 2.0  # growth of the disturbance with 1 - X
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
 LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
 GAS, GAMMA = 287.05287, 1.4
@@ -80,7 +79,10 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     rng = np.random.default_rng([request.seed, 7])
     rigid = Axis.LATERAL in card.axes
     base = (*read_card("attas").effects, *(LATERAL_EFFECTS if rigid else ()))
-    installed = _installed(card, known)
+    # errors of sensors that the card fixes: its model takes them out of every record, so a record has them
+    errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
+    fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
+    installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
     chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
     for effect in chosen:
         refuse_unsimulated(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
@@ -130,21 +132,10 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
     return Synthetic(
         record,
         {key: float(x) for key, x in values.items()},
-        {"buffet": _buffet(request)}
-        | {k: x * (k[:5] != "sigma" or _strength(request)) for k, x in DISTURBANCE.items()},
+        {"buffet": request.buffet} | {k: x * (k[:5] != "sigma" or request.disturbance) for k, x in DISTURBANCE.items()},
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
         _notes(request, known, {key: x[grid.kept] for key, x in true.items()}),
     )
-
-
-def _installed(card: Card, known: Mapping[str, Effect]) -> list[str]:
-    """Errors of sensors that the card fixes: its model takes them out of every record, so a record has them."""
-    errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
-    return [e.name for e in errors if all(p.name in card.fixed for p in e.parameters) and not e.absent_in(card.fixed)]
-
-
-def _strength(request: Request) -> float:
-    return request.noise_scale if request.noise in ("ar1", "buffet") else 0.0
 
 
 def _piloted(
@@ -160,7 +151,7 @@ def _piloted(
     rigid = Axis.LATERAL in model.axes
     white = rng.standard_normal((grid.n, 3))
     rho = [DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT) for name in NAMES]  # their correlation time is the demo's
-    increments = autoregressive(white, rho, [_strength(request) * DISTURBANCE[f"sigma_{name}"] for name in NAMES])
+    increments = autoregressive(white, rho, [request.disturbance * DISTURBANCE[f"sigma_{name}"] for name in NAMES])
     if request.manoeuvre == RANDOM_STALL:
         drawn = random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), moved_by(chosen))
         pilot = resampled(drawn, grid.time)
@@ -175,12 +166,7 @@ def _piloted(
         by = rigid_pilots if rigid else standard_pilots
         pilots, start = by(model, values, aircraft, grid.time, airspeed, request.altitude, request.amplitude)
         pilot = pilots[request.manoeuvre]
-    return pilot._replace(disturbance=increments, buffet=_buffet(request)), start
-
-
-def _buffet(request: Request) -> float:
-    """Growth of the disturbance with 1 - X."""
-    return BUFFET if request.noise == "buffet" else 0.0
+    return pilot._replace(disturbance=increments, buffet=request.buffet), start
 
 
 def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -231,6 +217,21 @@ class _Correction(eqx.Module):
     aircraft: Aircraft
     scale: Float[Array, " k"]
 
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        values: Mapping[str, Any],
+        channels: Mapping[str, np.ndarray],
+        marks: Mapping[str, Any],
+        aircraft: Aircraft,
+    ) -> tuple[_Correction, Float[Array, "k n"]]:
+        """The correction, and the channels as its matrix."""
+        x = np.stack(list(channels.values()))
+        scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
+        correction = cls(model, tuple(channels), dict(values), dict(marks), aircraft, jnp.asarray(scale))
+        return correction, jnp.asarray(x / scale[:, None])
+
     @eqx.filter_jit
     def __call__(self, x: Float[Array, "k n"]) -> Float[Array, "k n"]:
         channels = dict(zip(self.names, x * self.scale[:, None], strict=True))
@@ -247,19 +248,10 @@ class _Correction(eqx.Module):
         """Transposed derivative at `x` times `weight`."""
         return jax.vjp(self, x)[1](weight)[0]
 
-
-class _Derivative(LinearOperator):
-    """The derivative at `x`, on vectors."""
-
-    def __init__(self, correction: _Correction, x: Float[Array, "k n"]) -> None:
-        super().__init__(np.float64, (x.size, x.size))
-        self.correction, self.x = correction, x
-
-    def _matvec(self, v: np.ndarray) -> np.ndarray:
-        return np.asarray(self.correction.forward(self.x, jnp.asarray(v.reshape(self.x.shape)))).ravel()
-
-    def _rmatvec(self, v: np.ndarray) -> np.ndarray:
-        return np.asarray(self.correction.backward(self.x, jnp.asarray(v.reshape(self.x.shape)))).ravel()
+    def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
+        """The derivative at `x`, on vectors."""
+        on = lambda product: lambda v: np.asarray(product(x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
+        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)
 
 
 def corrected(
@@ -270,7 +262,7 @@ def corrected(
     aircraft: Aircraft,
 ) -> dict[str, np.ndarray]:
     """`Model.corrected`, compiled, without the marks."""
-    correction, x = _correction(model, values, channels, marks, aircraft)
+    correction, x = _Correction.of(model, values, channels, marks, aircraft)
     return dict(zip(channels, np.asarray(correction(x) * correction.scale[:, None]), strict=True))
 
 
@@ -281,54 +273,29 @@ def misrecorded(
     marks: Mapping[str, Any],
     aircraft: Aircraft,
 ) -> dict[str, np.ndarray]:
-    """Channels that `Model.corrected` turns into `true`.
-
-    Gauss-Newton steps from the true channels, each solved for the least change (LSMR: Fong and Saunders, SIAM J. Sci.
-    Comput. 33 (2011) 2950). A plain fixed-point iteration would blow up what a delay leaves near half the sampling
-    rate, where it cannot be undone.
-    """
-    correction, goal = _correction(model, values, true, marks, aircraft)
-    x, left = goal, 0.0
+    """Channels that `Model.corrected` turns into `true`. Gauss-Newton steps from the true channels, each solved for the
+    least change (LSMR: Fong and Saunders, SIAM J. Sci. Comput. 33 (2011) 2950). A plain fixed-point iteration would
+    blow up what a delay leaves near half the sampling rate, where it cannot be undone."""
+    correction, goal = _Correction.of(model, values, true, marks, aircraft)
+    x, left, options = goal, 0.0, {"atol": 1e-13, "btol": 1e-13, "conlim": 0.0, "maxiter": 300}
     for _ in range(STEPS):
         error = np.asarray(goal - correction(x))
         # What LSMR could not solve another step cannot either: it is what a delay has lost. Curvature leaves more.
         if np.max(np.abs(error)) < TOLERANCE or np.linalg.norm(error) < 2.0 * left:
             break
         error = np.where(np.abs(error) < 1e-14, 0.0, error)  # rounding, in channels that no effect touches
-        step, _, _, left, *_ = lsmr(
-            _Derivative(correction, x), error.ravel(), atol=1e-13, btol=1e-13, conlim=0.0, maxiter=300
-        )
+        step, _, _, left, *_ = lsmr(correction.derivative(x), error.ravel(), **options)
         x = x + jnp.asarray(step.reshape(x.shape))
     change = np.asarray((x - goal) * correction.scale[:, None])
     return {name: series + dx for (name, series), dx in zip(true.items(), change, strict=True)}
 
 
-def _correction(
-    model: Model,
-    values: Mapping[str, Any],
-    channels: Mapping[str, np.ndarray],
-    marks: Mapping[str, Any],
-    aircraft: Aircraft,
-) -> tuple[_Correction, Float[Array, "k n"]]:
-    x = np.stack(list(channels.values()))
-    scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
-    correction = _Correction(model, tuple(channels), dict(values), dict(marks), aircraft, jnp.asarray(scale))
-    return correction, jnp.asarray(x / scale[:, None])
-
-
 # --- What a recorder stores of a simulated flight: channels by the card's names, with the noise of their sensors.
 
 OTHER_SENSORS = {
-    "ay": 0.02,
-    "phi": 3e-4,
-    "theta": 3e-4,
-    "psi": 3e-4,
-    "beta": 9e-4,
-    "altitude": 0.5,
-    "elevator": 3e-4,
-    "stabilizer": 2e-4,
-    "mach": 6e-4,
-}
+    "ay": 0.02, "phi": 3e-4, "theta": 3e-4, "psi": 3e-4, "beta": 9e-4, "altitude": 0.5, "elevator": 3e-4,
+    "stabilizer": 2e-4, "mach": 6e-4,
+}  # fmt: skip
 """White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
 
 FLOWN = (

@@ -6,11 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.innovations import Disturbances, Linearised, linear_innovations, noise_derivatives
+from bayes_aero.dynamics.innovations import Disturbances, LinearisedFilter, linear_innovations, noise_derivatives
 from bayes_aero.dynamics.kalman import (
-    InitialState,
-    Measured,
-    Sampling,
+    FilterInputs,
     discrete_noise,
     discrete_noise_slopes,
     gains,
@@ -19,7 +17,7 @@ from bayes_aero.dynamics.kalman import (
     smooth,
 )
 from bayes_aero.dynamics.linear import LinearSystem
-from bayes_aero.dynamics.system import advance, integrate
+from bayes_aero.dynamics.system import advance, integrate, later
 
 # The extended Kalman filter against another library, finite differences and closed forms
 DT, N = 0.04, 400
@@ -55,8 +53,9 @@ def record(system):
 
 @eqx.filter_jit
 def compiled(system, start, P0, inputs, z, F, R):
-    measured = Measured(z, jnp.tile(jnp.asarray(R), (N, 1)))
-    return kalman_filter(system, InitialState(start, P0), inputs, measured, F, NAMES, Sampling(DT))
+    variance = jnp.tile(jnp.asarray(R), (N, 1))
+    rows = FilterInputs(start, P0, inputs, later(inputs), z, variance, jnp.ones((N, 3)), DT)
+    return kalman_filter(system, rows, F, NAMES)
 
 
 def filtered(system, record, F=F, R=R, P0=P0, start=START):
@@ -192,7 +191,7 @@ def drawn():
     rng = np.random.default_rng(20)
     normal = lambda *shape: jnp.asarray(rng.normal(size=shape))
     residual = jnp.where(jnp.asarray(rng.random((W, SAMPLES, C)) < 0.2), jnp.nan, normal(W, SAMPLES, C))
-    lin = Linearised(
+    lin = LinearisedFilter(
         0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S), 0.1 * normal(W, SAMPLES, S),
         0.9 * jnp.eye(S) + 0.05 * normal(W, SAMPLES, S, S), jnp.zeros((W, SAMPLES, S, 0)), residual,
         normal(W, SAMPLES, C, S), jnp.zeros((W, SAMPLES, C, 0)), 0.1 * normal(W, S), jnp.zeros((W, S, 0)),

@@ -7,7 +7,6 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
     SECONDS,
     multisine_inputs,
     multisines,
-    peak_factor,
     pulses,
     rounded,
     steps,
@@ -51,6 +50,11 @@ def test_a_rounded_step_ends_where_the_step_ends_and_is_half_way_at_its_middle(d
 # Multisines: what orthogonal, flat and periodic mean, computed from the signals alone
 DT, PERIOD, BAND = 0.04, 25.0, (0.1, 1.4)
 ONE_PERIOD = np.arange(0.0, PERIOD, DT)
+
+
+def peak_factor(signal):
+    """Half the range over that of a sine of the same root mean square; 1 for a sine."""
+    return np.ptp(signal) / (2.0 * np.sqrt(2.0 * np.mean(np.square(signal))))
 
 
 @pytest.fixture(scope="module")

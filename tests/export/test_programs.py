@@ -13,7 +13,7 @@ from exported_models import everything, modelled, random_signals, six, stall
 from bayes_aero.effect import Disturbance, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.export.fmu import _slave
+from bayes_aero.export.fmu import slave_source
 from bayes_aero.export.identified import Identified, about, python_source
 from bayes_aero.export.program import Builder, terms, translated
 from bayes_aero.flight.card.card import read_card
@@ -157,7 +157,7 @@ def test_the_file_needs_nothing_but_math_and_words_of_a_card_are_no_code():
     # A title and a source that would end a string.
     title = 'x"""\nraise SystemExit("run")\n"""\\'
     found = replace(stall(), title=title, sources=(title,))
-    tree = ast.parse(_slave(found, "stall", "stall_function"))
+    tree = ast.parse(slave_source(found, "stall", "stall_function"))
     assert "raise SystemExit" in ast.unparse(tree)
     assert not [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
 

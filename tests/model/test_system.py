@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.aircraft import LATERAL, LONGITUDINAL_ENVELOPE, Longitudinal
+from bayes_aero.dynamics.aircraft import ENVELOPE, LATERAL, Longitudinal
 from bayes_aero.dynamics.system import System, integrate
 from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
@@ -291,7 +291,7 @@ def test_what_leaves_the_envelope_stops_and_a_start_that_is_no_number_is_outside
     states = np.asarray(found.states)
     np.testing.assert_array_equal(states[out:], np.broadcast_to(states[out - 1], states[out:].shape))
     for name, x in zip(("airspeed", "alpha", "theta", "q"), states.T, strict=False):
-        low, high = LONGITUDINAL_ENVELOPE[name]
+        low, high = ENVELOPE[name]
         assert np.all((x >= low) & (x <= high))
     for tree in (found.states, found.outputs, slope.states, slope.outputs):
         assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(tree))

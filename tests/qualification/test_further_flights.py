@@ -12,7 +12,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Envelope
 from bayes_aero.model.joined_channels import join
 from bayes_aero.qualification.flights import OpenTest, _Linear, _precision, _shrunk, further_flights
-from bayes_aero.qualification.result import Kind
+from bayes_aero.qualification.result import FlightKind
 from bayes_aero.report.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
@@ -25,7 +25,7 @@ def constant_error(rng, sd=1.0):
     errors = rng.standard_normal((DRAWS, 2))
     by_parameters = np.repeat(errors[:, :1], SAMPLES, axis=1)
     rest = np.repeat(sd * rng.standard_normal((DRAWS, 1)), SAMPLES, axis=1)
-    return errors, OpenTest(Kind.NEXT, "stall", "theta", 2.0, by_parameters, rest)
+    return errors, OpenTest(FlightKind.NEXT, "stall", "theta", 2.0, by_parameters, rest)
 
 
 @pytest.mark.parametrize("told", [0.0, 1.0, 8.0])
@@ -72,7 +72,7 @@ def test_points_make_a_tolerance_that_parameters_leave_open_pass(flown, card, mo
     errors[:, model.names.index("CD0")] = 0.02 * rng.standard_normal(4000)
     by_parameters = np.repeat(80.0 * errors[:, [model.names.index("CD0")]], SAMPLES, axis=1)
     noise = np.repeat(0.2 * rng.standard_normal((4000, 1)), SAMPLES, axis=1)
-    tests = [OpenTest(Kind.AGAIN, "stall", "airspeed", 1.5, by_parameters, noise)]
+    tests = [OpenTest(FlightKind.AGAIN, "stall", "airspeed", 1.5, by_parameters, noise)]
     found = further_flights(tests, model.names, errors, flights, model, values, card.envelope)
     (one,) = found.tests
     assert one.present == pytest.approx(2.0 * norm.cdf(1.5 / np.hypot(1.6, 0.2)) - 1.0, abs=0.03)

@@ -15,7 +15,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.model.joined_channels import join
 from bayes_aero.qualification.flights import HoldOut
 from bayes_aero.qualification.qualify import Region, Uncertain, nearest, qualify
-from bayes_aero.qualification.result import Chance, Kind, Qualification, Recorded, Test, Verdict
+from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
 from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
 
 FREE = {"az0": -9.8, "azde": 1.0}
@@ -45,7 +45,7 @@ def unknown(flown, rng, sd=SD, **more):
     return Uncertain(estimate, draws, **more)
 
 
-def chance(tests, kind=Kind.AGAIN):
+def chance(tests, kind=FlightKind.AGAIN):
     return next(t for t in tests if t.kind is kind)
 
 
@@ -76,7 +76,7 @@ def test_white_errors_of_the_structure(flown):
     assert chance(tests).chance.value == 1.0  # flown again: the records have no error
     sizes = size / np.sqrt(rng.chisquare(6, 100_000) / 6)  # two manoeuvres show six sizes
     averaged = float(np.mean((2.0 * norm.cdf(band / sizes) - 1.0) ** N))
-    assert chance(tests, Kind.NEXT).chance.value == pytest.approx(averaged, abs=ERROR + 0.03)
+    assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(averaged, abs=ERROR + 0.03)
 
 
 def test_the_next_flight_has_its_own_parameters(flown):
@@ -84,8 +84,8 @@ def test_the_next_flight_has_its_own_parameters(flown):
     rng = np.random.default_rng(3)
     given, wider = unknown(flown, rng), unknown(flown, rng, sd=1.3)
     tests = qualify(flown, None, Uncertain(given.estimate, given.draws, wider.draws), {"az": 1.0}).tests
-    assert chance(tests, Kind.NEXT).chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
-    assert chance(tests, Kind.NEXT).recorded is None
+    assert chance(tests, FlightKind.NEXT).chance.value == pytest.approx(2.0 * norm.cdf(1.0 / 1.3) - 1.0, abs=ERROR)
+    assert chance(tests, FlightKind.NEXT).recorded is None
 
 
 def test_scatter_that_flights_left_out_do_not_show_is_not_used(flown):
@@ -113,18 +113,18 @@ def test_the_same_seed_draws_the_same_flights_with_the_errors_of_a_binomial(flow
 
 def test_verdicts_need_the_monte_carlo_error_and_the_record():
     def one(passed, within=1.0):
-        record = Recorded(1.0, within)
-        return Test(Kind.AGAIN, "m", "az", 1.0, {"parameters": Chance.of(passed, 400)}, 1.0, record)
+        record = RecordBeside(1.0, within)
+        return Test(FlightKind.AGAIN, "m", "az", 1.0, {"parameters": Chance.of(passed, 400)}, 1.0, record)
 
     def verdict(*tests):
         return Qualification(tests, (), (), (), (), {"az": (1.0, "")}, 400).whole
 
-    assert one(380).chance.verdict is Verdict.UNDECIDED  # 0.95, not known to two standard errors
-    assert verdict(one(400)) is Verdict.PASSES
-    assert verdict(one(400), one(380)) is Verdict.UNDECIDED
-    assert verdict(one(400, within=0.99)) is Verdict.UNDECIDED  # the record was outside
-    assert verdict(one(400), one(2)) is Verdict.FAILS
-    assert one(20).chance.verdict is Verdict.UNDECIDED
+    assert one(380).chance.verdict is ToleranceVerdict.UNDECIDED  # 0.95, not known to two standard errors
+    assert verdict(one(400)) is ToleranceVerdict.PASSES
+    assert verdict(one(400), one(380)) is ToleranceVerdict.UNDECIDED
+    assert verdict(one(400, within=0.99)) is ToleranceVerdict.UNDECIDED  # the record was outside
+    assert verdict(one(400), one(2)) is ToleranceVerdict.FAILS
+    assert one(20).chance.verdict is ToleranceVerdict.UNDECIDED
 
 
 DT, PHI = BLOCK_SECONDS, 0.9

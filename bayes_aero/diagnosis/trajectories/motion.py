@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.results import HALF, FlownMode, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.dynamics.linear import LinearDynamics
-from bayes_aero.dynamics.modes import Mode, Steady, modes
+from bayes_aero.dynamics.modes import MotionMode, Steady, modes
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.errors import InputError
 from bayes_aero.flight.atmosphere import altitude_of_density
@@ -90,7 +90,7 @@ def _filtered(fit: ProcessNoise, names: tuple[str, ...]) -> tuple[Float[np.ndarr
     return theta, np.zeros((len(names),) * 2) if fit.covariance is None else fit.covariance[np.ix_(order, order)]
 
 
-def _nearest(mode: Mode, others: tuple[Mode, ...]) -> complex:
+def _nearest(mode: MotionMode, others: tuple[MotionMode, ...]) -> complex:
     return min((one.eigenvalue for one in others), key=lambda value: abs(value - mode.eigenvalue))
 
 

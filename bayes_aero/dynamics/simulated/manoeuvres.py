@@ -83,11 +83,8 @@ def rounded(signal: Series, seconds: float, dt: float) -> Series:
 def commands(
     time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
 ) -> dict[str, Pilot]:
-    """The standard inputs by name, from `trim`.
-
-    `stall` (rad): rise of alpha of the slow sweep above trim; `bank_per_sideslip`: bank that keeps the heading.
-    `amplitude` multiplies all inputs.
-    """
+    """The standard inputs by name, from `trim`. `stall` (rad): rise of alpha of the slow sweep above trim;
+    `bank_per_sideslip`: bank that keeps the heading. `amplitude` multiplies all inputs."""
     rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
 
     def held(parts: list[Pulse], smooth: float) -> Series:
@@ -144,10 +141,8 @@ def standard_pilots(
     altitude: float,
     amplitude: float = 1.0,
 ) -> tuple[dict[str, Pilot], FlightState]:
-    """The pilot of each of `commands` with this model, and the level flight in which all start.
-
-    `airspeed` in m/s, `altitude` in m. Raises `InputError` where the model cannot be trimmed.
-    """
+    """The pilot of each of `commands` with this model, and the level flight in which all start. `airspeed` in m/s,
+    `altitude` in m. Raises `InputError` where the model cannot be trimmed."""
     trim = trimmed(model, values, aircraft, airspeed, altitude)
     rise = stall_rise(model, values, trim.alpha)
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
@@ -176,24 +171,32 @@ def fly_standard(
     dt: float,
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
+    rigid: bool = False,
 ) -> StandardFlights:
-    """Fly every standard manoeuvre; `airspeed` in m/s, `altitude` in m, `dt` the sampling time in s.
-
-    A manoeuvre that leaves the `envelope` is refused.
-    """
+    """Fly every standard manoeuvre; `airspeed` in m/s, `altitude` in m, `dt` the sampling time in s. `rigid`: in six
+    degrees of freedom, a model of both axes, and the manoeuvres of `LATERAL` as well. A manoeuvre that leaves the
+    `envelope` is refused."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
-    pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
-    flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
+    flights: Iterable[Mapping[str, np.ndarray]]
+    if rigid:
+        for effect in model.acting:
+            refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+        pilots, trim = rigid_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+        flights = (fly_rigid(model, values, aircraft, pilot, trim, dt) for pilot in pilots.values())
+    else:
+        pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+        flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
     flown, refused = {}, {}
     for name, flight in zip(pilots, flights, strict=True):
         channels = {key: x[before:] for key, x in flight.items()}
         if left := envelope.left_by(excursion(channels)):
             refused[name] = f"it leaves its envelope: {left}"
+        elif rigid:
+            flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
         else:
-            engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
-            flown[name] = channels | engines
+            flown[name] = channels | {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
     return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)
 
 
@@ -217,20 +220,9 @@ GRID = 16  # points for each period of the highest frequency on which the peak i
 def multisines(
     time: Float[np.ndarray, " n"], period: float, band: tuple[float, float], controls: int
 ) -> Float[np.ndarray, "c n"]:
-    """Multisines with a peak of 1, zero where `time` is, that share no frequency; periodic in `period`.
-
-    The multiples of 1/`period` in `band` are dealt to the controls in turn, so that each covers the band. Over a whole
-    period the inputs are uncorrelated, and so are their derivatives and integrals.
-
-    Args:
-        time: s; every signal is zero at time 0.
-        period: s.
-        band: lowest and highest frequency, Hz.
-        controls: number of signals.
-
-    Raises:
-        InputError: the band has fewer than two frequencies for each control.
-    """
+    """Multisines (c, n) with a peak of 1, zero where `time` (s) is, that share no frequency; periodic in `period` (s).
+    The multiples of 1/`period` in `band` (Hz) are dealt to the `controls` in turn, so that each covers the band. Over a
+    whole period the inputs are uncorrelated, and so are their derivatives and integrals."""
     k = np.arange(np.ceil(band[0] * period - 1e-9), np.floor(band[1] * period + 1e-9) + 1)
     if len(k) < 2 * controls or k[0] < 1:
         raise InputError(
@@ -243,18 +235,10 @@ def multisines(
         fine = np.linspace(0.0, 2.0 * np.pi, GRID * int(own[-1]) * 4)
         whole = np.sum(np.cos(fine[:, None] * own + phase), axis=1)
         crossing = int(np.argmax(np.diff(np.sign(whole)) != 0.0))
-        zero: Any = brentq(_value, *fine[crossing : crossing + 2], args=(own, phase))
+        sum_at = lambda angle, own, phase: float(np.sum(np.cos(angle * own + phase)))  # noqa: E731
+        zero: Any = brentq(sum_at, *fine[crossing : crossing + 2], args=(own, phase))
         signals.append(np.sum(np.cos((at + zero) * own + phase), axis=1) / np.max(np.abs(whole)))
     return np.stack(signals)
-
-
-def _value(angle: float, k: Float[np.ndarray, " m"], phase: Float[np.ndarray, " m"]) -> float:
-    return float(np.sum(np.cos(angle * k + phase)))
-
-
-def peak_factor(signal: Float[np.ndarray, " n"]) -> float:
-    """Relative peak factor: half the range over that of a sine of the same root mean square; 1 for a sine."""
-    return float(np.ptp(signal) / (2.0 * np.sqrt(2.0) * np.sqrt(np.mean(np.square(signal)))))
 
 
 def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
@@ -328,31 +312,3 @@ def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float
         "stall_with_bank": stalling._replace(phi=held(4.0, (10.0, BANK), (25.0, -BANK), (41.0, BANK), (52.0, 0.0))),
         "engine_steps": level._replace(uneven=held(1.5, (5.0, UNEVEN), (20.0, -UNEVEN), (35.0, UNEVEN), (50.0, 0.0))),
     }
-
-
-def fly_rigid_standard(
-    model: Model,
-    values: Mapping[str, Any],
-    aircraft: Aircraft,
-    *,
-    airspeed: float,
-    altitude: float,
-    dt: float,
-    amplitude: float = 1.0,
-    envelope: Envelope = ANYWHERE,
-) -> StandardFlights:
-    """As `fly_standard`, in six degrees of freedom: a model of both axes, and the manoeuvres of `LATERAL` as well."""
-    for effect in model.acting:
-        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-    n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
-    time = (np.arange(n + before) - before) * dt
-    pilots, trim = rigid_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
-    flown, refused = {}, {}
-    for name, pilot in pilots.items():
-        flight = fly_rigid(model, values, aircraft, pilot, trim, dt)
-        channels = {key: x[before:] for key, x in flight.items() if np.ndim(x) == 1}
-        if left := envelope.left_by(excursion(channels)):
-            refused[name] = f"it leaves its envelope: {left}"
-        else:
-            flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
-    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)

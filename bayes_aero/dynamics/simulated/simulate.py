@@ -34,18 +34,14 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.units import number
 
-__all__ = ["FlightState", "Pilot", "fly", "fly_together", "outside"]
-
 
 class Pilot(NamedTuple):
     """Commands of a simulated flight: alpha follows `alpha` (rad) by trim + gains x errors + `excitation` (rad).
-
     `thrust` in N; `disturbance` (n, 3) times 1 + `buffet` (1 - X) is added to CL, CD, Cm. Bank `phi` and sideslip
     `beta` (rad) are prescribed and must be smooth, because they are differentiated. `stabilizer`, `rudder`, `aileron`,
     `spoiler`, `dlc`, `flap` (rad) act only through effects. `trim_gain` (1/s): feedback on the integral of alpha, as by
     trimming. `uneven`: the left engine's thrust less the right one's over their sum; it acts only on a rigid body.
-    Arrays have one row per sample.
-    """
+    Arrays have one row per sample."""
 
     alpha: Float[Any, " n"]
     thrust: Float[Any, " n"]
@@ -69,11 +65,9 @@ class Pilot(NamedTuple):
 def fly(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
 ) -> dict[str, Float[Array, " n"]]:
-    """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI.
-
-    Inputs are linear between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a
-    delay of the elevator.
-    """
+    """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI. Inputs are linear
+    between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a delay of the
+    elevator."""
     numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
     return _fly_one(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
 
@@ -89,9 +83,7 @@ def fly_together(
     """As `fly`, for several flights of one length."""
     numbers = {name: jnp.asarray(x, float) for name, x in values.items()}
     rows = [jax.tree.map(lambda *x: np.stack([np.asarray(y, float) for y in x]), *row) for row in (pilots, starts)]
-    flights = {
-        name: np.asarray(x) for name, x in _fly_several(model, numbers, aircraft, *rows, jnp.asarray(dt)).items()
-    }
+    flights = jax.tree.map(np.asarray, _fly_several(model, numbers, aircraft, *rows, jnp.asarray(dt)))
     return [{name: x[k] for name, x in flights.items()} for k in range(len(pilots))]
 
 
@@ -145,35 +137,23 @@ def through_gusts(
     outputs: Sequence[str],
     substeps: int = 1,
 ) -> tuple[Float[Array, "n c"], Bool[Array, " n"]]:
-    """Outputs of one flight, and whether each sample was reached inside the envelope.
-
-    A random process of decay rate a and spectral density q gains the variance q (1 - exp(-2 a dt)) / (2 a) in a sample,
-    so that its own distribution is exact; within the sample the other states see its mean.
-
-    Args:
-        system: with gusts among its states.
-        start: initial state, (s,).
-        inputs: by name, (n,).
-        dt: sample time, s.
-        white: independent standard normal numbers, (n, s).
-        outputs: c names.
-        substeps: integration steps a sample.
-    """
+    """Outputs of one flight, and whether each sample was reached inside the envelope; `white`: normal numbers. A random
+    process of decay rate a and spectral density q gains the variance q (1 - exp(-2 a dt)) / (2 a) in a sample, so that
+    its own distribution is exact; within the sample the other states see its mean."""
     bounds = [system.envelope.get(name, (-jnp.inf, jnp.inf)) for name in system.states]
     lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
-    then = {name: jnp.append(x[1:], x[-1]) for name, x in inputs.items()}
 
     def one_sample(x, row):
-        now, later, noise = row
+        now, then, noise = row
         rate = 2.0 * system.decay(x, now)
         gained = system.noise_density(x, now) * jnp.where(rate > 0.0, -jnp.expm1(-rate * dt) / rate, dt)
         found = system.motion(x, now)[1]
         found |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
         sound = jnp.all(jnp.isfinite(x)) & jnp.all((x >= lower) & (x <= upper))
-        after = advance(system, x, now, later, dt, substeps) + jnp.sqrt(gained) * noise
+        after = advance(system, x, now, then, dt, substeps) + jnp.sqrt(gained) * noise
         return after, (jnp.stack([found[name] for name in outputs]), sound)
 
-    _, (made, sound) = jax.lax.scan(one_sample, start, (dict(inputs), then, white))
+    _, (made, sound) = jax.lax.scan(one_sample, start, (dict(inputs), later(inputs), white))
     return made, jnp.cumsum(~sound) == 0
 
 
@@ -191,32 +171,25 @@ REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the controls
 
 
 class PilotedBody(RigidBody):
-    """A rigid body with feedback of its state to the controls; the pilot's pitch trim, rad, is a further state.
+    """A rigid body with feedback of its state to the controls; the pilot's pitch trim, rad, is a further state. The
+    disturbance is multiplied by 1 + `buffet` (1 - X)."""
 
-    `gains`: of the elevator on alpha, q and the integral of alpha. `pilots`: for each moment, its control and the sign
-    of the control's effect. The disturbance is multiplied by 1 + `buffet` (1 - X).
-    """
-
-    gains: Any = (0.0, 0.0, 0.0)
+    gains: Any = (0.0, 0.0, 0.0)  # of the elevator on alpha, q and the integral of alpha
     buffet: Any = 0.0
-    pilots: tuple[tuple[str, str, float], ...] = eqx.field(static=True, default=())
+    pilots: tuple[tuple[str, str, float], ...] = eqx.field(static=True, default=())  # moment, its control, its sign
 
     @property
-    def states(self) -> tuple[str, ...]:
-        """States of the body, the trim, and lagged separation points."""
-        return self._with_trim(super().states)
+    def after(self) -> tuple[str, ...]:
+        """States after the flight states, the trim before the lagged separation points."""
+        names = super().after
+        points = len(names) - len(self.points)
+        return (*names[:points], "trim", *names[points:])
 
-    @property
-    def start(self) -> tuple[str, ...]:
-        """The states with angles of attitude."""
-        return self._with_trim(super().start)
-
-    def _with_trim(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        flying = len(names) - len(self.points)
-        return (*names[:flying], "trim", *names[flying:])
+    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
+        """Of the trim and the separation points."""
+        return [self.gains[2] * (state["alpha"] - s["led_alpha"]), *super().separation_rates(state, s)]
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """Signals of the flow, with the pilot's controls."""
         return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
 
     def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,11 +199,8 @@ class PilotedBody(RigidBody):
         return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED_COEFFICIENTS}
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and outputs with the controls."""
-        state = self.named(x)
-        rates, outputs = self.rates(x, u)
-        rates.insert(self.states.index("trim"), self.gains[2] * (state["alpha"] - u["led_alpha"]))
-        return jnp.stack(rates), outputs | self._controls(state, u)
+        rates, outputs = super().motion(x, u)
+        return rates, outputs | self._controls(self.named(x), u)
 
     def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
         """Deflections, rad: command and feedback."""
@@ -250,11 +220,8 @@ class PilotedBody(RigidBody):
 def fly_rigid(
     model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """Simulate a flight from `trim`; commanded bank gives a coordinated turn.
-
-    Returns:
-        All signals by the names of recorded channels, the coefficients and X; (n,), SI.
-    """
+    """All signals of a flight from `trim` by the names of recorded channels, the coefficients and X; (n,), SI.
+    Commanded bank gives a coordinated turn."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     lag = float(model.lag(values))
     if lag == 0.0:  # a separation point without lag is no state

@@ -54,11 +54,9 @@ def at_rest(alpha: Any, airspeed: Any, altitude: Any) -> dict[str, Any]:
 
 
 def lead(model: Model, values: Values, aircraft: Aircraft, alpha: Float[Array, "*n"], airspeed: Any, altitude: Any):
-    """`Lead` along `alpha` (rad) by the first of `CONTROLS` that pitches the model; a command of 0 where none does.
-
-    A positive command pitches down. It balances the pitching moment of attached flow by one Newton step from zero:
-    what that leaves is for feedback and trim.
-    """
+    """`Lead` along `alpha` (rad) by the first of `CONTROLS` that pitches the model; a command of 0 where none does. A
+    positive command pitches down. It balances the pitching moment of attached flow by one Newton step from zero: what
+    that leaves is for feedback and trim."""
     rest = at_rest(jnp.asarray(0.0), airspeed, altitude)
 
     def moment(deflections):
@@ -90,18 +88,7 @@ def level_speed(
 
 
 def trimmed(model: Model, values: Values, aircraft: Aircraft, airspeed: float, altitude: float) -> Trim:
-    """Angle of attack, thrust and command of level flight.
-
-    Args:
-        model: effects in flight.
-        values: all parameter values by name.
-        aircraft: the actual aircraft.
-        airspeed: in m/s.
-        altitude: in m.
-
-    Raises:
-        InputError: lift cannot carry the weight, or no control pitches the model.
-    """
+    """Level flight at `airspeed` in m/s and `altitude` in m."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2 * aircraft.wing_area
     weight, nothing = float(aircraft.mass) * GRAVITY, np.zeros_like(GRID)
@@ -151,11 +138,9 @@ SURFACES = ("spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "t
 
 @dataclass(frozen=True)
 class Condition:
-    """Steady flight in SI. Two of sideslip, bank and turn rate are given, and the third one (None) follows.
-
-    `climb` is the angle of the flight path, rad; `unequal` the left engine's thrust less the right one's over their
-    sum: 1 with the left engine alone.
-    """
+    """Steady flight in SI. Two of sideslip, bank and turn rate are given, and the third one (None) follows. `climb` is
+    the angle of the flight path, rad; `unequal` the left engine's thrust less the right one's over their sum: 1 with
+    the left engine alone."""
 
     airspeed: float
     altitude: float
@@ -199,23 +184,14 @@ def control_signs(model: Model, values: Values, aircraft: Aircraft, airspeed: fl
 
 
 def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Condition) -> RigidTrim:
-    """Angles, thrust and controls of steady flight: Newton's method on the accelerations and the climb.
-
-    Args:
-        model: effects in flight, of both axes.
-        values: all parameter values by name.
-        aircraft: the actual aircraft.
-        condition: the steady flight.
-
-    Raises:
-        InputError: there is no such flight, or no control balances a moment.
-    """
+    """Angles, thrust and controls of steady flight: Newton's method on the accelerations and the climb."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     controls = tuple(name for name, _ in control_signs(model, values, aircraft, condition.airspeed).values())
     body = RigidBody(model, values, aircraft)
-    angles = ("alpha", "theta", *(n for n, x in _given_or_free(condition).items() if x is None))
+    attitude = {"beta": condition.sideslip, "phi": condition.bank, "turn_rate": condition.turn_rate}
+    angles = ("alpha", "theta", *(n for n, x in attitude.items() if x is None))
     given = {name: x for name, x in asdict(condition).items() if name not in ("sideslip", "bank", "turn_rate")}
-    given |= {name: x for name, x in _given_or_free(condition).items() if x is not None}
+    given |= {name: x for name, x in attitude.items() if x is not None}
     given = {name: jnp.asarray(x, float) for name, x in given.items()}  # arrays: one program for every condition
     unknown = np.zeros(len(angles) + 1 + len(controls))
     unknown[:2], unknown[len(angles)] = 0.08, 0.1
@@ -225,14 +201,26 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
         if not (np.all(np.isfinite(imbalance)) and np.all(np.isfinite(slope))):
             break
         if np.max(np.abs(imbalance)) < TOLERANCE:
-            return _trim_within_limits(condition, angles, controls, unknown, float(aircraft.mass) * GRAVITY)
+            found = {n: float(x or 0.0) for n, x in attitude.items()}
+            found |= dict(zip(angles, map(float, unknown), strict=False))
+            deflections = dict(zip(controls, map(float, unknown[len(angles) + 1 :]), strict=True))
+            inside = all(abs(found[n]) < most for n, most in ANGLE_LIMITS.items())
+            if not inside or any(abs(x) > MAX_DEFLECTION for x in deflections.values()):
+                break
+            down = down_of(np.float64(found["phi"]), np.float64(found["theta"]))
+            state = {n: found[n] for n in ("alpha", "beta", "phi", "theta")}
+            state |= {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
+            state |= {n: found["turn_rate"] * float(x) for n, x in zip(RATES, down, strict=True)}
+            return RigidTrim(state, deflections, float(unknown[len(angles)]) * float(aircraft.mass) * GRAVITY)
         step = -np.linalg.lstsq(slope, imbalance, rcond=1e-12)[0]
         unknown = unknown + step * min(1.0, MAX_STEP / max(np.max(np.abs(step)), 1e-12))
-    raise InputError(_refusal(condition, controls))
-
-
-def _given_or_free(condition: Condition) -> dict[str, float | None]:
-    return {"beta": condition.sideslip, "phi": condition.bank, "turn_rate": condition.turn_rate}
+    asked = {"sideslip": condition.sideslip, "bank": condition.bank, "turn rate": condition.turn_rate}
+    degrees = ", ".join(f"{name} {np.degrees(x):.3g} deg" for name, x in asked.items() if x)
+    raise InputError(
+        f"there is no steady flight at {condition.airspeed:.0f} m/s and {condition.altitude:.0f} m"
+        f"{f' with {degrees}' if degrees else ''} that {', '.join(controls) or 'no control'} can hold; change the "
+        "speed or add a control to the model"
+    )
 
 
 @eqx.filter_jit
@@ -243,8 +231,7 @@ def _linear(
     controls: tuple[str, ...],
     unknown: Float[Array, " k"],
 ):
-    """Accelerations and climb that are not balanced, and their derivative by the unknowns; `given` is what the
-    `Condition` states."""
+    """Accelerations and climb that are not balanced, and their derivative by the unknowns; `given` by the condition."""
     weight = body.aircraft.mass * GRAVITY
 
     def imbalance(z):
@@ -264,35 +251,6 @@ def _linear(
     return imbalance(unknown), jax.jacfwd(imbalance)(unknown)
 
 
-def _trim_within_limits(
-    condition: Condition,
-    angles: tuple[str, ...],
-    controls: tuple[str, ...],
-    found: Float[np.ndarray, " k"],
-    weight: float,
-) -> RigidTrim:
-    given = _given_or_free(condition) | dict(zip(angles, map(float, found), strict=False))
-    turn, theta, phi = (float(given[n] or 0.0) for n in ("turn_rate", "theta", "phi"))
-    deflections = dict(zip(controls, map(float, found[len(angles) + 1 :]), strict=True))
-    inside = all(abs(float(given[n] or 0.0)) < most for n, most in ANGLE_LIMITS.items())
-    if not inside or any(abs(x) > MAX_DEFLECTION for x in deflections.values()):
-        raise InputError(_refusal(condition, controls))
-    state = {n: float(given[n] or 0.0) for n in ("alpha", "beta", "phi", "theta")}
-    state |= {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
-    state |= {n: turn * float(x) for n, x in zip(RATES, down_of(np.float64(phi), np.float64(theta)), strict=True)}
-    return RigidTrim(state, deflections, float(found[len(angles)]) * weight)
-
-
-def _refusal(condition: Condition, controls: tuple[str, ...]) -> str:
-    asked = {"sideslip": condition.sideslip, "bank": condition.bank, "turn rate": condition.turn_rate}
-    degrees = ", ".join(f"{name} {np.degrees(x):.3g} deg" for name, x in asked.items() if x)
-    return (
-        f"there is no steady flight at {condition.airspeed:.0f} m/s and {condition.altitude:.0f} m"
-        f"{f' with {degrees}' if degrees else ''} that {', '.join(controls) or 'no control'} can hold; change the "
-        "speed or add a control to the model"
-    )
-
-
 # --- Steady flow: lift, drag and separation of a model at constant angle of attack.
 
 NEAR_STALL = 0.1  # share of the samples, those with the largest lift, that represent the conditions at the stall
@@ -301,21 +259,16 @@ STEADY = ("alpha_dot", "beta_dot", "p", "q", "r", "p_dot", "q_dot", "r_dot")
 
 def conditions(signals: Mapping[str, Any]) -> dict[str, float]:
     """One value of every signal (SI): its median over the tenth of the samples with the largest lift; rates are zero.
-
-    Lift is used and not angle of attack, because in a deep stall the elevator differs from that at the largest lift.
-    Without an accelerometer the angle of attack is used.
-    """
+    Lift and not angle of attack, because in a deep stall the elevator differs from that at the largest lift. Without an
+    accelerometer the angle of attack is used."""
     alpha = np.asarray(signals["alpha"])
     lift = alpha
     if {"az", "density", "airspeed"} <= set(signals):
         lift = -np.asarray(signals["az"]) / (np.asarray(signals["density"]) * np.asarray(signals["airspeed"]) ** 2)
     high = lift >= np.quantile(lift, 1.0 - NEAR_STALL)
-    found: dict[str, float] = {}
-    for name, values in signals.items():
-        array = np.asarray(values)
-        if array.shape == alpha.shape and array.dtype.kind == "f":
-            found[name] = float(np.median(array[high]))
-    return {**found, **dict.fromkeys(STEADY, 0.0)}
+    arrays = {name: np.asarray(x) for name, x in signals.items()}
+    alike = {name: x for name, x in arrays.items() if x.shape == alpha.shape and x.dtype.kind == "f"}
+    return {name: float(np.median(x[high])) for name, x in alike.items()} | dict.fromkeys(STEADY, 0.0)
 
 
 def steady_flow(
@@ -326,10 +279,8 @@ def steady_flow(
     reference: Mapping[str, Any],
     aircraft: Aircraft,
 ) -> dict[str, Float[Array, " g"]]:
-    """X, CL, CD, Cm over `alpha` (rad), all other signals at `reference`; separation without lag.
-
-    `alpha_dot` (rad/s) other than zero gives the quasi-steady flow of a model with hysteresis.
-    """
+    """X, CL, CD, Cm over `alpha` (rad), all other signals at `reference`; separation without lag. `alpha_dot` (rad/s)
+    other than zero gives the quasi-steady flow of a model with hysteresis."""
     signals = {name: jnp.full_like(alpha, value) for name, value in reference.items()}
     signals |= {"alpha": alpha, "alpha_dot": jnp.full_like(alpha, alpha_dot)}
     values = model.values(theta)
@@ -346,32 +297,11 @@ def steady_flow(
 SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
 
 CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
-SIGNALS = frozenset(
-    [
-        "time",
-        "alpha",
-        "alpha_dot",
-        "airspeed",
-        "altitude",
-        "p",
-        "q",
-        "r",
-        "phi",
-        "theta",
-        "beta",
-        "elevator",
-        "stabilizer",
-        "rudder",
-        "spoiler_left",
-        "spoiler_right",
-        "dlc_left",
-        "dlc_right",
-        "flap",
-        "mach",
-        "density",
-        "thrust",
-    ]
-)
+SIGNALS = frozenset((
+    "time", "alpha", "alpha_dot", "airspeed", "altitude", "p", "q", "r", "phi", "theta", "beta", "elevator",
+    "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "mach", "density",
+    "thrust",
+))  # fmt: skip
 """Signals that effects may read in the simulation; there is no canard."""
 
 
@@ -388,16 +318,15 @@ def refuse_unsimulated(effect: Effect, signals: frozenset[str] = SIGNALS) -> Non
 
 
 class FlightState(NamedTuple):
-    """Airspeed m/s, alpha, theta rad, q rad/s, altitude m, the lagged separation point, and the pilot's trim command,
-    rad."""
+    """State of `Plant`; SI."""
 
     airspeed: Any
     alpha: Any
     theta: Any
     q: Any
     altitude: Any
-    lagged_X: Any = 1.0
-    trim: Any = 0.0
+    lagged_X: Any = 1.0  # the lagged separation point
+    trim: Any = 0.0  # the pilot's trim command, rad
 
 
 PRESCRIBED = ("thrust", "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap")
@@ -412,30 +341,41 @@ coefficients.
 
 
 class Plant(System):
-    """The aircraft with its model.
-
-    `gains`: of the feedback on alpha, q and the integral of alpha. The disturbance is multiplied by 1 + `buffet`
-    (1 - X). `shares`: of the pilot's command in each of `CONTROLS`.
-    """
+    """The aircraft with its model. The disturbance is multiplied by 1 + `buffet` (1 - X)."""
 
     model: Model = eqx.field(static=True)
     values: dict[str, Any]
     aircraft: Aircraft
-    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
+    gains: tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]  # on alpha, q and the integral of alpha
     buffet: Float[Array, ""]
-    shares: Any = (1.0, 0.0)
+    shares: Any = (1.0, 0.0)  # of the pilot's command in each of `CONTROLS`
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Those of `FlightState`."""
         return FlightState._fields
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
         """Derivative of the state, and every signal, from the state and `INPUTS`."""
         state = FlightState(*x)
-        s = self._signals(state, u)
+        density, sound = air(state.altitude)
+        s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
+        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
+        command = u["command"] + feedback + state.trim
+        s |= {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
+        s |= {"density": density, "mach": state.airspeed / sound}
+        s |= self.turn(s)
+
+        def flow(alpha_dot):
+            """By the effects, with disturbances, and the separation point of steady flow."""
+            known = s | {"alpha_dot": alpha_dot}
+            static = self.model.static_separation(self.values, known, self.aircraft)
+            X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
+            known = self.model.flow(self.values, known, self.aircraft, X=X)
+            growth = 1.0 + self.buffet * (1.0 - X)
+            return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
+
         implicit = any("alpha_dot" in effect.channels for effect in self.model.acting)
-        now = motion_of_aircraft(lambda rate: self._flow(state, s, rate), s, s, self.aircraft, implicit=implicit)
+        now = motion_of_aircraft(flow, s, s, self.aircraft, implicit=implicit)
         rates = {name: now.rates[name] for name in ("airspeed", "alpha", "altitude")} | {"q": now.q_dot}
         rates["theta"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[1]
         lag = self.model.lag(self.values) * self.aircraft.chord / state.airspeed
@@ -450,11 +390,9 @@ class Plant(System):
 
     def turn(self, s: Mapping[str, Any]) -> dict[str, Any]:
         """Roll, yaw (body axes) and turn rate of a flight with this bank and sideslip, from the kinematic equations and
-        the equation of side force.
-
-        The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m with Y due to sideslip:
-        without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded by `ay` does not.
-        """
+        the equation of side force. The latter is V (r cos alpha - p sin alpha + beta-dot) = g cos theta sin phi + Y/m
+        with Y due to sideslip: without sideslip a coordinated turn. It neglects V-dot tan beta; the side force recorded
+        by `ay` does not."""
         V, phi, theta, q = s["airspeed"], s["phi"], s["theta"], s["q"]
         side = 0.5 * air(s["altitude"])[0] * V * self.aircraft.wing_area * SIDE_FORCE * s["beta"] / self.aircraft.mass
         needed = GRAVITY * jnp.cos(theta) * jnp.sin(phi) / V + side - s["beta_dot"]
@@ -464,21 +402,3 @@ class Plant(System):
         psi_dot = (needed + rolling) / (lean * cos + jnp.sin(theta) * sin)
         p, r = s["phi_rate"] - psi_dot * jnp.sin(theta), psi_dot * lean - q * jnp.tan(phi)
         return {"p": p, "r": r, "psi_dot": psi_dot}
-
-    def _signals(self, state: FlightState, u: Row) -> dict[str, Any]:
-        """Signals that effects may read, without alpha-dot, by the names of recorded channels; and all of `u`."""
-        density, sound = air(state.altitude)
-        s = dict(u) | {name: getattr(state, name) for name in ("airspeed", "alpha", "theta", "q", "altitude")}
-        feedback = self.gains[0] * (state.alpha - u["alpha_led"]) + self.gains[1] * state.q
-        command = u["command"] + feedback + state.trim
-        controls = {"elevator": self.shares[0] * command, "stabilizer": u["stabilizer"] + self.shares[1] * command}
-        return s | controls | {"density": density, "mach": state.airspeed / sound} | self.turn(s)
-
-    def _flow(self, state: FlightState, s: Mapping[str, Any], alpha_dot: Any) -> dict[str, Any]:
-        """Flow by the effects at this alpha-dot with disturbances, and the separation point of steady flow."""
-        s = dict(s) | {"alpha_dot": alpha_dot}
-        static = self.model.static_separation(self.values, s, self.aircraft)
-        X = jnp.where(self.model.lag(self.values) > 0.0, state.lagged_X, static)
-        known = self.model.flow(self.values, s, self.aircraft, X=X)
-        growth = 1.0 + self.buffet * (1.0 - X)
-        return known | {"static_X": static} | {n: known[n] + growth * s[f"d{n}"] for n in ("CL", "CD", "Cm")}
