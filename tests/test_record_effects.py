@@ -142,11 +142,8 @@ def test_a_vane_ahead_of_the_cg_reads_the_flow_of_its_own_place(card, x):
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     there = (v + x * r, w - x * q)
     recorded = {
-        "alpha": np.arctan2(there[1], u),
-        "q": q,
-        "r": r,
-        "airspeed": np.sqrt(u**2 + there[0] ** 2 + there[1] ** 2),
-    }
+        "alpha": np.arctan2(there[1], u), "q": q, "r": r, "airspeed": np.sqrt(u**2 + there[0] ** 2 + there[1] ** 2),
+    }  # fmt: skip
     recorded["beta"] = np.arcsin(there[0] / recorded["airspeed"])
     given = marks(N, DT) | {name: jnp.asarray(series) for name, series in recorded.items()}
     model = Model.of(["vane_position"])
