@@ -231,17 +231,7 @@ def effect(
     """
     own = {p.name: sizes for p, sizes in parameters}
     return Effect(
-        name,
-        kind,
-        stage,
-        claim,
-        tuple(p for p, _ in parameters),
-        tuple(n for n in example.signals if n not in MARKS) if channels is None else channels,
-        increments,
-        example,
-        source,
-        uses=tuple(n for n in example.parameters if n not in own),
-        sizes=own,
-        formula=formula,
-        **fields,
-    )
+        name, kind, stage, claim, tuple(p for p, _ in parameters),
+        tuple(n for n in example.signals if n not in MARKS) if channels is None else channels, increments, example,
+        source, uses=tuple(n for n in example.parameters if n not in own), sizes=own, formula=formula, **fields,
+    )  # fmt: skip

@@ -232,13 +232,10 @@ def test_defaults_have_the_sign_of_a_stable_aircraft(card, name, channel, coeffi
     assert all(float(known[key][0]) == 0.0 for key in others)
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("CYbe", "wrong sign"), ("Clbe", "wrong sign"), ("Cnbe", "wrong sign"), ("Clda", "sign of aileron is"),
-        ("Cndr", "sign of rudder is"), ("CYdr", "sign of rudder"), ("Clp", "impossible"), ("Cnr", "impossible"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "said"), [
+    ("CYbe", "wrong sign"), ("Clbe", "wrong sign"), ("Cnbe", "wrong sign"), ("Clda", "sign of aileron is"),
+    ("Cndr", "sign of rudder is"), ("CYdr", "sign of rudder"), ("Clp", "impossible"), ("Cnr", "impossible"),
+])  # fmt: skip
 def test_an_estimate_on_the_other_side_is_told(name, said):
     parameters = [p for effect in CATALOGUE.values() for p in effect.parameters]
     (usual,) = (p.start for p in parameters if p.name == name)

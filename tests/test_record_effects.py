@@ -142,11 +142,8 @@ def test_a_vane_ahead_of_the_cg_reads_the_flow_of_its_own_place(card, x):
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     there = (v + x * r, w - x * q)
     recorded = {
-        "alpha": np.arctan2(there[1], u),
-        "q": q,
-        "r": r,
-        "airspeed": np.sqrt(u**2 + there[0] ** 2 + there[1] ** 2),
-    }
+        "alpha": np.arctan2(there[1], u), "q": q, "r": r, "airspeed": np.sqrt(u**2 + there[0] ** 2 + there[1] ** 2),
+    }  # fmt: skip
     recorded["beta"] = np.arcsin(there[0] / recorded["airspeed"])
     given = marks(N, DT) | {name: jnp.asarray(series) for name, series in recorded.items()}
     model = Model.of(["vane_position"])
@@ -177,15 +174,10 @@ def test_a_sideslip_vane_away_from_the_cg_reads_the_flow_of_its_own_place(card, 
     np.testing.assert_allclose(true, beta, atol=0.02 * moved)  # the airspeed is taken as that of the CG
 
 
-@pytest.mark.parametrize(
-    ("name", "place", "all_three"),
-    [
-        ("accel_y_position", (3.0, 0.0, 0.0), False),
-        ("accel_y_height", (0.0, 0.0, -1.5), False),
-        ("accelerometer_position", (-2.0, 0.0, 0.0), True),
-        ("accelerometer_height", (0.0, 0.0, 1.0), True),
-    ],
-)
+@pytest.mark.parametrize(("name", "place", "all_three"), [
+    ("accel_y_position", (3.0, 0.0, 0.0), False), ("accel_y_height", (0.0, 0.0, -1.5), False),
+    ("accelerometer_position", (-2.0, 0.0, 0.0), True), ("accelerometer_height", (0.0, 0.0, 1.0), True),
+])  # fmt: skip
 def test_accelerometers_elsewhere_read_the_acceleration_of_their_own_place(card, name, place, all_three):
     """That of a rigid body: omega_dot x d + omega x (omega x d) more; the flight path is then that of the centre."""
     t, axes = np.arange(N) * DT, ("ax", "ay", "az")

@@ -33,21 +33,16 @@ def soon():
     assert time.perf_counter() - began < 20.0
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("x = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
-        ("x = " + "{a = " * 30 + "1" + "}" * 30, "nested deeper than"),
-        ("x = " + "1" * 5000, "not valid TOML"),  # Python refuses to read so many digits
-        ("x = 0x" + "f" * 5000, "more than 18 digits"),  # reads them, but float() and str() do not take them
-        (".".join("a" * 50_000) + " = 1", "more than 12 parts"),  # tomllib: the square of the parts, hours
-        ("[" + " . ".join(['"a"'] * 20_000) + "]", "more than 12 parts"),
-        ('title = "' + "x" * 300_000 + '"', "more than 262144 bytes"),
-        ('"' + "k" * 1000 + '" = 1', "is no name"),
-        ('"a\\u001b[31m" = 1', "is no name"),
-        ("\0", "not valid TOML"),
-    ],
-)
+@pytest.mark.parametrize(("content", "said"), [
+    ("x = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    ("x = " + "{a = " * 30 + "1" + "}" * 30, "nested deeper than"),
+    ("x = " + "1" * 5000, "not valid TOML"),  # Python refuses to read so many digits
+    ("x = 0x" + "f" * 5000, "more than 18 digits"),  # reads them, but float() and str() do not take them
+    (".".join("a" * 50_000) + " = 1", "more than 12 parts"),  # tomllib: the square of the parts, hours
+    ("[" + " . ".join(['"a"'] * 20_000) + "]", "more than 12 parts"),
+    ('title = "' + "x" * 300_000 + '"', "more than 262144 bytes"), ('"' + "k" * 1000 + '" = 1', "is no name"),
+    ('"a\\u001b[31m" = 1', "is no name"), ("\0", "not valid TOML"),
+])  # fmt: skip
 @pytest.mark.parametrize("read", [read_card, read_study])
 def test_tables_that_no_one_writes(tmp_path, read, content, said):
     (tmp_path / "odd.toml").write_text(content)
@@ -65,18 +60,13 @@ def test_names_that_no_table_has(read, name):
         read(Path(name))
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("task = { a = 1 }", "task is"),  # unhashable
-        (f"seeds = [{', '.join(map(str, range(30_000)))}, 0]", "lists 0 twice"),  # was the square of their number
-        ("seeds = [4294967296]", "between 0 and"),
-        ('records = ["a\\u0000b.csv"]', "does not exist"),
-        (f'records = ["{"x" * 300}.csv"]', "does not exist"),
-        (f'cards = ["{"x" * 300}.toml"]', "does not exist"),
-        ("[options]\nresample = nan", "must be positive"),
-    ],
-)
+@pytest.mark.parametrize(("line", "said"), [
+    ("task = { a = 1 }", "task is"),  # unhashable
+    (f"seeds = [{', '.join(map(str, range(30_000)))}, 0]", "lists 0 twice"),  # was the square of their number
+    ("seeds = [4294967296]", "between 0 and"), ('records = ["a\\u0000b.csv"]', "does not exist"),
+    (f'records = ["{"x" * 300}.csv"]', "does not exist"), (f'cards = ["{"x" * 300}.toml"]', "does not exist"),
+    ("[options]\nresample = nan", "must be positive"),
+])  # fmt: skip
 def test_studies_that_no_one_writes(tmp_path, line, said):
     (tmp_path / "a.csv").write_text("time\n0\n")
     records = "" if line.startswith("records") else 'records = ["a.csv"]\n'

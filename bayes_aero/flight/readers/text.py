@@ -68,31 +68,29 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
     marks = marks_of(cell for name, column in cells.items() if name not in clocks for cell in column)
     columns = {}
     for name, column in cells.items():
-        heading, what, remark, sample = wanted[name], "a number", "", 0
+        clock, heading, values, sample, remark = name in clocks, wanted[name], np.full(len(column), np.nan), 0, ""
+        told = [k for k, cell in enumerate(column) if not is_blank(cell)]
         try:
-            if name in clocks:
-                remark, what = f"channel {name}: the clock time {firsts[name]} is t = 0", "a clock time"
-                told = [k for k, cell in enumerate(column) if not is_blank(cell)]
-                for sample in told:
-                    if not looks_like_clock(column[sample]):
-                        raise ValueError
-                columns[name] = FileColumn(np.full(len(column), np.nan), "s")
-                columns[name].values[told] = seconds([column[k] for k in told])
-            else:
-                columns[name] = FileColumn(np.empty(len(column)), heading.unit)
-                for sample, cell in enumerate(column):
-                    columns[name].values[sample] = number_of(cell, marks)
-                grouped = next((cell for cell in column if marks.thousands and marks.thousands in cell), "")
-                if grouped:
-                    remark = f"channel {name}: {marks.thousands!r} as in {grouped!r} is read as a thousands separator"
+            for sample in told:
+                if not clock:
+                    values[sample] = number_of(column[sample], marks)
+                elif not looks_like_clock(column[sample]):
+                    raise ValueError
+            if clock:
+                values[told] = seconds([column[k] for k in told])
+                remark = f"channel {name}: the clock time {firsts[name]} is t = 0"
         except InputError as reason:
             raise InputError(f"channel {name} holds {reason}") from reason
         except ValueError:
             raise InputError(
-                f"channel {name} has the text {column[sample][:30]!r} where {what} should be, in line "
-                f"{layout.body[sample][0]}, column {heading.column} (sample {sample}, counted from 0); correct or "
-                "delete that line"
+                f"channel {name} has the text {column[sample][:30]!r} where {'a clock time' if clock else 'a number'} "
+                f"should be, in line {layout.body[sample][0]}, column {heading.column} (sample {sample}, counted from "
+                "0); correct or delete that line"
             ) from None
+        columns[name] = FileColumn(values, "s" if clock else heading.unit)
+        grouped = next((cell for cell in column if marks.thousands and marks.thousands in cell), "")
+        if grouped and not clock:
+            remark = f"channel {name}: {marks.thousands!r} as in {grouped!r} is read as a thousands separator"
         remarks += [remark] if remark and remark not in remarks else []
     return columns
 

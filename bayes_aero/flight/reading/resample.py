@@ -56,15 +56,12 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     elapsed = np.arange(math.floor(duration / fine * (1.0 + 1e-12) + 1e-9) + 1) * fine
     time = np.minimum(begin + elapsed, end)
     return FlightRecord(
-        name=record.name,
-        time=begin + elapsed[::factor],
+        name=record.name, time=begin + elapsed[::factor],
         channels={key: _onto(record, key, knots[key], time, factor) for key in record.channels},
-        source=f"{record.source}, resampled to {dt:g} s",
-        sha256=record.sha256,
-        dropped=record.dropped,
+        source=f"{record.source}, resampled to {dt:g} s", sha256=record.sha256, dropped=record.dropped,
         remarks=(*record.remarks, *_told(record, knots, median, dt)),
         read={**record.read, "resample": dt} if record.read else {},
-    )
+    )  # fmt: skip
 
 
 def _bridged(record: str, name: str, time: np.ndarray, max_gap: float) -> float:

@@ -390,14 +390,11 @@ def test_a_channel_of_one_hertz_is_found_under_coarse_rounding_and_no_other(step
 COARSE = pytest.mark.xfail(strict=True, reason="one sample between two misses their line by less than the rounding")
 
 
-@pytest.mark.parametrize(
-    ("dt", "every", "step"),
-    [
-        pytest.param(dt, every, step, marks=COARSE if (every, step) == (2, 0.2) else ())
-        for dt, every in [(0.2, 2), (0.2, 3), (0.2, 5), (0.1, 5), (0.04, 12), (0.02, 25)]
-        for step in (0.0, 0.05, 0.1, 0.15, 0.2)
-    ],
-)
+@pytest.mark.parametrize(("dt", "every", "step"), [
+    pytest.param(dt, every, step, marks=COARSE if (every, step) == (2, 0.2) else ())
+    for dt, every in [(0.2, 2), (0.2, 3), (0.2, 5), (0.1, 5), (0.04, 12), (0.02, 25)]
+    for step in (0.0, 0.05, 0.1, 0.15, 0.2)
+])  # fmt: skip
 def test_a_channel_between_few_samples_is_found_and_no_other(dt, every, step):
     """1 to 2.5 Hz in records of 5 to 50 Hz, in steps up to 0.2 deg; the flow angle swings by 3 deg within a second."""
     record, step = flight(8, dt, 120.0), np.deg2rad(step)
