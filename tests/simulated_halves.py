@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
-from bayes_aero.diagnosis.trajectories.results import Error, Estimates, SimulatedManoeuvre, Trajectories
+from bayes_aero.diagnosis.trajectories.results import Error, Estimates, SimulatedManoeuvre, Trajectories, theil_parts
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 

@@ -12,19 +12,27 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.flight_path_check import CALM, gusts_met, path_check
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.accuracy import Size, sizes
+from bayes_aero.diagnosis.screening.parameter_fit import largest_p_value, refitted
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse, partialled
+from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
-from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained
-from bayes_aero.diagnosis.selection.gains import without_hold
-from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    SelectionStep,
+    forward_selection,
+    nats_gained,
+    removed,
+    worth,
+)
+from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead, without_hold
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.covariance import cluster_covariance
 from bayes_aero.model.joined_records import Joined, joined, repaired
 from bayes_aero.model.model import Model, lengths_of, own_effects
 from bayes_aero.parameter import Prior
@@ -203,7 +211,7 @@ def check_sensors(
     return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
 
 
-def _checked(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+def _checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
     """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
     return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
 
@@ -259,3 +267,103 @@ def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -
     true = model.corrected(values, flights.channels, flights.aircraft)
     aircraft = model.actual_aircraft(values, flights.aircraft)
     return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels}, aircraft=aircraft)
+
+
+# --- Do the stretches of a flight agree about an error of a sensor?
+# Gusts are in the vane and in the airspeed, and what integrates them wanders off as slowly as an error of a sensor
+# would make it: no autoregression tells the two apart over a record of a minute or two. In short stretches, each from
+# where it began, little has wandered, and how far they disagree says how far an estimate can be trusted, whatever the
+# colour.
+
+
+class Blocks:
+    """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
+
+    def __init__(self, state: SelectionState, fit: RegressionFit) -> None:
+        seconds, number = state.responses.seconds, np.full(len(state.residual), -1)  # of its stretch; -1 between folds
+        total = seconds * sum(fold.stop - fold.start for fold in state.folds)
+        wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
+        for fold in state.folds:
+            length = fold.stop - fold.start
+            parts = max(1, int(length * seconds / wanted + 0.5))
+            number[fold] = begin + np.arange(length) * parts // length
+            begin += parts
+        self.state, self.number = state, number
+        self._inside, self._own = number >= 0, number[number >= 0]
+        self.left = self._centred(state.left(fit))
+        self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the disagreement."""
+        return int(self._own.max())
+
+    def _centred(self, x: np.ndarray) -> np.ndarray:
+        """(m, ...) to the blocks inside stretches, (i, ...)."""
+        x = x[self._inside]
+        sums = np.zeros((self._own.max() + 1, *x.shape[1:]))
+        np.add.at(sums, self._own, x)
+        count = np.bincount(self._own).reshape(-1, *[1] * (x.ndim - 1))
+        return x - (sums / count)[self._own]
+
+    def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
+        """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
+        they disagree; None where the effect moves nothing here."""
+        state = self.state
+        own = state.full.own_columns(effect)
+        others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
+        S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
+        if not np.all(np.any(S != 0.0, axis=(0, 1))):
+            return None
+        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        S, left = both[:, :, :-1], both[:, :, -1]
+        bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
+        step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
+        rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
+        return step, bread @ cluster_covariance(rows, self._own) @ bread
+
+    def p_value(self, effect: str) -> float:
+        """Of an addition, the best of all candidates (Bonferroni): the chance that stretches which disagree as they do
+        show as much of it."""
+        judged = self.judge(effect)
+        if judged is None:
+            return 1.0
+        away = self.state.departure[self.state.full.own_columns(effect)]
+        return largest_p_value(away + judged[0], judged[1], self.freedom, len(self.state.blocks))
+
+    def deviations(self, effect: str, count: int) -> Float[np.ndarray, " k"]:
+        """Of an effect's `count` parameters, by how far the stretches disagree; zero where nothing is known."""
+        judged = self.judge(effect)
+        return np.zeros(count) if judged is None else np.sqrt(np.diag(judged[1]))
+
+
+def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+    """The state without additions that the stretches do not bear out, the least first."""
+    while state.active:
+        judged = Blocks(state, fit)
+        chances = {effect: judged.p_value(effect) for effect in state.active}
+        worst = max(chances, key=lambda effect: chances[effect])
+        if chances[worst] <= state.settings.block_false_alarm_rate:
+            break
+        state, fit = refitted(removed(state, worst))
+    return state, fit
+
+
+def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
+    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them. The last
+    election is held anew."""
+    judged = Blocks(state, fit)
+    known = dict(found.sizes) if state is found.state else sizes(state, fit)
+    for effect in state.active:
+        names = state.full.parameters_of(effect)
+        wide = zip(names, judged.deviations(effect, len(names)), strict=True)
+        known |= {n: replace(known[n], sd=max(known[n].sd, float(x))) for n, x in wide if n in known}
+    last = screen(state, fit, seed=0, nulls=False)
+    scores = tuple(
+        s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
+        for s in last.candidate_scores
+    )
+    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores), float("nan"))
+    causes, minor = worth(state, fit, known)
+    steps = (*found.steps, closing)
+    return replace(found, state=state, fit=fit, steps=steps, sizes=known, causes=causes, minor=minor)

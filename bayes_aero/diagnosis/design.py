@@ -204,7 +204,7 @@ def possible_points(
     state: SelectionState,
     variants: Sequence[Standard],
     chosen: Sequence[Effect],
-    noise: Noise,
+    noise: ResidualNoise,
     envelope: Envelope,
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
@@ -269,7 +269,7 @@ def best_points(
 
 
 def _ambiguity(
-    records: Linearised, members: frozenset[str], sizes: Mapping[str, float], active: Sequence[str]
+    records: LinearisedRecord, members: frozenset[str], sizes: Mapping[str, float], active: Sequence[str]
 ) -> Ambiguity:
     own = [e for e in records.chosen if e.name in members]
     foreign = [p.name for e in records.chosen if e.name not in {*members, *active} for p in e.parameters]
@@ -292,7 +292,7 @@ Signals = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
-class Noise:
+class ResidualNoise:
     """Residuals of the present model: variance and colour by output, growth of each with 1 - X."""
 
     outputs: tuple[str, ...]
@@ -300,14 +300,14 @@ class Noise:
     colour: Autocorrelation
     growth: Float[np.ndarray, " c"]
 
-    def of(self, outputs: Sequence[str]) -> Noise:
+    def of(self, outputs: Sequence[str]) -> ResidualNoise:
         """Of those outputs alone that are among `outputs`."""
         at = [c for c, name in enumerate(self.outputs) if name in outputs]
         colour = Autocorrelation(self.colour.phi[at], self.colour.sigma[at])
-        return Noise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
+        return ResidualNoise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
 
 
-def noise_of(state: SelectionState) -> Noise:
+def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
     residual, known = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
@@ -322,7 +322,7 @@ def noise_of(state: SelectionState) -> Noise:
                 residual[manoeuvre == k, c] -= residual[manoeuvre == k, c].mean()
     residual /= 1.0 + growth * apart[:, None]
     colour = autocorrelation_of(residual, whole_manoeuvres(manoeuvre))
-    return Noise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
+    return ResidualNoise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
 
 
 def whole_manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> list[slice]:
@@ -389,7 +389,7 @@ class Information:
 
 
 def information_of(
-    state: SelectionState, noise: Noise, chosen: Sequence[Effect], blocks: int | None = None
+    state: SelectionState, noise: ResidualNoise, chosen: Sequence[Effect], blocks: int | None = None
 ) -> Information:
     """Of the record on which `state` is linearised: on the parameters in it, and on the `chosen` effects.
 
@@ -549,11 +549,11 @@ def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> 
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedRecord:
     """A model linearised on a record, all outputs together, and the noise of these."""
 
     state: SelectionState
-    noise: Noise
+    noise: ResidualNoise
     chosen: tuple[Effect, ...]
 
     def information(self, seconds: float | None = None) -> Information:
@@ -562,7 +562,7 @@ class Linearised:
         return information_of(self.state, self.noise, self.chosen, blocks)
 
 
-def of_records(state: SelectionState, chosen: Sequence[Effect], noise: Noise) -> Linearised:
+def of_records(state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise) -> LinearisedRecord:
     """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
     flights_of(state)
     full = replace(state.full, candidates=tuple(chosen))
@@ -576,8 +576,8 @@ def on_record(
     flights: Flights,
     theta: Mapping[str, float],
     chosen: Sequence[Effect],
-    noise: Noise,
-) -> Linearised:
+    noise: ResidualNoise,
+) -> LinearisedRecord:
     """The problem linearised on a record at `theta`, in which the `chosen` effects are candidates."""
     path = tuple(name for name in noise.outputs if name not in model.coefficients)
     responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
@@ -588,12 +588,14 @@ def on_record(
 
 
 def _linearised(
-    state: SelectionState, theta: Float[np.ndarray, " k"], noise: Noise, known: SelectionState | None = None
-) -> Linearised:
+    state: SelectionState, theta: Float[np.ndarray, " k"], noise: ResidualNoise, known: SelectionState | None = None
+) -> LinearisedRecord:
     """Model, candidates and record of `state` at `theta`; what is `known` there is not computed again."""
     full, responses = state.full, state.responses
     active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
     inflation = state.variance_inflation
     there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
     X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
-    return Linearised(replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates)
+    return LinearisedRecord(
+        replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates
+    )

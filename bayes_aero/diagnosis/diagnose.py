@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
     FLIGHT_PATH,
+    LITTLE,
     Cause,
     Diagnosis,
     Gain,
@@ -21,25 +23,42 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
-from bayes_aero.diagnosis.screening.accuracy import implausible, implausible_candidate
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible, implausible_candidate
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.search.searches import search_coefficients, search_innovations, search_trajectories
-from bayes_aero.diagnosis.search.stages import SearchResult, lacking
-from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
-from bayes_aero.diagnosis.selection.gains import (
-    NO_GAIN,
-    NOTHING,
-    as_structure,
-    attributed,
-    gains_of,
-    own_share,
-    rival_gains,
-    stand_ins,
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.search import (
+    SearchResult,
+    lacking,
+    search_coefficients,
+    search_innovations,
+    search_trajectories,
+)
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    added,
+    explained,
+    mixes_noise,
+    noise_shares,
+    removed,
+)
+from bayes_aero.diagnosis.selection.holdout import (
+    Confirmation,
+    LeftOut,
+    confirmation,
+    measured_blocks,
+    split_name,
+    truncated,
+)
+from bayes_aero.diagnosis.selection.rivals import (
+    CancellingPair,
+    absorbed,
+    cancelling,
+    correlated,
+    open_errors,
     without_hold,
 )
-from bayes_aero.diagnosis.selection.holdout import Confirmation, confirmation, split_name
-from bayes_aero.diagnosis.selection.rivals import CancellingPair, absorbed, cancelling, correlated, open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
@@ -77,9 +96,11 @@ def diagnose(
     search = search_innovations if process_noise or gusts else search
     known = (*own_effects(card.effect_files).values(), *extra)
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
-    ask = gains_wanted and found.testable_now
-    candidates, kept_of, failed = _confirmed(found, progress) if ask else _unasked(found)
-    kept = kept_of[found.stages[-1][0]]
+    if gains_wanted and found.testable_now:
+        candidates, kept_of, failed = _confirmed(found, progress)
+        kept = kept_of[found.stages[-1][0]]
+    else:
+        candidates, kept, failed = causes_of(found, {}, None), found.model.state.active, ()
     within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
     hardly = stand_ins(candidates, found.by_stage, within)
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
@@ -117,10 +138,9 @@ def diagnose(
 
 
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
-Asked = tuple[list[Cause], Kept, tuple[str, ...]]
 
 
-def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
+def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
 
     A cause that loses on hold-out data, beside the causes before it, is not confirmed, the last first. Should the
@@ -141,13 +161,8 @@ def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
         return (*causes, failures)
-    untested, _, _ = _unasked(found)
-    return [replace(cause, confirmed=False) for cause in untested], {stage: () for stage, _ in found.stages}, failures
-
-
-def _unasked(found: SearchResult) -> Asked:
-    """The same where unseen data were not asked."""
-    return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
+    untested = [replace(cause, confirmed=False) for cause in causes_of(found, {}, None)]
+    return untested, {stage: () for stage, _ in found.stages}, failures
 
 
 def without_conditional(
@@ -258,11 +273,18 @@ def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[Unexpla
 
 def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:
     """Pairs of named causes of one stage that cancel."""
-    return tuple(
-        pair
-        for stage, extension in stages
-        for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
-    )
+    found = [cancelling(extension, [c.name for c in causes if c.stage == stage]) for stage, extension in stages]
+    return tuple(pair for pairs in found for pair in pairs)
+
+
+def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+    """How the card's parameters moved."""
+    before, after, own = extension.base, extension.state, extension.sizes
+    return {
+        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
+        for i, name in enumerate(after.full.model.names)
+        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
+    }
 
 
 def _excited(state: SelectionState, name: str) -> bool:
@@ -280,10 +302,15 @@ def rivals_of(
 ) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close.
 
-    Of both those are left out that predict hold-out data `worse` in its place. `noise` is the share of the cause that
-    noise of the recorded channels can make: it may outdo its rivals by recording the same motion with less of it.
-    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`), nor
-    what must be larger for it than aircraft have.
+    Of both those are left out that predict hold-out data `worse` in its place, what only hides noise of one coefficient
+    under another (see `mixes_noise`), and what must be larger for it than aircraft have.
+
+    Args:
+        extension: in which the cause is.
+        name: of the cause.
+        worse: rivals that predict hold-out data worse.
+        noise: share of the cause that noise of the recorded channels can make: it may outdo its rivals by recording
+            the same motion with less of it.
     """
     state, fit = extension.state, extension.fit
     effects = {e.name: e for e in state.full.candidates}
@@ -303,16 +330,6 @@ def rivals_of(
     nothing = np.exp(-nats(max(own.gain, 0.0), own.variance_inflation))
     close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
-
-
-def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
-    """How the card's parameters moved."""
-    before, after, own = extension.base, extension.state, extension.sizes
-    return {
-        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
-        for i, name in enumerate(after.full.model.names)
-        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
-    }
 
 
 def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
@@ -345,3 +362,129 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, hel
     causes = tuple(judged(c) for c in found.causes)
     verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
     return replace(found, causes=causes, verdict=verdict)
+
+
+# --- What every cause gains on hold-out data beside the causes before it.
+
+NOTHING = (float("nan"), float("nan"))
+NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
+
+
+def gains_of(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
+) -> dict[str, Gain]:
+    """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
+    state, causes = extension.state, extension.causes
+    nuisances = [name for name in extension.minor if name in kept]
+    sure = {name: [other for other in causes[:number] if other in kept] for number, name in enumerate(causes)}
+    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
+    base = before = LeftOut.refitted(truncated(state, nuisances))
+    for number, name in enumerate(causes):
+        if progress:
+            progress("gain on hold-out data", number / len(causes))
+        after = LeftOut.refitted(truncated(state, (*nuisances, *sure[name], name)))
+        pairs[name] = before, after
+        before = after if name in kept else before
+    gained = {name: (*after.gain(before), split_name(state)) for name, (before, after) in pairs.items()}
+    if state.outputs == state.responses.model.coefficients:
+        measured = measured_blocks(state)
+        return {n: Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()}
+    if extension is aerodynamics:  # no coefficients to score
+        return {name: Gain(*gain, {}, {}) for name, gain in gained.items()}
+
+    def corrected(sensors: Sequence[str]) -> LeftOut:
+        """The card's fit of the coefficients with these corrections of sensors alone."""
+        card = aerodynamics.base
+        theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
+        return LeftOut.refitted(moved(card, theta, ()))
+
+    measured, found = measured_blocks(aerodynamics.base), {}
+    base = before = corrected(())
+    for name in causes:  # what each correction does to the coefficients: scores, and those that it predicts worse
+        after = corrected([*sure[name], name])
+        worse = state.settings.degraded(after.output_gains(before))
+        found[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
+        before = after if name in kept else before
+    return found
+
+
+def rival_gains(
+    extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again; minus
+    infinity for one that is larger then than aircraft have."""
+    ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
+    own, found = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
+    for rival in rivals:
+        standing = ranking.of(rival)
+        if standing is not None:
+            other, _ = refitted(added(removed(extension.state, cause), standing))
+            other, _ = refitted(truncated(other, [*(e for e in kept if e != cause), rival]))
+            effect = next(e for e in other.full.candidates if e.name == rival)
+            values = dict(zip(other.full.model.names, other.theta, strict=True))
+            fitted = {p.name: Size(float(values[p.name]), 0.0, p.unit) for p in effect.parameters if p.name in values}
+            found[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(own)
+    return found
+
+
+# --- Whether an engineer would sign a cause: sizes that no aircraft has, signals that hardly move, too many rivals.
+
+
+def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
+    """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
+
+    One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
+    Not a number where the effect is not in the fit.
+    """
+    at = fit.places([c for c in state.full.own_columns(effect) if c in fit.columns])
+    if not at:
+        return float("nan")
+    S = state.scaled[state.inside][:, :, fit.columns[at]]
+    own = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
+    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
+    return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
+
+
+def attributed(
+    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+    """Causes that the record can attribute; those larger than on any aircraft, behind which is another fault; others.
+
+    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not, or are
+    `stand_ins` (see there).
+    """
+    beyond = tuple(c for c in causes if c.implausible)
+    rest = [c for c in causes if c not in beyond]
+    few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
+    named = tuple(c for c in few if c.name not in stand_ins)
+    return named, beyond, tuple(c for c in rest if c not in named)
+
+
+def stand_ins(
+    causes: Sequence[Cause], extensions: Mapping[str, Extension], unknown: Sequence[UnexplainedStructure]
+) -> tuple[str, ...]:
+    """Causes that the record hardly excites, where structure without a name is left in the output that they move most.
+
+    Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
+    """
+    left = {u.coefficient for u in unknown}
+    return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
+
+
+def _output(extension: Extension, name: str, step: CandidateScore | None = None) -> str:
+    """The output that an addition, or a candidate with this step, moves most, over what is left there."""
+    state = extension.state
+    columns, away = state.full.own_columns(name), state.departure
+    if name not in state.active and step is not None:
+        columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))
+    moved = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
+    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / extension.fit.variance))]
+
+
+def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
+    """What a cause that is none explained: the output of which it takes most, through which channel."""
+    standing = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause.name).of(cause.name)
+    share = 0.0 if standing is None else explained(extension.state, standing)
+    channel = effect.channels[0] if effect.channels else effect.kind.value
+    output = _output(extension, cause.name, standing)
+    return UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))

@@ -33,7 +33,7 @@ RANK = 1e-8  # constant errors that make a column weaker than this, beside other
 TOGETHER = 8  # records that are measured at a time
 
 
-class Kind(IntEnum):
+class Measure(IntEnum):
     """Of root mean squares: over the record, the same without the best constant errors, within a window."""
 
     DRIFT = 0
@@ -52,7 +52,7 @@ class _Measures:
     channel: tuple[str, ...]
     begin: tuple[float, ...]
     end: tuple[float, ...]
-    kind: tuple[Kind, ...]
+    kind: tuple[Measure, ...]
 
 
 def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
@@ -162,9 +162,9 @@ def _measures(
     values = [
         _of_some(residual[first : first + TOGETHER], constants, windows) for first in range(0, len(residual), TOGETHER)
     ]
-    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Kind.DRIFT, Kind.SHAPE]
+    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Measure.DRIFT, Measure.SHAPE]
     for part in windows:
-        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Kind.WINDOW]
+        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Measure.WINDOW]
     count = len(outputs)
     return _Measures(
         np.concatenate(values),
@@ -225,7 +225,7 @@ def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
     departures = []
     for name in dict.fromkeys(found.channel):
         at = [i for i, channel in enumerate(found.channel) if channel == name]
-        entire, parts = ([i for i in at if (found.kind[i] is Kind.WINDOW) == w] for w in (False, True))
+        entire, parts = ([i for i in at if (found.kind[i] is Measure.WINDOW) == w] for w in (False, True))
         runs = _runs([bool(over[i]) for i in parts])
         chosen = [[parts[i] for i in run] for run in runs]
         if not runs or sum(over[parts]) > SPREAD * len(parts):

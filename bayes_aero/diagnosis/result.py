@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.rivals import Absorbed, CancellingPair
-from bayes_aero.diagnosis.terms.library import Term
+from bayes_aero.diagnosis.terms.library import ProductTerm
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -369,10 +369,10 @@ class FoundTerm:
     """
 
     coefficient: str
-    term: Term
+    term: ProductTerm
     size: tuple[float, float]
     share: float
     gain: float
     weight: float
-    others: tuple[tuple[Term, float], ...]
+    others: tuple[tuple[ProductTerm, float], ...]
     least: float

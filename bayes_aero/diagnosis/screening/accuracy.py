@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
 
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
-from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
@@ -34,15 +33,12 @@ FILTERED = -0.5  # lag-1 correlation of third differences above which they are n
 
 @dataclass(frozen=True)
 class Size:
-    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`.
-
-    `at_bound`: the fit wants to go on beyond the parameter's bounds, so this is no measurement of it.
-    """
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
 
     mean: float
     sd: float
     unit: str
-    at_bound: bool = False
+    at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -79,10 +75,8 @@ def recording_noise(flights: Recorded) -> dict[str, float]:
 
 
 def filtered_channels(flights: Recorded) -> tuple[str, ...]:
-    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
-
-    Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
-    """
+    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
+    # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
     found = []
     for name in (name for name in REGRESSORS if name in flights.recorded):
         rough = np.concatenate([np.diff(part, 3) for part in _parts(flights, name)])
@@ -99,19 +93,18 @@ def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
 
 
 def noise_effect(
-    state: SelectionState, fit: Fit, seed: int = 0
+    state: SelectionState, fit: RegressionFit, seed: int = 0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
 
-    `state` is at its optimum. Each record with noise takes one Gauss-Newton step from there. Columns that are no
-    parameters get zeros.
-    """
+    `state` is at its optimum. Columns that are no parameters get zeros."""
     flights = state.responses.flights
     noise, rng = recording_noise(flights), np.random.default_rng(seed)
     parameters = fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
     def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
+        """The Gauss-Newton step from the optimum with more noise."""
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
@@ -130,7 +123,7 @@ def noise_effect(
     return bias, spread
 
 
-def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[str, tuple[float, float]]:
+def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
     the residuals permit.
 
@@ -138,13 +131,12 @@ def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[s
     to the output, sum up to no more than is left. The bias is linear in these variances, too. Slow noise cannot be told
     from motion in a channel by itself, so it is not estimated: it may be `SLOW` times what is read off as white.
 
-    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables).
-    """
+    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables)."""
     flights, rng = state.responses.flights, np.random.default_rng(seed)
     parameters = fit.columns < len(state.theta)
     at, own = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, own)]
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    keep = state.kept_outputs
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
     biases, added = [], []
     for name, sd in recording_noise(flights).items():
@@ -163,41 +155,31 @@ def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[s
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either
     limits = np.array(added).T / scale
     most = [(0.0, min(1.0, SLOW * float(x))) for x in scale]
-    found = {}
-    for column, row in zip(fit.columns[np.isin(fit.columns, own)], np.array(biases).T / scale, strict=True):
-        lowest, highest = (sign * _least(sign * row, limits, most) for sign in (1.0, -1.0))
-        found[state.full.model.names[column]] = (float(lowest), float(highest))
-    return found
+
+    def least(row: Float[np.ndarray, " f"]) -> float:
+        """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
+        size = float(np.max(np.abs(row)))
+        if size == 0.0:
+            return 0.0
+        found = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
+        return float(size * found) if found is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
+
+    names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, own)]]
+    return {name: (least(row), -least(-row)) for name, row in zip(names, np.array(biases).T / scale, strict=True)}
 
 
-def _least(row: Float[np.ndarray, " f"], limits: Float[np.ndarray, "c f"], most: list[tuple[float, float]]) -> float:
-    """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
-    size = float(np.max(np.abs(row)))
-    if size == 0.0:
-        return 0.0
-    least = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
-    return float(size * least) if least is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
-
-
-def sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
-    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
-
-    Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
-    less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
-    is itself known to first order only: it counts as a deviation, too.
-    """
-    colour = autocorrelation_of(state.left(fit), state.folds)
-    variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
+def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
+    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it."""
+    # Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may
+    # show less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias,
+    # which is itself known to first order only: it counts as a deviation, too.
+    variance = np.maximum(np.diag(uncertainty(state, fit)), 0.0)
     bias, spread = noise_effect(state, fit)
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
-    free = state.full.model.free
-    return {
-        free[c].name: Size(
-            float(np.clip(state.theta[c] - shift, *free[c].bounds)),
-            float(sd),
-            free[c].unit,
-            bool(np.any(np.abs(state.theta[c] - np.array(free[c].bounds)) < AT_BOUND * abs(state.theta[c]))),
-        )
-        for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
-        if c < len(free)
-    }
+    found, free = {}, state.full.model.free
+    for c, shift, sd in zip(fit.columns, bias, deviation, strict=True):
+        if c < len(free):
+            mean, (low, high) = state.theta[c], free[c].bounds
+            at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)
+            found[free[c].name] = Size(float(np.clip(mean - shift, low, high)), float(sd), free[c].unit, bool(at_bound))
+    return found

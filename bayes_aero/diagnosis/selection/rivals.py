@@ -8,7 +8,7 @@ record then does not decide between an unusual derivative and the other cause.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse, partialled
+from bayes_aero.diagnosis.screening.regression import TINY, RegressionFit, inverse, partialled
 from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
@@ -186,6 +186,15 @@ def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[s
     return found
 
 
+def without_hold(found: Extension) -> dict[str, Mapping[str, float]]:
+    """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
+    with such a one; each with its partners and the correlation."""
+    state, joint = found.state, correlated(found, found.state.active)
+    out = {n for n in state.active if any(found.sizes[p].at_bound for p in state.full.parameters_of(n))}
+    out |= set(found.implausible)
+    return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
+
+
 def _correlated_parameters(
     extension: Extension, effects: Sequence[str]
 ) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
@@ -297,7 +306,7 @@ def _columns(state: SelectionState, effects: Sequence[Effect]) -> Int[np.ndarray
 
 
 def _information_of_errors(
-    state: SelectionState, fit: Fit, effects: Sequence[Effect]
+    state: SelectionState, fit: RegressionFit, effects: Sequence[Effect]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
     """Information on one parameter of each effect, where integrals begin being free, and the right side of what is
     left."""
@@ -308,7 +317,7 @@ def _information_of_errors(
     return np.einsum("mci,c,mcj->ij", X, weight, X), right
 
 
-def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
     """The state with an addition exchanged for several errors that together do nearly the same, where these explain the
     record decisively better.
 

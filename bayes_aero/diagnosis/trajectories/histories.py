@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
 from bayes_aero.diagnosis.trajectories.results import (
     Error,
     GustHistory,
     ProcessNoise,
     SimulatedManoeuvre,
     TrajectoryFit,
+    theil_parts,
 )
 from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors

@@ -19,11 +19,12 @@ from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_o
 from bayes_aero.diagnosis.trajectories.histories import label, paths_of, posterior_covariance
 from bayes_aero.diagnosis.trajectories.holdout import (
     CandidateFit,
-    Noise,
+    FlightNoise,
     confirmed,
     eliminate,
     holdout_fits,
     left_out,
+    left_out_of,
     open_lag,
     with_lag,
 )
@@ -90,7 +91,7 @@ def compare_trajectories(
     tell("extended model", 0.0)
     ours = _side(model, flights, found, biases)
     joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
-    noise = Noise.of(joint)
+    noise = FlightNoise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
     joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
     extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
@@ -107,9 +108,9 @@ def compare_trajectories(
     fits, silent = _left_out(contenders, noise, whole.settings.unidentified, tell)
     best = extended
     if lag is not None and lagged is not None:
-        without, within = (holdout_fits(c, fits[c.name], {}) for c in (extended, lagged))
-        flown, hold_out = joint.flown, whole.settings.hold_out
-        lag = confirmed(lag, without, within, flown.outputs, flown.growth, noise.variance_inflation, hold_out)
+        unseen = [holdout_fits(c, fits[c.name], {}) for c in (extended, lagged)]
+        without, within = (left_out_of(paths, joint.flown, noise.variance_inflation) for paths in unseen)
+        lag = confirmed(lag, without, within, whole.settings.hold_out)
         best = lagged if lag.kept else extended
     tell("causes that hold-out flights need", 0.8)
     flies = eliminate(best, fits[best.name], added, silent[best.name], noise, whole.settings)
@@ -133,7 +134,7 @@ def compare_trajectories(
 
 
 def _left_out(
-    contenders: Sequence[CandidateFit], noise: Noise, unidentified: float, tell: Progress
+    contenders: Sequence[CandidateFit], noise: FlightNoise, unidentified: float, tell: Progress
 ) -> tuple[dict[str, list], dict[str, dict]]:
     """By contender: its fits to all segments but one each, and by that segment what the others say nothing of."""
     tell("left out", 0.5)
@@ -149,7 +150,7 @@ def _left_out(
 def _paths(
     models: Mapping[str, CandidateFit],
     without: Sequence[Sequence[OutputErrorResult]],
-    noise: Noise,
+    noise: FlightNoise,
     tolerances: Mapping[str, float],
     seed: int,
 ) -> list[SimulatedManoeuvre]:
@@ -168,7 +169,7 @@ def _card(
     ours: _Side,
     added: Sequence[Effect],
     extended: CandidateFit,
-    noise: Noise,
+    noise: FlightNoise,
     flights: Flights,
     biases: Mapping[str, Prior] | None,
 ) -> CandidateFit:
@@ -271,7 +272,7 @@ def fit_trajectories(
     inflation, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
-        noise = Noise.of(fit)
+        noise = FlightNoise.of(fit)
         inflation, whole, noise_growth = noise.variance_inflation, noise.on(whole), noise.told(whole.outputs)
         weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.block_jackknife import Profile
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.inference.identification import Stall
 from bayes_aero.inference.scores import Scores
@@ -21,6 +20,16 @@ from bayes_aero.parameter import Parameter
 LEADERS = 10  # candidates of a stage that are listed, by their scores
 CONSIDERED = 3  # and by the share of what is left that they explain
 LEVELS = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class ResidualProfile:
+    """Mean residual of a coefficient in bins of equal count of a channel, and the deviation of each mean."""
+
+    channel: str
+    centre: Float[np.ndarray, " b"]
+    mean: Float[np.ndarray, " b"]
+    deviation: Float[np.ndarray, " b"]
 
 
 @dataclass(frozen=True)
@@ -39,9 +48,9 @@ class Fitted:
     residual: Float[np.ndarray, "n c"]
     signals: Mapping[str, np.ndarray]
     composition: Mapping[str, Mapping[str, Any]]
-    profiles: tuple[tuple[Profile, ...], ...]
+    profiles: tuple[tuple[ResidualProfile, ...], ...]
     state: SelectionState
-    fit: Fit
+    fit: RegressionFit
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,229 @@
+"""Functions that are candidates in place of effects: smooth ones of channels, periods, products of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bayes_aero.diagnosis.candidate_set import moves, noise_channels
+from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
+from bayes_aero.diagnosis.screening.screening import explained_shares
+from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, manoeuvre_constants
+from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
+from bayes_aero.diagnosis.terms.columns import columns_of
+from bayes_aero.inference.covariance import ORDER
+from bayes_aero.physics.coefficient_names import LATERAL
+
+PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
+OVER_TIME = "time, period "
+ODD = ("beta", "p", "r", "aileron", "rudder")
+SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
+BYTES = 2e9  # of memory that inner products may take
+
+
+def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
+    """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
+    share of a verdict."""
+    s, alone = state.settings, len(state.responses.flights.lengths) == 1
+    channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
+    periodic = [(chunks(state), periodic_components(state), wave)] if has_chunks(state) else []
+    terms = [column.component for name in state.outputs for column in columns_of(state, name)]
+    return (state.folds, smooth_components(state), channel), *periodic, (state.folds, terms, channel)
+
+
+def smooth_components(state: SelectionState) -> list[Component]:
+    """A smooth function of every recorded channel that moves within a manoeuvre, in each coefficient.
+
+    Not of white noise about a constant, which explains a channel's own noise, and that is what it leaves. CL, CD and Cm
+    do not change with the sign of what changes its sign with the wings.
+    """
+    signals, flights, knots = state.responses.evaluate(state.theta)[1], state.responses.flights, state.settings.knots
+    skipped = (*SKIPPED, *noise_channels(flights))
+    names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
+    found = []
+    for name in (n for n in names if moves(signals[n], flights, 1e-6)):
+        x = np.asarray(state.responses.block(signals[name]))
+        either, even = (_smooth(y, knots) for y in (x, np.abs(x) if name in ODD else x))
+        found += _in_each(state, name, {c: either if c in LATERAL else even for c in state.outputs})
+    return found
+
+
+def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
+    """A line and radial bumps between quantiles, scaled to unit deviation; constants belong to the model."""
+    knots = np.quantile(x, np.linspace(0.02, 0.98, count))
+    width = max((knots[-1] - knots[0]) / (count - 1), 1e-12)
+    B = np.stack([x - x.mean(), *(np.exp(-0.5 * ((x - k) / width) ** 2) for k in knots[1:-1])], axis=1)
+    B = B - B.mean(axis=0)
+    return B / np.maximum(B.std(axis=0), 1e-12)
+
+
+def periodic_components(state: SelectionState) -> list[Component]:
+    """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
+    elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
+    manoeuvre, seconds, found = state.responses.manoeuvre, state.responses.seconds, []
+    longest = np.bincount(manoeuvre).min() * seconds  # of which every manoeuvre shows a whole one
+    for period in (period for period in PERIODS if 4.0 * seconds <= period <= longest):
+        phase = 2.0 * np.pi * elapsed / period
+        wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
+        found += _in_each(state, f"{OVER_TIME}{period:.3g} s", dict.fromkeys(state.outputs, basis))
+    return found
+
+
+def is_periodic(component: Component) -> bool:
+    """Whether it is a sinusoid, whose phases another manoeuvre does not know."""
+    return component.channel.startswith(OVER_TIME)
+
+
+def _in_each(state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]]) -> list[Component]:
+    """Components that act on one coefficient each."""
+    found = []
+    for coefficient, own in columns.items():
+        basis = np.zeros((len(own), len(state.outputs), own.shape[1]))
+        basis[:, state.outputs.index(coefficient)] = own
+        found.append(Component(coefficient, channel, basis))
+    return found
+
+
+def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
+    """Coefficients whose mean residual differs between manoeuvres beyond chance, as that of a function must."""
+    left = [c for c in state.outputs if c not in state.apart]
+    if len(state.responses.flights.lengths) == 1 or not left or not has_chunks(state):
+        return ()
+    folds, constants = chunks(state), manoeuvre_constants
+    manoeuvre = state.responses.manoeuvre
+    components = [Component(c, "manoeuvre", constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
+    whole, found = with_components(state, components, (), folds), []
+    for component in components:
+        trial = Trial(state, component, (), folds)
+        if trial.share < state.settings.unnamed_share or trial.gain <= 0.0:
+            continue
+        null = null_shares(whole, trial.colour, trial.fit.variance, seed)
+        if chance_of(trial.share, null) <= state.settings.unnamed_false_alarm_rate:
+            found.append(component.coefficient)
+    return tuple(found)
+
+
+# --- The folds by which components must predict.
+
+
+def manoeuvres(state: SelectionState) -> tuple[slice, ...]:
+    """The blocks of each manoeuvre."""
+    edges = np.flatnonzero(np.diff(state.responses.manoeuvre, prepend=-1, append=-1))
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
+
+
+def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
+    """Every manoeuvre in `count` parts, some blocks between neighbours left out."""
+    edges = [np.flatnonzero(state.responses.manoeuvre == k) for k in range(len(state.responses.flights.lengths))]
+    parts = [part for e in edges for part in np.array_split(e, count)]
+    return tuple(slice(int(p[0]) + 2, int(p[-1]) - 1) for p in parts)
+
+
+def chunks(state: SelectionState) -> tuple[slice, ...]:
+    """Parts of the manoeuvres by which sinusoids and offsets are judged."""
+    return parts_of(state, state.settings.manoeuvre_parts)
+
+
+def has_chunks(state: SelectionState) -> bool:
+    """Whether every manoeuvre is long enough for a sinusoid to be fitted to parts of it and predict the others."""
+    return all(part.stop - part.start > ORDER for part in chunks(state))
+
+
+# --- Components in a regression.
+
+
+def in_batches(state: SelectionState, components: Sequence[Component], folds: Sequence[slice]) -> list[list[Component]]:
+    """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
+    each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
+    most = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1)
+    found: list[list[Component]] = [[]]
+    width = 0
+    for component in components:
+        wide = component.basis.shape[2]
+        if found[-1] and width + wide > most:
+            found.append([])
+            width = 0
+        found[-1].append(component)
+        width += wide
+    return found
+
+
+def with_components(
+    state: SelectionState,
+    components: Sequence[Component],
+    chosen: Sequence[Component],
+    folds: Sequence[slice] | None = None,
+) -> SelectionState:
+    """The state in which components are the candidates in place of effects; those `chosen` are in."""
+    folds, extra = state.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
+    S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
+    width, size = S.shape[2] - state.S.shape[2], float(np.median(np.std(state.residual / state.noise_growth, axis=0)))
+    flat = np.full(width, state.variance_inflation / (10 * size) ** 2)
+    precision = np.concatenate([state.precision[:-1], flat, [1.0]])
+    mean = np.concatenate([state.mean[:-1], np.zeros(width), [0.0]])
+    products = Products.of(state.residual / state.noise_growth, S / state.noise_growth[:, :, None], folds)
+    return replace(
+        state, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+        components=tuple(components), chosen=tuple(chosen),
+    )  # fmt: skip
+
+
+def share_of(state: SelectionState, own: Int[np.ndarray, " k"]) -> float:
+    """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
+    return float(np.max(1.0 - state.fit_columns(state.wider(own)).variance / state.fit().variance))
+
+
+class Trial:
+    """A component as the only candidate beside those `chosen`, and the fit with it in."""
+
+    def __init__(
+        self,
+        state: SelectionState,
+        component: Component,
+        chosen: Sequence[Component] = (),
+        folds: Sequence[slice] | None = None,
+    ) -> None:
+        self.state = with_components(state, (component,), chosen, folds)
+        self.wide = self.state.wider(self.state.component_columns[0])
+
+    @cached_property
+    def fit(self) -> RegressionFit:
+        """With the component in."""
+        return self.state.fit_columns(self.wide)
+
+    @cached_property
+    def share(self) -> float:
+        """Share of a coefficient's remaining variance that it takes away, at best over the coefficients."""
+        return float(np.max(1.0 - self.fit.variance / self.state.fit().variance))
+
+    @cached_property
+    def gain(self) -> float:
+        """Deviance that it gains on folds that were left out."""
+        return holdout_deviance_gain(self.state, self.wide)
+
+    @property
+    def colour(self) -> Autocorrelation:
+        """Of what is left with it in."""
+        return autocorrelation_of(self.state.left(self.fit), self.state.folds)
+
+
+def null_shares(
+    trial: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
+) -> Float[np.ndarray, " r"]:
+    """Largest share that any component explains in noise-only records, of this autocorrelation and these variances."""
+    # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
+    # noise, and noise of the other outputs for a share of it.
+    fit = trial.fit_columns(trial.columns(), held=variance)
+    return explained_shares(trial, fit, colour, seed, trial.settings.unnamed_replicates)
+
+
+def chance_of(share: float, null: Float[np.ndarray, " r"]) -> float:
+    """p-value of a share among those of noise-only records."""
+    return float((1 + np.sum(null >= share)) / (1 + len(null)))
