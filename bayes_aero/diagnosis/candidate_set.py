@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, sized
@@ -111,7 +111,7 @@ def candidate_model(
         still = [c for c in effect.channels if c in flights.channels and not moves(flights.channels[c], flights)]
         if still and not missing and effect.together and _varies(_made(effect, flights, {}), flights):
             still = []
-        lacking = [name for name in effect.uses if name not in owned]
+        lacking, waiting = [name for name in effect.uses if name not in owned], False
         proposed = effect.candidate and effect.acts_on(model.axes)
         if effect.kind is Kind.NOISE or not (proposed or effect in absent):
             continue
@@ -121,18 +121,18 @@ def candidate_model(
             label = any(_moves(np.asarray(flights.channels[c])) for c in still)
             why = "differs only between manoeuvres, as an offset does" if label else "does not move in this record"
             not_testable[effect.name] = f"channel {', '.join(still)} {why}"
-            if not lacking and effect.parameters and effect not in absent:
-                idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
+            waiting = True
         elif noisy := _rests_on(noise, effect, flights):
             not_testable[effect.name] = f"channel {', '.join(noisy)} shows nothing but noise in this record"
-            if not lacking and effect.parameters and effect not in absent:
-                idle.append(effect)
+            waiting = True
         elif lacking:
             not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
         elif {p.name for p in effect.parameters} & owned:
             not_testable[effect.name] = "the model already has its parameters"
         elif effect.parameters:
             candidates.append(effect)
+        if waiting and not lacking and effect.parameters and effect not in absent:
+            idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
     # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
     dormant = [
         e
@@ -205,13 +205,18 @@ def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     """Why a single manoeuvre of so many seconds (of whole blocks) has no folds; empty where it has."""
     shortest = settings.shortest_part * settings.gap
-    enough = 2.0 * shortest + 1.0  # whole blocks are less than the record
     if int(seconds / shortest) >= 2:
         return ""
     return (
         f"a single manoeuvre of {number(seconds)} s is too short to be predicted from its own parts; "
-        f"give one of {enough:.0f} s at least, or a second one"
+        f"give one of {2.0 * shortest + 1.0:.0f} s at least, or a second one"  # whole blocks are less than the record
     )
+
+
+def manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> tuple[slice, ...]:
+    """The blocks of each manoeuvre."""
+    edges = np.flatnonzero(np.diff(manoeuvre, prepend=-1, append=-1))
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 
 
 def folds_of(
@@ -219,10 +224,8 @@ def folds_of(
 ) -> tuple[slice, ...]:
     """Manoeuvres as folds, or contiguous parts of a single one with a gap between them."""
     if manoeuvre[-1] > 0:
-        edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
-        return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
-    why = too_short(len(manoeuvre) * seconds, settings)
-    if why:
+        return manoeuvres(manoeuvre)
+    if why := too_short(len(manoeuvre) * seconds, settings):
         raise InputError(why)
     parts = min(settings.parts, int(len(manoeuvre) * seconds / (settings.shortest_part * settings.gap)))
     cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
@@ -230,11 +233,3 @@ def folds_of(
     return tuple(
         slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
     )
-
-
-def blocks_of(folds: Sequence[slice], m: int) -> Bool[np.ndarray, " m"]:
-    """Which of m blocks belong to one of these folds."""
-    found = np.zeros(m, bool)
-    for fold in folds:
-        found[fold] = True
-    return found

@@ -42,12 +42,11 @@ from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
 
 @dataclass(frozen=True)
 class KnownErrors:
-    """Errors of the record that were found: effects on it or on where its sensors are, and plain data of each (see
-    `Consistency`); and those that the flight path cannot decide on."""
+    """Errors of the record that were found."""
 
-    effects: tuple[Effect, ...]
-    errors: Mapping[str, Mapping[str, Any]]
-    open: tuple[OpenError, ...] = ()
+    effects: tuple[Effect, ...]  # on the record, or on where its sensors are
+    errors: Mapping[str, Mapping[str, Any]]  # plain data of each (see `Consistency`)
+    open: tuple[OpenError, ...] = ()  # that the flight path cannot decide on
 
 
 def consistency(
@@ -113,14 +112,13 @@ def errors_of_path(known: Extension) -> KnownErrors:
     unheld = {name for _, name, _ in alone}
     found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
-    pairs = (_unheld(named[name], one.sizes, partners) for one, name, partners in alone)
-    return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))
-
-
-def _unheld(effect: Effect, sizes: Mapping[str, Size], partners: Mapping[str, float]) -> OpenError:
-    p = effect.parameters[0]
-    size = sizes[p.name]
-    return OpenError(effect.name, p.unit, size.mean, size.sd, size.sd, False, tuple(partners), 1.0, dict(partners))
+    undecided = []
+    for one, name, partners in alone:
+        (p, *_), joint_ = named[name].parameters, dict(partners)
+        x = one.sizes[p.name]
+        undecided.append(OpenError(name, p.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, joint_))
+    undecided += [e for e in open_errors(known) if e.name not in unheld]
+    return KnownErrors(tuple(found), plain, tuple(undecided))
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
@@ -196,11 +194,15 @@ def check_sensors(
     for the others cannot be judged without it, and corrects nothing (see `without_hold`).
     """
 
+    def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+        """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
+        return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
+
     def selected(barred: Sequence[str]) -> Extension:
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
-        found = forward_selection(state, seed=seed, checked=_checked)
+        found = forward_selection(state, seed=seed, checked=checked)
         return widened(found, found.state, found.fit)
 
     first = found = selected(())
@@ -211,11 +213,6 @@ def check_sensors(
     return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
 
 
-def _checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
-    """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
-    return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
-
-
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
     """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
 
@@ -223,7 +220,7 @@ def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int =
     """
     if why := no_flight_path(records, card):
         raise InputError(why)
-    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    flights = _flights(records, card)
     plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
     whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)

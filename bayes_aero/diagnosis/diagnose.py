@@ -98,21 +98,19 @@ def diagnose(
     found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
     if gains_wanted and found.testable_now:
         candidates, kept_of, failed = _confirmed(found, progress)
-        kept = kept_of[found.stages[-1][0]]
     else:
-        candidates, kept, failed = causes_of(found, {}, None), found.model.state.active, ()
-    within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
-    hardly = stand_ins(candidates, found.by_stage, within)
+        candidates, kept_of, failed = causes_of(found, {}, None), {n: x.state.active for n, x in found.stages}, ()
+    # Offsets between manoeuvres are in the model beside the causes.
+    hardly = stand_ins(candidates, found.by_stage, [one for one in found.unknown if not one.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
-    absurd, kept = beyond, tuple(name for name in kept if name not in {c.name for c in beyond})
+    unknown = (*found.unknown, *structure_of(found, (*unnamed, *beyond)))
+    kept = tuple(name for name in kept_of[found.stages[-1][0]] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
-    unknown = (*found.unknown, *structure_of(found, (*unnamed, *absurd)))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
-    verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
     return Diagnosis(
-        verdict=as_absorbed(verdict, taken_up),
+        verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise), taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,

@@ -71,13 +71,14 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
     met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
     added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
-    drawn, columns = (
-        path_residuals(full, by, outputs, place, dt) for by in (added, _constant_errors(noise, len(time)))
-    )
-    drawn -= recorded
-    columns -= recorded
+    whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
+    each = zip(noise.constant.items(), np.eye(len(noise.constant)), strict=True)
+    constants = {n: np.outer(own, sd * whole) for (n, sd), own in each}
+    drawn, columns = (path_residuals(full, by, outputs, place, dt) - recorded for by in (added, constants))
     found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
-    return PathCheck(name, _departures(name, found), _whole(found), turbulence, met, assumed)
+    count, permitted = len(outputs), _permitted(found)
+    shape = {n: (float(found.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
+    return PathCheck(name, _departures(name, found), shape, turbulence, met, assumed)
 
 
 def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
@@ -124,14 +125,6 @@ def _gusts_shown(
     return float(np.sqrt(min(levels, default=0.0)))
 
 
-def _constant_errors(noise: SensorNoise, n: int) -> dict[str, Float[np.ndarray, "m n"]]:
-    """A constant error of each sensor by itself, as large as is permitted."""
-    names = list(noise.constant)
-    return {
-        name: np.outer(np.arange(len(names)) == i, np.full(n, noise.constant[name])) for i, name in enumerate(names)
-    }
-
-
 def _windows(n: int, dt: float) -> list[slice]:
     """Equal parts of about `WINDOW` s."""
     parts = max(1, round(n * dt / WINDOW))
@@ -159,9 +152,12 @@ def _measures(
     """All three measures of the recorded residual, the first, and of those of noise."""
     windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
     constants = _Constants(residual[1:], columns, time)
-    values = [
-        _of_some(residual[first : first + TOGETHER], constants, windows) for first in range(0, len(residual), TOGETHER)
-    ]
+    values = []
+    for first in range(0, len(residual), TOGETHER):  # a few records stay in the processor's cache
+        some = residual[first : first + TOGETHER]
+        centred, parts = some - some.mean(axis=1, keepdims=True), [_rms_about_line(some[:, part]) for part in windows]
+        whole = np.sqrt(np.mean(centred**2, axis=1))
+        values.append(np.concatenate([whole, constants.rms_without(centred), *parts], axis=1))
     begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Measure.DRIFT, Measure.SHAPE]
     for part in windows:
         begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Measure.WINDOW]
@@ -173,15 +169,6 @@ def _measures(
         tuple(float(t) for t in np.repeat(end, count)),
         tuple(kind for kind in kinds for _ in range(count)),
     )
-
-
-def _of_some(
-    residual: Float[np.ndarray, "r n c"], constants: _Constants, windows: Sequence[slice]
-) -> Float[np.ndarray, "r k"]:
-    """The measures of a few records, which stay in the processor's cache."""
-    centred = residual - residual.mean(axis=1, keepdims=True)
-    parts = [_rms_about_line(residual[:, part]) for part in windows]
-    return np.concatenate([np.sqrt(np.mean(centred**2, axis=1)), constants.rms_without(centred), *parts], axis=1)
 
 
 class _Constants:
@@ -226,28 +213,14 @@ def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
     for name in dict.fromkeys(found.channel):
         at = [i for i, channel in enumerate(found.channel) if channel == name]
         entire, parts = ([i for i in at if (found.kind[i] is Measure.WINDOW) == w] for w in (False, True))
-        runs = _runs([bool(over[i]) for i in parts])
-        chosen = [[parts[i] for i in run] for run in runs]
-        if not runs or sum(over[parts]) > SPREAD * len(parts):
+        chosen = [list(run) for exceeds, run in groupby(parts, lambda i: bool(over[i])) if exceeds]
+        if not chosen or sum(over[parts]) > SPREAD * len(parts):
             chosen = [[max(entire, key=lambda i: own[i] / permitted[i])]] if any(over[entire]) else chosen
         for run in chosen:
             worst = max(run, key=lambda i: own[i] / permitted[i])
             size, limit = float(own[worst]), float(permitted[worst])
             departures.append(Departure(record, name, found.begin[run[0]], found.end[run[-1]], size, limit))
     return tuple(departures)
-
-
-def _runs(flags: Sequence[bool]) -> list[list[int]]:
-    """Places of neighbouring true flags."""
-    numbered = groupby(enumerate(flags), lambda pair: pair[1])
-    return [[i for i, _ in run] for flag, run in numbered if flag]
-
-
-def _whole(found: _Measures) -> dict[str, tuple[float, float]]:
-    """Root mean square over the record once constant errors are out, and what is permitted, by channel."""
-    permitted, names = _permitted(found), dict.fromkeys(found.channel)
-    count = len(names)
-    return {name: (float(found.values[0, count + i]), float(permitted[count + i])) for i, name in enumerate(names)}
 
 
 # --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
@@ -273,19 +246,16 @@ AIR_DATA = ("airspeed", "alpha", "beta")
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations in SI by channel: the `white` noise of each sample that is permitted, an error that is
-    `constant` over a record, and the white noise that the record has `shown`."""
+    """Standard deviations in SI by channel."""
 
-    white: Mapping[str, float]
-    constant: Mapping[str, float]
-    shown: Mapping[str, float]
+    white: Mapping[str, float]  # the noise of each sample that is permitted
+    constant: Mapping[str, float]  # an error that is constant over a record
+    shown: Mapping[str, float]  # the white noise that the record has shown
 
 
 def sensor_noise(channels: Mapping[str, Float[np.ndarray, " n"]], card: Card) -> SensorNoise:
-    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that.
-
-    A constant error as large as the stated noise is permitted, too.
-    """
+    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that; and a
+    constant error as large as the stated noise."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
@@ -299,26 +269,21 @@ def gusts(
 
     Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.
     """
+    keep = math.exp(-dt / (SCALE_LENGTH / max(airspeed, 1.0)))
+
+    def response(n: int) -> Float[np.ndarray, " n"]:
+        """To a single sample of one."""
+        k = np.arange(n)
+        second = math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1) if across else 1.0
+        return keep**k * second
+
     run_in = min(n, 4000)
-    T = SCALE_LENGTH / max(airspeed, 1.0)
-    keep = math.exp(-dt / T)
     total = n + run_in
     size = next_fast_len(2 * total - 1 - run_in, real=True)  # what wraps around ends within the run-in
-    spectrum = np.fft.rfft(_response(keep, total, across=across), size)
+    spectrum = np.fft.rfft(response(total), size)
     drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
-    return drawn[:, run_in:total] / _deviation(keep, across=across)
-
-
-def _response(keep: float, n: int, *, across: bool) -> Float[np.ndarray, " n"]:
-    """What `gusts` makes of a single sample of one."""
-    k = np.arange(n)
-    response = keep**k
-    return response * (math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1)) if across else response
-
-
-def _deviation(keep: float, *, across: bool) -> float:
-    """Standard deviation of what `gusts` filters from unit white noise: the sum of its squared impulse response."""
-    return float(np.sqrt(np.sum(_response(keep, int(20.0 / -math.log(keep)) + 1, across=across) ** 2)))
+    deviation = np.sqrt(np.sum(response(int(20.0 / -math.log(keep)) + 1) ** 2))
+    return drawn[:, run_in:total] / float(deviation)
 
 
 def disturbances(

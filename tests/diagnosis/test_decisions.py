@@ -330,7 +330,7 @@ def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, de
     monkeypatch.setattr(SelectionState, "fit", lambda one: fit if one.apart else less)
     monkeypatch.setattr(SelectionState, "left", lambda *_: np.zeros((18, 1)))
     for name, given in {
-        "moved": lambda *_, **__: part(SelectionState, apart=()), 
+        "moved": lambda *_, **__: part(SelectionState, apart=()),
         "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
     }.items():  # fmt: skip
         monkeypatch.setattr(unexplained, name, given)

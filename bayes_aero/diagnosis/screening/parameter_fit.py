@@ -199,7 +199,7 @@ def inflation_along(
     """Variance inflation along each of j directions under a colour, or by how far stretches of what is `left` disagree
     where that is more."""
     variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
-    if stretch is not None:
+    if stretch is not None and left is not None:
         rows = np.einsum("mcj,c,mc->mj", D, weight, left, optimize=True)
         variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
     return variance_inflation(variance, np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True))

@@ -25,7 +25,7 @@ class RegressionFit:
     variance: Float[np.ndarray, " c"]
     deviance: float  # sum over outputs of n log(variance), plus the prior's quadratic form
 
-    def places(self, columns: Sequence[int] | Int[np.ndarray, " j"]) -> list[int]:
+    def places(self, columns: Sequence | np.ndarray) -> list[int]:
         """Where each of these columns stands among the active ones."""
         return [int(np.flatnonzero(self.columns == column)[0]) for column in columns]
 

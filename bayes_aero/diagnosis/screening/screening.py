@@ -109,19 +109,14 @@ def screen(
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
     gains = _gains(state, standpoint, [b[1] for b in blocks])
     before = projected.deviance(residual)
-    own_blocks = [j for j, block in enumerate(blocks) if block[0] == without]
-    away = max(own_blocks, key=lambda j: gains[0][j], default=None)
+    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
     apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
         inflation = variance_inflation(variance, np.diag(projected.bread[j]))
         step = gains[1][j][: len(own)]
-        possible = value is None
-        if value is not None:  # on the side of the present value on which it was tried
-            parameter = next(s.parameter for s in state.scans if s.effect == effect)
-            present = float(state.theta[state.full.columns([parameter])[0]])
-            possible = bool(step[0] * (value - present) > 0.0)
+        possible, prior = _possible(state, effect, value, step), state.precision[own] / state.variance_inflation
         found.append(
             CandidateScore(
                 effect=effect,
@@ -130,9 +125,7 @@ def screen(
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(
-                    estimates[j], covariances[j], mean[own], state.precision[own] / state.variance_inflation
-                ),
+                log_bayes=log_bayes(estimates[j], covariances[j], mean[own], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -141,6 +134,14 @@ def screen(
         )
     largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
     return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, largest)
+
+
+def _possible(state: SelectionState, effect: str, value: float | None, step: Float[np.ndarray, " w"]) -> bool:
+    """Whether a candidate moves to the side of the present value on which it was tried, if it was."""
+    if value is None:
+        return True
+    parameter = next(s.parameter for s in state.scans if s.effect == effect)
+    return bool(step[0] * (value - state.theta[state.full.columns([parameter])[0]]) > 0.0)
 
 
 def null_scores(

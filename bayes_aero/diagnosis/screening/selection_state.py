@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, blocks_of, folds_of
+from bayes_aero.diagnosis.candidate_set import CandidateModel, folds_of
 from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.parameter import departure
@@ -96,7 +96,10 @@ class SelectionState:
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""
-        return blocks_of(self.folds, len(self.S))
+        found = np.zeros(len(self.S), bool)
+        for fold in self.folds:
+            found[fold] = True
+        return found
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
@@ -142,7 +145,7 @@ class SelectionState:
         chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
-    def wider(self, columns: Sequence[int] | Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+    def wider(self, columns: Sequence[int] | np.ndarray) -> Int[np.ndarray, " k"]:
         """The active columns and these."""
         return np.concatenate([self.columns(), np.array(columns, int)])
 
@@ -182,12 +185,6 @@ def linearised(
     manoeuvre, free in every fit.
     """
 
-    def spread(ones: Float[np.ndarray, "m c"]) -> float:
-        """The size of a constant that moves the outputs by the deviation of their residuals."""
-        here = np.any(ones != 0.0, axis=1)
-        moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
-        return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
-
     keep = [responses.outputs.index(name) for name in outputs]
     if known is not None and np.array_equal(known.theta, theta):
         residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
@@ -219,7 +216,7 @@ def linearised(
     of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
     # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
-    size = [spread(ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
+    size = [_spread(residual, ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
     flat = np.concatenate(
         [nothing[len(size) :], variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))]
     )
@@ -230,6 +227,13 @@ def linearised(
         full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
         tuple(scans), extra[0].shape[2], variance_inflation, apart,
     )  # fmt: skip
+
+
+def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
+    """The size of a constant that moves the outputs by the deviation of their residuals."""
+    here = np.any(ones != 0.0, axis=1)
+    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
+    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
 
 
 def constants_of_manoeuvres(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayes_aero.diagnosis.candidate_set import manoeuvres
 from bayes_aero.diagnosis.result import ParameterChange
 from bayes_aero.diagnosis.screening.accuracy import recording_noise
 from bayes_aero.diagnosis.screening.autocorrelation import (
@@ -26,7 +27,7 @@ from bayes_aero.diagnosis.screening.parameter_fit import inflation_along, optimu
 from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import ScreeningResult, uncertainty, without_active
 from bayes_aero.diagnosis.screening.selection_state import TINY, Component, SelectionState, moved
-from bayes_aero.diagnosis.structure.components import Trial, manoeuvres, parts_of, with_components
+from bayes_aero.diagnosis.structure.components import Trial, parts_of, with_components
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.inference.covariance import ORDER, nats
 
@@ -71,7 +72,7 @@ def sought_change(
     if first is None:
         return None
     state = _beside(state, [*chosen, first[0].component])
-    folds = manoeuvres(state)
+    folds = manoeuvres(state.responses.manoeuvre)
     whole = with_components(state, (), chosen, folds)
     wider = Trial(state, first[0].component, chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
@@ -101,7 +102,7 @@ def _promising(
     state: SelectionState, chosen: Sequence[Component], least: float
 ) -> tuple[SpanChange, ChangeScan] | None:
     """The change that explains most to first order, if that is worth another look."""
-    folds = manoeuvres(state)
+    folds = manoeuvres(state.responses.manoeuvre)
     whole = state if not chosen and folds == state.folds else with_components(state, (), chosen, folds)
     fit, columns = whole.fit(), _free(state)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
@@ -356,7 +357,7 @@ Value = tuple[float, float]
 
 def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
-    whole = with_components(state, (), chosen, manoeuvres(state))
+    whole = with_components(state, (), chosen, manoeuvres(state.responses.manoeuvre))
     fit = whole.fit()
     covariance = uncertainty(whole, fit)
     widths = [c.basis.shape[2] for c in chosen]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -111,12 +110,6 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
 
 
 # --- The folds by which components must predict.
-
-
-def manoeuvres(state: SelectionState) -> tuple[slice, ...]:
-    """The blocks of each manoeuvre."""
-    edges = np.flatnonzero(np.diff(state.responses.manoeuvre, prepend=-1, append=-1))
-    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 
 
 def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:

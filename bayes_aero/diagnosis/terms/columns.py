@@ -66,8 +66,8 @@ def columns_of(state: SelectionState, coefficient: str, given: Sequence[ProductT
         deviation = np.std(state.residual / state.noise_growth, axis=0)
         scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
     return [
-        TermColumn(term, Component(coefficient, term.name, S[:, :, None] / size), float(size), float(x.std()))
-        for term, S, size, x in zip(terms, slopes, scale, series, strict=True)
+        TermColumn(term, Component(coefficient, term.name, slopes[k, :, :, None] / size), size, float(series[k].std()))
+        for k, (term, size) in enumerate(zip(terms, map(float, scale), strict=True))
         if np.isfinite(size) and size > 0.0
     ]
 

@@ -31,7 +31,6 @@ from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResu
 from bayes_aero.inference.one_step import one_step
 from bayes_aero.inference.posterior.nuts import sample_innovations
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.scores import OneStep
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
@@ -84,10 +83,12 @@ def simulated(
         keep = flown.inside[row]
         measured, residual = np.asarray(found.measured[0])[keep], np.asarray(found.residual[0])[keep]
         chance = {} if draws is None else _probabilities(replace(flown, outputs=shown).part([row]), draws, tolerances)
-        errors = {
-            name: _error(measured[:, c], residual[:, c], tolerances.get(name), chance.get(name))
-            for c, name in enumerate(shown)
-        }
+        errors = {}
+        for name, z, e in zip(shown, measured.T, residual.T, strict=True):
+            tolerance, size = tolerances.get(name), np.abs(e)
+            within = None if tolerance is None else float(np.mean(size <= tolerance))
+            rms, parts = float(np.sqrt(np.mean(e**2))), theil_parts(z, z - e)
+            errors[name] = Error(rms, float(size.max()), parts, tolerance, within, chance.get(name))
         paths.append(
             SimulatedManoeuvre(
                 manoeuvre=label(flown, row),
@@ -101,18 +102,6 @@ def simulated(
             )
         )
     return paths
-
-
-def _error(measured: np.ndarray, residual: np.ndarray, tolerance: float | None, probability: float | None) -> Error:
-    size = np.abs(residual)
-    return Error(
-        rms=float(np.sqrt(np.mean(residual**2))),
-        largest=float(size.max()),
-        theil=theil_parts(measured, measured - residual),
-        tolerance=tolerance,
-        within=None if tolerance is None else float(np.mean(size <= tolerance)),
-        probability=probability,
-    )
 
 
 def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.ndarray, "k k"]:
@@ -206,6 +195,10 @@ def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErr
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
     converged = found.status is PredictionErrorStatus.CONVERGED
+    predicted = None
+    if converged:
+        errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found))
+        predicted = one_step(found.found, errors, found.outputs)
     theirs = [i for i, name in enumerate(found.names) if name in own]
     return ProcessNoise(
         found.status.value,
@@ -217,14 +210,9 @@ def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErr
         dict(zip(found.outputs, map(float, neighbour_correlation(found.found)), strict=True)),
         {name: value for name, value in estimates.items() if name not in own},
         _histories(gusty, found),
-        _predictions(gusty, found) if converged else None,
+        predicted,
         found.covariance[np.ix_(theirs, theirs)],
     )
-
-
-def _predictions(gusty: SegmentTrajectories, found: PredictionErrorResult) -> OneStep:
-    errors = prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found)
-    return one_step(found.found, np.asarray(errors), found.outputs)
 
 
 _smoothed = eqx.filter_jit(jax.vmap(smooth))

@@ -70,8 +70,8 @@ class CandidateFit:
         joint one."""
         if not self.own:
             return {}
-        others, at = masked(self.fit.flown, segment, keep=False), {"departure": self.fit.departure}
-        part = fit_output_error(others, start=self.fit.estimate, **at, max_iterations=0)
+        others = masked(self.fit.flown, segment, keep=False)
+        part = fit_output_error(others, start=self.fit.estimate, departure=self.fit.departure, max_iterations=0)
         told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):
             return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
