@@ -33,8 +33,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
-from bayes_aero.diagnosis.structure.components import with_components
-from bayes_aero.diagnosis.terms.columns import columns_of
+from bayes_aero.diagnosis.structure.components import columns_of, with_components
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord

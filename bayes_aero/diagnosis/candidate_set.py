@@ -154,8 +154,7 @@ def noise_channels(flights: Recorded) -> tuple[str, ...]:
 
 
 def moves(x: Any, flights: Recorded, least: float = 1e-9) -> bool:
-    """Whether a channel (n,) moves within a manoeuvre: one that differs only between them cannot be told from an
-    offset."""
+    """Whether a channel (n,) moves within a manoeuvre: what differs only between them is no more than an offset."""
     return any(_moves(part, least) for part in _parts(np.asarray(x), flights))
 
 
@@ -168,10 +167,8 @@ def _parts(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
 
 
 def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[str, ...]:
-    """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does.
-
-    A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
-    """
+    """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does."""
+    # A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
     own = tuple(n for n in effect.channels if n in noise)
     of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
     if not own or of_others or not set(effect.channels) <= set(flights.channels):

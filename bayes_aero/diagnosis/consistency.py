@@ -101,11 +101,9 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
-    """Errors of sensors and winds that a search along the flight path has found, minor ones included.
-
-    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
-    estimated together with such a one is no error by itself, either.
-    """
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
+    # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
+    # estimated together with such a one is no error by itself, either.
     named = {e.name: e for one in (known, *known.larger) for e in one.state.full.candidates}
     joint, out = correlated(known, known.state.active), without_hold(known)
     alone = [(one, name, with_) for one in (known, *known.larger) for name, with_ in without_hold(one).items() if with_]
@@ -122,10 +120,7 @@ def errors_of_path(known: Extension) -> KnownErrors:
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
-    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients.
-
-    What it names, it does not call undecided, too.
-    """
+    """Errors of the record that a diagnosis has confirmed; those that it names, it does not call undecided, too."""
     named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     told = {c.name for c in (*found.causes, *found.beyond)}
@@ -150,12 +145,8 @@ def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
-    """Records in no calm air, and their gusts by the flight path alone (standard deviation, m/s).
-
-    In these a fit without process noise takes gusts for aerodynamics. Where the flight path cannot be checked none are
-    known.
-    """
-    if no_flight_path(records, card):
+    """Records whose flight path shows that the air was not calm, with the standard deviation of their gusts, m/s."""
+    if no_flight_path(records, card):  # then none are known
         return {}
     flights = _flights(records, card)
     found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
@@ -214,10 +205,7 @@ def check_sensors(
 
 
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
-    """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
-
-    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
-    """
+    """Sensor errors and winds that the flight path asks for; `InputError` without one, or of too short a manoeuvre."""
     if why := no_flight_path(records, card):
         raise InputError(why)
     flights = _flights(records, card)
@@ -320,8 +308,7 @@ class Blocks:
         return step, bread @ cluster_covariance(rows, self._own) @ bread
 
     def p_value(self, effect: str) -> float:
-        """Of an addition, the best of all candidates (Bonferroni): the chance that stretches which disagree as they do
-        show as much of it."""
+        """The chance that stretches which disagree as they do show as much of the best candidate (Bonferroni)."""
         judged = self.judge(effect)
         if judged is None:
             return 1.0
@@ -347,15 +334,14 @@ def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple
 
 
 def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
-    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them. The last
-    election is held anew."""
+    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
     judged = Blocks(state, fit)
     known = dict(found.sizes) if state is found.state else sizes(state, fit)
     for effect in state.active:
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
         known |= {n: replace(known[n], sd=max(known[n].sd, float(x))) for n, x in wide if n in known}
-    last = screen(state, fit, seed=0, nulls=False)
+    last = screen(state, fit, seed=0, nulls=False)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores

@@ -231,12 +231,8 @@ def best_points(
 ) -> tuple[TestPoint, ...]:
     """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
 
-    Args:
-        possible: what may be flown.
-        told: by the present records; `Variant.told` is added to it.
-        nats: information on all questions.
-        expected: see `TestPoint`.
-        decided: whether nothing is left to decide.
+    `told` is what the present records say, to which `Variant.told` is added; `nats` its information on all questions,
+    `expected` as of `TestPoint`, `decided` whether nothing is left to decide.
     """
     points: list[TestPoint] = []
     while len(points) < MOST and not decided(told):

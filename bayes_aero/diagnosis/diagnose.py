@@ -179,8 +179,7 @@ def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
 def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
-    """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
-    coefficients)."""
+    """What every stage named; with gains on unseen data where these were asked to confirm it."""
     found, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
         sure = confirmations.get(stage)
@@ -301,14 +300,8 @@ def rivals_of(
     """Probability of a cause among everything that could take its place, nothing included; and who comes close.
 
     Of both those are left out that predict hold-out data `worse` in its place, what only hides noise of one coefficient
-    under another (see `mixes_noise`), and what must be larger for it than aircraft have.
-
-    Args:
-        extension: in which the cause is.
-        name: of the cause.
-        worse: rivals that predict hold-out data worse.
-        noise: share of the cause that noise of the recorded channels can make: it may outdo its rivals by recording
-            the same motion with less of it.
+    under another (see `mixes_noise`), and what must be larger for it than aircraft have. `noise` is the share of the
+    cause that noise of the recorded channels can make: it may outdo its rivals by recording the same with less of it.
     """
     state, fit = extension.state, extension.fit
     effects = {e.name: e for e in state.full.candidates}
@@ -331,11 +324,9 @@ def rivals_of(
 
 
 def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
-    """Errors of sensors that coefficients confirm and held-out flights do not miss.
-
-    Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
-    flight has no regressors.
-    """
+    """Errors of sensors that coefficients confirm and held-out flights do not miss."""
+    # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
+    # flight has no regressors.
     asked = {c.name for c in found.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
     return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
 
@@ -446,25 +437,19 @@ def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
 def attributed(
     causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
 ) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
-    """Causes that the record can attribute; those larger than on any aircraft, behind which is another fault; others.
-
-    The others have more equals than the record can choose among, or are neither confirmed nor likelier than not, or are
-    `stand_ins` (see there).
-    """
+    """Causes that the record can attribute; those larger than on any aircraft, where another fault is behind; others."""
     beyond = tuple(c for c in causes if c.implausible)
     rest = [c for c in causes if c not in beyond]
     few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
-    named = tuple(c for c in few if c.name not in stand_ins)
+    named = tuple(c for c in few if c.name not in stand_ins)  # no more equals than the record can choose among
     return named, beyond, tuple(c for c in rest if c not in named)
 
 
 def stand_ins(
     causes: Sequence[Cause], extensions: Mapping[str, Extension], unknown: Sequence[UnexplainedStructure]
 ) -> tuple[str, ...]:
-    """Causes that the record hardly excites, where structure without a name is left in the output that they move most.
-
-    Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
-    """
+    """Causes that the record hardly excites, where the output that they move most has structure without a name."""
+    # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
     left = {u.coefficient for u in unknown}
     return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
 

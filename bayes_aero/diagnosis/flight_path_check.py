@@ -198,8 +198,7 @@ class _Constants:
 
 
 def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:
-    """What noise permits of each measure: as many times its usual size as the largest of its kind in any record of
-    noise."""
+    """What noise permits: as many times a measure's usual size as the largest of its kind in any record of noise."""
     usual = np.sqrt(np.mean(found.values[1:] ** 2, axis=0))
     largest, kind = found.values[1:] / usual, np.array(found.kind)
     return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
@@ -321,15 +320,8 @@ def path_residuals(
 ) -> Float[np.ndarray, "r n c"]:
     """Recorded minus integrated from the start, for each of r disturbances of the channels of one record.
 
-    Args:
-        channels: `PATH_NEEDS`, (n,) each, SI.
-        added: what each disturbance adds to some of the channels, (r, n) each, SI.
-        outputs: which of the flight path's outputs to form.
-        accelerometer: its place from the centre of gravity, m.
-        dt: sampling interval, s.
-
-    Returns:
-        (r, n, c) in the outputs' units.
+    `channels`: `PATH_NEEDS`, (n,) each, SI; `added` to some of them by each disturbance, (r, n); `accelerometer`: its
+    place from the centre of gravity, m; `dt` in s. In the units of `outputs`.
     """
     n, count = len(channels["q"]), len(next(iter(added.values())))
     steps, start = np.full(n, dt), np.arange(n) == 0

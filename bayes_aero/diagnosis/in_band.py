@@ -27,8 +27,7 @@ HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sa
 
 
 def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | None:
-    """Fit the causes of a diagnosis by coefficients in a band; None where there are none. `seed` is of the noise that
-    shows the bias by recording noise."""
+    """Fit the causes of a diagnosis in a band; None where there are none. `seed`: of noise that shows its own bias."""
     wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None

@@ -110,8 +110,7 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
 
 
 def noise_report(found: Extension, outliers: Mapping[str, int], *, of_innovations: bool = False) -> NoiseReport:
-    """Colour, size, growth and outliers of what the extended model leaves: of coefficients at the recorded rate, of
-    other outputs from the blocks that are left."""
+    """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = found.state, found.state.outputs
     if names == state.responses.model.coefficients:
         left = np.asarray(state.responses.evaluate(state.theta)[1]["residual"])[:, : len(names)]

@@ -180,9 +180,7 @@ class PartialledRegression:
         colour: Autocorrelation,
         stretch: Int[np.ndarray, " m"] | None,
     ) -> Float[np.ndarray, " j"]:
-        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`).
-
-        Under the colour, or by how far the stretches disagree where that is more."""
+        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
         explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
         D = np.stack([part - explained[own] for part in explained], axis=2)
         return inflation_along(D, self.weight, self.folds, colour, residual - explained[own], stretch)
@@ -196,11 +194,11 @@ def inflation_along(
     left: Float[np.ndarray, "m c"] | None = None,
     stretch: Int[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, " j"]:
-    """Variance inflation along each of j directions under a colour, or by how far stretches of what is `left` disagree
-    where that is more."""
+    """Variance inflation along j directions under a colour, or by how far stretches of what is `left` disagree."""
     variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
     if stretch is not None and left is not None:
         rows = np.einsum("mcj,c,mc->mj", D, weight, left, optimize=True)
+        # where that is more
         variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
     return variance_inflation(variance, np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True))
 

@@ -159,10 +159,7 @@ def null_scores(
 def explained_shares(
     state: SelectionState, fit: RegressionFit, colour: Autocorrelation, seed: int, count: int
 ) -> Float[np.ndarray, " r"]:
-    """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
-
-    Blocks must act on one output each, as components do.
-    """
+    """Largest share of one output's variance that any block, acting on one output, explains in each noise record."""
     projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))

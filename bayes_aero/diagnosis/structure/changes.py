@@ -241,10 +241,8 @@ def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]
 
 
 class ChangeScan:
-    """Directions of the changes of p parameters (`columns` of the state) over each of n spans.
-
-    `noise` is what recording noise adds to the sensitivities to the p parameters, scaled as those are.
-    """
+    """Directions of the changes of p parameters (`columns` of the state) over each of n spans; `noise` is what
+    recording noise adds to the sensitivities, scaled as those are."""
 
     def __init__(
         self,
@@ -271,10 +269,7 @@ class ChangeScan:
     def _noise_shares(
         self, fit: RegressionFit, own: Float[np.ndarray, "n p"], cross: Float[np.ndarray, "n p k"]
     ) -> Float[np.ndarray, "2 n p"]:
-        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere.
-
-        By it least squares makes that value too small. All other parameters have one value, fitted beside both.
-        """
+        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
 
         def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
             return np.sum((x @ others) * y, axis=1)
@@ -282,6 +277,7 @@ class ChangeScan:
         added = np.einsum("mcp,c->mp", self.noise**2, self.weight)
         within = self._summed(added)
         noise = np.stack([within, np.sum(added, axis=0) - within])
+        # By it least squares makes that value too small. All other parameters have one value, fitted beside both.
         whole = np.sum(self._S * self._weighed, axis=(0, 1))
         shared, found = inverse(fit.normal), np.zeros_like(noise)
         for p, column in enumerate(self.columns):
@@ -373,10 +369,7 @@ def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component
 
 def _as_good(state: SelectionState, found: Sought) -> tuple[tuple[int, int], list[str], float]:
     """First and last block from which the change may as well begin; other parameters that explain about as much; and
-    the variance inflation of the change itself.
-
-    Two changes are told from each other by the residual along the difference of what they explain.
-    """
+    the variance inflation of the change itself."""
     scan, settings, (span, parameter) = found.scan, state.settings, found.change.at
     estimates = scan.estimates(found.residual)
     gains, own = scan.gains(estimates), scan.over[span]
@@ -389,6 +382,7 @@ def _as_good(state: SelectionState, found: Sought) -> tuple[tuple[int, int], lis
     def explained(place: tuple[int, int]) -> Float[np.ndarray, "m c"]:
         return scan.explained(*place, float(estimates[place]))
 
+    # Two changes are told from each other by the residual along the difference of what they explain.
     leader = explained((span, parameter))
     apart = np.stack([leader, *(leader - explained(place) for place in places[1:])], axis=2)
     inflation = inflation_along(apart, scan.weight, found.folds, found.colour)

@@ -1,9 +1,9 @@
-"""Functions that are candidates in place of effects: smooth ones of channels, periods, products of channels."""
+"""Functions that are candidates in place of effects: smooth ones of channels, periods, terms of the library."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,14 +15,21 @@ from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
 from bayes_aero.diagnosis.screening.screening import explained_shares
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, manoeuvre_constants
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
-from bayes_aero.diagnosis.terms.columns import columns_of
+from bayes_aero.diagnosis.terms.library import QUANTITIES, THRUST, ProductTerm, Signals, library
 from bayes_aero.inference.covariance import ORDER
 from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.physics.filters import smooth_joined
+from bayes_aero.residuals.added_coefficients import AddedCoefficients, AddedToFilter
+from bayes_aero.residuals.filter_error import FilterError
+from bayes_aero.residuals.output_error import OutputError
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 OVER_TIME = "time, period "
 ODD = ("beta", "p", "r", "aileron", "rudder")
 SKIPPED = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot", "alpha_dot")  # responses themselves, not causes
+SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
+DEGREES = 4  # columns of a polynomial of the angle of attack; our choice
+SAME = 0.999  # squared cosine of what an effect and a term do to a coefficient, beyond which they are one; our choice
 BYTES = 2e9  # of memory that inner products may take
 
 
@@ -220,3 +227,115 @@ def null_shares(
 def chance_of(share: float, null: Float[np.ndarray, " r"]) -> float:
     """p-value of a share among those of noise-only records."""
     return float((1 + np.sum(null >= share)) / (1 + len(null)))
+
+
+# --- The library's terms, and polynomials, as columns of a regression.
+
+
+@dataclass(frozen=True)
+class TermColumn:
+    """A term of one coefficient as these flights show it."""
+
+    term: ProductTerm
+    component: Component  # what `scale` times the term adds to the residuals, about as large as these
+    scale: float
+    spread: float  # the term's own deviation
+
+
+def columns_of(state: SelectionState, coefficient: str, given: Sequence[ProductTerm] = ()) -> list[TermColumn]:
+    """The library's terms in one coefficient, or those `given`, as the residuals show them.
+
+    Where these are of coefficients: smoothed and averaged over blocks as the coefficient is, to unit root mean square.
+    Where they are of flights: flown, to first order (see `AddedCoefficients`, `AddedToFilter`), each as large as the
+    residual of the median output, all outputs counted.
+    """
+    responses, flown = state.responses, None
+    if isinstance(responses, OutputError):
+        of = AddedToFilter if isinstance(responses, FilterError) else AddedCoefficients
+        flown = of(responses, state.theta)  # pyright: ignore[reportArgumentType]
+    signals = responses.evaluate(state.theta)[1] if flown is None else flown.signals()
+    flights = responses.flights
+    if given:  # a simulation has no channel that its model does not read
+        terms = [term for term in given if all(channel in signals for channel in term.channels)]
+    else:  # those that these flights can tell
+        separated, able = bool(np.min(np.asarray(signals["X"])) < SEPARATES), _able(state, signals)
+        terms = library(signals, flights.aircraft, able, lateral=coefficient in LATERAL, separated=separated)
+
+    def made(signals: Signals) -> Float[np.ndarray, "d n"]:
+        return np.stack([term.evaluate(signals, flights.aircraft) for term in terms])
+
+    if flown is None:
+        ends = tuple(np.asarray(flights.channels[name]) for name in ("first", "last"))
+        raw = np.stack([smooth_joined(x, *ends) for x in made(signals)], axis=1)
+        series = np.asarray(responses.block(raw)).T
+        scale, slopes = np.sqrt(np.mean(series**2, axis=1)), np.zeros((*series.shape, len(state.outputs)))
+        slopes[:, :, state.outputs.index(coefficient)] = series
+    else:
+        series = made(signals)
+        slopes = flown.slopes(coefficient, made)[:, :, state.kept_outputs]
+        deviation = np.std(state.residual / state.noise_growth, axis=0)
+        scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
+    return [
+        TermColumn(term, Component(coefficient, term.name, slopes[k, :, :, None] / size), size, float(series[k].std()))
+        for k, (term, size) in enumerate(zip(terms, map(float, scale), strict=True))
+        if np.isfinite(size) and size > 0.0
+    ]
+
+
+def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
+    """Polynomials of the angle of attack in one coefficient: themselves, and as factors of what else it depends on."""
+    able, lateral = _able(state, state.responses.flights.channels), coefficient in LATERAL
+    alpha, *others = (q for q in QUANTITIES if q is not THRUST and all(map(able, q.channels)))
+    if alpha.name != "alpha":
+        return []
+    own = [q for q in others if q.lateral == lateral]
+    of = {
+        f"{q.name} times a polynomial of alpha": [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)] for q in own
+    }
+    of |= {} if lateral else {"a polynomial of alpha": [ProductTerm((alpha,) * k) for k in range(2, 2 + DEGREES)]}
+    wanted = [t for terms in of.values() for t in terms]
+    basis = {c.term.name: c.component.basis for c in columns_of(state, coefficient, wanted)}
+    whole = [(x, [basis[t.name] for t in terms if t.name in basis]) for x, terms in reversed(of.items())]
+    return [Component(coefficient, x, _apart(state, np.concatenate(parts, axis=2))) for x, parts in whole if parts]
+
+
+def _apart(state: SelectionState, basis: Float[np.ndarray, "m c w"]) -> Float[np.ndarray, "m c v"]:
+    """What the parameters that are in leave of powers, apart from one another, each of unit root mean square."""
+    deviation = np.std(state.residual / state.noise_growth, axis=0)[:, None]
+    inside = state.columns()
+    own = state.S[:, :, inside[inside < len(state.theta)]]
+    X, B = ((x / deviation)[:, np.any(basis != 0.0, axis=(0, 2))].reshape(-1, x.shape[2]) for x in (basis, own))
+    B = B / np.maximum(np.sqrt(np.sum(B**2, axis=0)), 1e-300)
+    U, size, _ = np.linalg.svd(X - B @ np.linalg.lstsq(B, X, rcond=1e-10)[0], full_matrices=False)
+    U = U[:, size > 1e-6 * np.sqrt(np.sum(X**2, axis=0)).max()]
+    found = np.zeros((*basis.shape[:2], U.shape[1]))
+    found[:, np.any(basis != 0.0, axis=(0, 2))] = np.sqrt(len(U)) * U.reshape(len(basis), -1, U.shape[1])
+    return found * deviation / np.median(deviation)
+
+
+def term_of(state: SelectionState, effect: str) -> TermColumn | None:
+    """The term of one coefficient that an effect of one parameter is, by another name; None where it is none."""
+    one = next(e for e in state.full.model.effects if e.name == effect)
+    acts_on = {name.removesuffix("_attached") for name in one.example.increments}
+    if len(one.parameters) > 1 or len(acts_on) > 1 or not acts_on <= set(state.responses.model.coefficients):
+        return None
+    (coefficient,) = acts_on
+    found = columns_of(state, coefficient)
+    alike = [likeness(state, [effect], column) for column in found]
+    return found[int(np.argmax(alike))] if max(alike, default=0.0) > SAME else None
+
+
+def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) -> float:
+    """Largest squared cosine of what parameters of effects and a term do to the outputs that the term reaches."""
+    x = column.component.basis[:, :, 0]
+    reached = np.any(x != 0.0, axis=0)
+    x, S = x[:, reached], state.S[:, reached][:, :, state.full.own_columns(*effects)]
+    alike = np.einsum("mc,mck->k", x, S) ** 2 / np.maximum(np.sum(x**2) * np.sum(S**2, axis=(0, 1)), 1e-300)
+    return float(np.max(alike, initial=0.0))
+
+
+def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
+    """Whether a channel was recorded and moves."""
+    flights = state.responses.flights
+    noise = noise_channels(flights)
+    return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)

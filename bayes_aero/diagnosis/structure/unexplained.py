@@ -32,9 +32,9 @@ from bayes_aero.diagnosis.structure.components import (
     null_shares,
     parts_of,
     share_of,
+    term_of,
     with_components,
 )
-from bayes_aero.diagnosis.terms.columns import term_of
 from bayes_aero.inference.covariance import nats
 
 
@@ -261,6 +261,5 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
 
 
 def left_beside(alone: float, beside: float, settings: DiagnosisSettings) -> bool:
-    """Whether a function is more than its causes: its share of the variance `beside` them is no small part of that
-    `alone`, as its gain on hold-out data must exceed theirs."""
+    """Whether the share that a function explains `beside` its causes is no small part of that `alone`, without them."""
     return beside >= (settings.stand_in - 1.0) * alone

@@ -20,9 +20,17 @@ from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.holdout import LeftOut, truncated
-from bayes_aero.diagnosis.structure.components import Trial, is_periodic, with_components
+from bayes_aero.diagnosis.structure.components import (
+    SAME,
+    Trial,
+    columns_of,
+    is_periodic,
+    likeness,
+    polynomials,
+    term_of,
+    with_components,
+)
 from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous, taken_out
-from bayes_aero.diagnosis.terms.columns import SAME, columns_of, likeness, polynomials, term_of
 from bayes_aero.diagnosis.terms.library import SEPARATED, ProductTerm
 from bayes_aero.diagnosis.terms.search import (
     SWING,
@@ -119,10 +127,7 @@ class _Model:
 
 
 def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
-    """Terms for all structure that is `left`; periods have none.
-
-    A cause that only stood in for a term is taken out, and the terms are sought again without it.
-    """
+    """Terms for all structure that is `left`; periods have none."""
     functions: dict[str, list[Component]] = {}
     for function in left.functions:
         if not is_periodic(function):
@@ -141,7 +146,7 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     if not found:
         return instead
     replaced = superfluous(state, causes, components_of(found))
-    if replaced:
+    if replaced:  # terms are sought again without causes that only stood in for one
         state = taken_out(state, replaced)
         found = sought(state)
     return instead._replace(terms=sized(state, found), replaced=replaced if found else ())
@@ -261,10 +266,7 @@ def _beside(
     effects: Sequence[str],
     full: SelectionState,
 ) -> list[SelectedTerm]:
-    """Smooth terms that earn their cost beside those chosen, the most explaining first.
-
-    One that is the same as an effect is no other form of it.
-    """
+    """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
     found = list(chosen)
     for name in reached:
         columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
@@ -307,10 +309,8 @@ def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model
 
 
 def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
-    """Without what does not earn its cost, the least useful first.
-
-    Causes and offsets `items` must explain more than functions in their place, terms more than nothing.
-    """
+    """Without what does not earn its cost, the least useful first: causes and offsets `items` must explain more than
+    functions in their place, terms more than nothing."""
     while True:
         inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
         trials = [model.less(item) for item in (*inside, *model.terms)]
@@ -364,8 +364,7 @@ def _one_by_one(model: _Model, causes: Sequence[str]) -> _Model:
 
 
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
-    """Forms that explain as well as causes, by cause, and by how many nats less: those of `others`, and in place of one
-    cause."""
+    """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
     settings, found = best.state.settings, dict[str, tuple[str, float]]()
     for other in (*others, *(_less_one(best, name) for name in causes)):
         gone = [name for name in causes if name not in other.state.active]

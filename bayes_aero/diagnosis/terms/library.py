@@ -29,18 +29,14 @@ LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
 
 @dataclass(frozen=True)
 class TermFactor:
-    """A quantity x of which terms are products.
-
-    `code` is the expression of signals `s`, aircraft `a` and `known` in an effect file; None where it has a state.
-    `cost` counts as so many factors where two terms are equally good. `lateral` factors change sign with the wings.
-    """
+    """A quantity x of which terms are products."""
 
     name: str
-    code: str | None
+    code: str | None  # expression of signals `s`, aircraft `a`, `known` in an effect file; None where it has a state
     channels: tuple[str, ...]
     evaluate: Callable[[Signals, Aircraft], Float[np.ndarray, " n"]]
-    lateral: bool = False
-    cost: int = 1
+    lateral: bool = False  # it changes sign with the wings
+    cost: int = 1  # counts as so many factors where two terms are equally good
     unit: str = "1"
 
 
@@ -124,8 +120,7 @@ def _beyond(quantity: TermFactor, at: float) -> str:
 
 
 def _break(quantity: TermFactor, at: float) -> TermFactor:
-    """What the quantity is beyond a value, on either side for one that changes sign with the wings: its slope is
-    another one there."""
+    """What the quantity is beyond a value, on either side if `lateral`: its slope is another one there."""
     if quantity.lateral:
         code = f"xp.sign({quantity.code}) * xp.maximum(xp.abs({quantity.code}) - {at!r}, 0.0)"
         name = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)"
@@ -172,14 +167,10 @@ def _lagged(quantity: TermFactor, chords: float) -> TermFactor:
 def library(
     signals: Signals, aircraft: Aircraft, able: Callable[[str], bool], *, lateral: bool, separated: bool
 ) -> tuple[ProductTerm, ...]:
-    """Terms of a coefficient that these flights can tell.
+    """Terms of a coefficient that these flights can tell, which change sign with the wings as it does (`lateral`).
 
-    Args:
-        signals: corrected channels of all flights end to end, `X` and the marks of manoeuvres, each (n,).
-        aircraft: its reference lengths.
-        able: whether a channel was recorded and moves.
-        lateral: whether the coefficient changes sign with the wings; its terms do as it does.
-        separated: whether the flow separates in these flights.
+    `signals` are those of all flights end to end, `X` and the marks of manoeuvres among them, each (n,); `able` says
+    whether a channel was recorded and moves, `separated` whether the flow separates.
     """
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
     factors = [*quantities, *([SEPARATED] if separated else [])]

@@ -27,8 +27,15 @@ from bayes_aero.diagnosis.screening.screening import (
 )
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
-from bayes_aero.diagnosis.structure.components import Trial, chance_of, null_shares, share_of, with_components
-from bayes_aero.diagnosis.terms.columns import TermColumn, columns_of
+from bayes_aero.diagnosis.structure.components import (
+    TermColumn,
+    Trial,
+    chance_of,
+    columns_of,
+    null_shares,
+    share_of,
+    with_components,
+)
 from bayes_aero.diagnosis.terms.library import ProductTerm
 from bayes_aero.inference.covariance import nats
 
@@ -66,16 +73,8 @@ def components_of(found: Sequence[SelectedTerm]) -> list[Component]:
 def terms_of_coefficient(
     state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
 ) -> list[SelectedTerm]:
-    """Terms that describe what is left of a coefficient as well as the functions of channels by which it was found.
-
-    The first added comes first; empty where none predicts as well.
-
-    Args:
-        state: with all that was selected from the catalogue in.
-        coefficient: whose residual is sought.
-        functions: by which it was found.
-        seed: of the noise-only replicates.
-    """
+    """Terms that describe what is left of a coefficient as well as the functions of channels by which it was found, the
+    first added first; none where none predict as well. `state` has all in that was selected from the catalogue."""
     columns, found, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
         one, _, trial = leader(state, columns, [f.column for f in found])

@@ -59,8 +59,7 @@ def paths_of(
     variance_inflation: float = 1.0,
     seed: int = 0,
 ) -> list[SimulatedManoeuvre]:
-    """Every segment of `flown` that counts, simulated with the parameters of `fit`; `drawn`: with its posterior, too,
-    under a likelihood that counts each sample for one in `variance_inflation`."""
+    """Every segment of `flown` that counts, simulated with the parameters of `fit`, or (`drawn`) its posterior, too."""
     draws = None
     if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         draws = posterior_draws(fit, variance_inflation, seed)
@@ -127,10 +126,8 @@ def posterior_draws(
 def _probabilities(
     alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], tolerances: Mapping[str, float]
 ) -> dict[str, float]:
-    """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope.
-
-    Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
-    """
+    """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope."""
+    # Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
@@ -151,10 +148,7 @@ def _probabilities(
 def fly_given(
     flights: Flights, model: Model, values: Mapping[str, float], tolerances: Mapping[str, float]
 ) -> tuple[SimulatedManoeuvre, ...]:
-    """Every manoeuvre from its measured initial state, with `values` (SI) by parameter; others have their start.
-
-    Nothing is fitted to the flight.
-    """
+    """Every manoeuvre from its measured initial state, with `values` (SI) of parameters; nothing is fitted."""
     dynamics = aircraft_dynamics(model, flights)
     theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
     whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
@@ -170,11 +164,8 @@ def fly_given(
 def with_process_noise(
     flown: TrajectoryFit,
 ) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
-    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared.
-
-    Returns:
-        What the fit says, and what samples its posterior from a seed by a sampler.
-    """
+    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared; also what
+    samples its posterior from a seed by a sampler."""
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 

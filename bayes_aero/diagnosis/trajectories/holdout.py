@@ -66,8 +66,7 @@ class CandidateFit:
     weighed: bool = True  # samples count by the noise_growth of what is missed
 
     def silent(self, segment: int, unidentified: float) -> dict[str, float]:
-        """Joint values of parameters of causes whose standard error without this segment is `unidentified` times the
-        joint one."""
+        """Joint values of a cause's parameters whose standard error without this segment is `unidentified` times more."""
         if not self.own:
             return {}
         others = masked(self.fit.flown, segment, keep=False)

@@ -164,10 +164,7 @@ def _card(
     noise: FlightNoise,
     side: Callable[[Model, Mapping[str, float]], _Side],
 ) -> CandidateFit:
-    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it.
-
-    Every sample counts the same: what it misses is not confined to the stall.
-    """
+    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it."""
     base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.full.neutral
     before = dict(zip(base.full.model.names, base.theta, strict=True))
     held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
@@ -179,7 +176,7 @@ def _card(
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
     fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.variance_inflation)
-    return CandidateFit("card", fit, held=held, weighed=False)
+    return CandidateFit("card", fit, held=held, weighed=False)  # what it misses is not confined to the stall
 
 
 class _Side(NamedTuple):
@@ -327,10 +324,7 @@ def still_apart(found: Sequence[Disagreement], fit: ProcessNoise | None) -> tupl
 
 
 def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
-    """Parameters about which the fits differ beyond chance and by more than `WORTH`, the furthest first.
-
-    Those at a bound are left out.
-    """
+    """Parameters, none at a bound, about which the fits differ beyond chance and by more than `WORTH`."""
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
     fit, found = flown.fit, []
