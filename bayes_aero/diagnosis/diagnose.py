@@ -28,13 +28,7 @@ from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.diagnosis.search import (
-    SearchResult,
-    lacking,
-    search_coefficients,
-    search_innovations,
-    search_trajectories,
-)
+from bayes_aero.diagnosis.search import Search, SearchResult, lacking
 from bayes_aero.diagnosis.selection.forward_selection import (
     Extension,
     added,
@@ -92,10 +86,12 @@ def diagnose(
     """
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
-    search = search_trajectories if lacking(records, card) else search_coefficients
-    search = search_innovations if process_noise or gusts else search
-    known = (*own_effects(card.effect_files).values(), *extra)
-    found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
+    candidates = (*own_effects(card.effect_files).values(), *extra)
+    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
+    if process_noise or gusts:
+        found = search.innovations()
+    else:
+        found = search.trajectories() if lacking(records, card) else search.coefficients()
     if gains_wanted and found.testable_now:
         candidates, kept_of, failed = _confirmed(found, progress)
     else:
@@ -437,7 +433,7 @@ def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
 def attributed(
     causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
 ) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
-    """Causes that the record can attribute; those larger than on any aircraft, where another fault is behind; others."""
+    """Causes that the record can attribute; those larger than on any aircraft (another fault is behind); the rest."""
     beyond = tuple(c for c in causes if c.implausible)
     rest = [c for c in causes if c not in beyond]
     few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.fft import next_fast_len
 
 from bayes_aero.flight.agreement import Departure, PathCheck
-from bayes_aero.flight.aircraft import NO_AIRCRAFT, Position
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.physics.filters import differentiate_joined
@@ -65,64 +65,78 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
         card: says the sensors' noise and where the accelerometer is.
         seed: of the records of noise.
     """
-    assumed = tuple(n for n in STRAIGHT if n not in channels)
-    outputs, place, rng = path_outputs(channels), card.aircraft.accelerometer, _draws(seed)
-    full, recorded, noise, dt = _recorded(time, channels, card)
-    met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
+    path = _RecordedPath(time, channels, card, seed)
+    met, outputs, noise = path.gusts_shown(), path.outputs, path.noise
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
-    added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
+    drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
     whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
     each = zip(noise.constant.items(), np.eye(len(noise.constant)), strict=True)
-    constants = {n: np.outer(own, sd * whole) for (n, sd), own in each}
-    drawn, columns = (path_residuals(full, by, outputs, place, dt) - recorded for by in (added, constants))
-    found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
+    columns = path.residuals({n: np.outer(own, sd * whole) for (n, sd), own in each}) - path.recorded
+    found = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
     count, permitted = len(outputs), _permitted(found)
     shape = {n: (float(found.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
+    assumed = tuple(n for n in STRAIGHT if n not in channels)
     return PathCheck(name, _departures(name, found), shape, turbulence, met, assumed)
 
 
 def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
     """Standard deviation of the gusts that one record shows, m/s, as in `PathCheck`; arguments as of `path_check`."""
-    full, recorded, noise, dt = _recorded(time, channels, card)
-    return _gusts_shown(recorded[0], path_outputs(channels), full, noise, dt, _draws(seed))
+    return _RecordedPath(time, channels, card, seed).gusts_shown()
 
 
-def _draws(seed: int) -> np.random.Generator:
-    return np.random.default_rng([seed, 31])
+class _RecordedPath:
+    """The channels of one record, zeros for those that are absent, and what the flight path leaves of them."""
 
+    def __init__(self, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int) -> None:
+        self.full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+        self.outputs, self.dt = path_outputs(channels), float(time[-1] - time[0]) / (len(time) - 1)
+        self.noise = sensor_noise({n: self.full[n] for n in channels if n in self.full}, card)
+        self.aircraft = replace(NO_AIRCRAFT, accelerometer=card.aircraft.accelerometer)
+        self.rng = np.random.default_rng([seed, 31])
+        self.recorded = self.residuals({"q": np.zeros((1, len(time)))})
 
-def _recorded(
-    time: Float[np.ndarray, " n"], channels: Channels, card: Card
-) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "1 n c"], SensorNoise, float]:
-    """Channels with zeros for those that are absent, what the flight path leaves of them, their noise, sample time."""
-    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
-    dt = float(time[-1] - time[0]) / (len(time) - 1)
-    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
-    still = {"q": np.zeros((1, len(time)))}
-    return full, path_residuals(full, still, path_outputs(channels), card.aircraft.accelerometer, dt), noise, dt
+    def residuals(self, added: Mapping[str, Float[np.ndarray, "r n"]]) -> Float[np.ndarray, "r n c"]:
+        """Recorded minus integrated from the start, for each of r disturbances that are `added` to some channels."""
+        n, count = len(self.full["q"]), len(next(iter(added.values())))
+        steps, start = np.full(n, self.dt), np.arange(n) == 0
+        first, last = np.zeros(n, int), np.full(n, n - 1)
+        found = np.empty((count, n, len(self.outputs)))
+        for begin in range(0, count, TOGETHER):
+            part = slice(begin, begin + TOGETHER)
+            s = {name: x + added[name][part] if name in added else x for name, x in self.full.items()}
+            s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
+            rates = path_rates(s, self.aircraft)
+            for c, name in enumerate(self.outputs):
+                found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
+        return found
 
+    def gusts_shown(self) -> float:
+        """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
+        alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
+        V, levels = self.full["airspeed"], []
+        for name in (n for n in AIR_DATA if n in self.outputs):
+            along = name == "airspeed"
+            unit = gusts(self.rng, 16, len(V), self.dt, float(np.median(V)), across=not along)
+            share = float(np.mean(np.median(_local(unit.T, self.dt) ** 2, axis=0)))
+            scale = np.ones_like(V) if along else V
+            inside = _local((self.recorded[0, :, self.outputs.index(name)] * scale)[:, None], self.dt)[:, 0]
+            white = self.noise.shown[name] * float(np.median(scale))
+            levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
+        return float(np.sqrt(min(levels, default=0.0)))
 
-def _gusts_shown(
-    residual: Float[np.ndarray, "n c"],
-    outputs: Sequence[str],
-    channels: Channels,
-    noise: SensorNoise,
-    dt: float,
-    rng: np.random.Generator,
-) -> float:
-    """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
-    alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
-    V = np.asarray(channels["airspeed"])
-    levels = []
-    for name in (n for n in AIR_DATA if n in outputs):
-        along = name == "airspeed"
-        unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
-        share = float(np.mean(np.median(_local(unit.T, dt) ** 2, axis=0)))
-        scale = np.ones_like(V) if along else V
-        inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
-        white = noise.shown[name] * float(np.median(scale))
-        levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
-    return float(np.sqrt(min(levels, default=0.0)))
+    def disturbances(self, turbulence: float, count: int) -> dict[str, Float[np.ndarray, "r n"]]:
+        """What `count` sensors and airs of this kind add to the channels; `turbulence` in m/s."""
+        V, rng = np.maximum(self.full["airspeed"], 1.0), self.rng
+        found = {
+            name: sd * rng.standard_normal((count, len(V)))
+            + self.noise.constant[name] * rng.standard_normal((count, 1))
+            for name, sd in self.noise.white.items()
+        }
+        for name in (name for name in AIR_DATA if name in found):
+            along = name == "airspeed"
+            gust = turbulence * gusts(rng, count, len(V), self.dt, float(np.median(V)), across=not along)
+            found[name] += gust if along else gust / V
+        return found
 
 
 def _windows(n: int, dt: float) -> list[slice]:
@@ -283,56 +297,3 @@ def gusts(
     drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
     deviation = np.sqrt(np.sum(response(int(20.0 / -math.log(keep)) + 1) ** 2))
     return drawn[:, run_in:total] / float(deviation)
-
-
-def disturbances(
-    channels: Mapping[str, Float[np.ndarray, " n"]],
-    noise: SensorNoise,
-    turbulence: float,
-    dt: float,
-    rng: np.random.Generator,
-    count: int,
-) -> dict[str, Float[np.ndarray, "r n"]]:
-    """What `count` sensors and airs of this kind add to the channels of one record; `turbulence` in m/s."""
-    n = len(next(iter(channels.values())))
-    found = {
-        name: sd * rng.standard_normal((count, n)) + noise.constant[name] * rng.standard_normal((count, 1))
-        for name, sd in noise.white.items()
-    }
-    V = np.maximum(np.asarray(channels["airspeed"]), 1.0)
-    for name in AIR_DATA:
-        if name in found:
-            along = name == "airspeed"
-            gust = turbulence * gusts(rng, count, n, dt, float(np.median(V)), across=not along)
-            found[name] += gust if along else gust / V
-    return found
-
-
-# --- What the flight path leaves of a record, and of the same record with its channels disturbed.
-
-
-def path_residuals(
-    channels: Mapping[str, Float[np.ndarray, " n"]],
-    added: Mapping[str, Float[np.ndarray, "r n"]],
-    outputs: Sequence[str],
-    accelerometer: Position,
-    dt: float,
-) -> Float[np.ndarray, "r n c"]:
-    """Recorded minus integrated from the start, for each of r disturbances of the channels of one record.
-
-    `channels`: `PATH_NEEDS`, (n,) each, SI; `added` to some of them by each disturbance, (r, n); `accelerometer`: its
-    place from the centre of gravity, m; `dt` in s. In the units of `outputs`.
-    """
-    n, count = len(channels["q"]), len(next(iter(added.values())))
-    steps, start = np.full(n, dt), np.arange(n) == 0
-    first, last = np.zeros(n, int), np.full(n, n - 1)
-    aircraft = replace(NO_AIRCRAFT, accelerometer=accelerometer)
-    found = np.empty((count, n, len(outputs)))
-    for begin in range(0, count, TOGETHER):
-        part = slice(begin, begin + TOGETHER)
-        s = {name: channels[name] + added[name][part] if name in added else channels[name] for name in PATH_NEEDS}
-        s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
-        rates = path_rates(s, aircraft)
-        for c, name in enumerate(outputs):
-            found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
-    return found

@@ -126,62 +126,158 @@ def noise_report(found: Extension, outliers: Mapping[str, int], *, of_innovation
     return NoiseReport(colour, deviation, grown, dict(outliers), of_innovations)
 
 
-def search_coefficients(
-    records: Sequence[FlightRecord],
-    card: Card,
-    model: Model,
-    extra: Sequence[Effect],
-    settings: DiagnosisSettings,
-    *,
-    seed: int,
-    progress: Progress | None = None,
-) -> SearchResult:
-    """Search where coefficients can be formed; `extra` effects stand beside the catalogue's."""
-    flights, outliers = despiked(join(records, card, required_of(model.axes)))
-    full = candidate_model(model, flights, extra, settings)
-    mle = fit_mle(model, observe(records, card, model), seed=seed)
-    theta = full.neutral_vector
-    for name, value in zip(mle.names, mle.estimate, strict=True):
-        if name in full.model.names:
-            theta[full.columns([name])[0]] = value
-    both = search_in_stages(full, EquationError.of(flights, full.model), theta, seed=seed, progress=progress)
-    left, failures = attempted(
-        "Unexplained structure was not sought", lambda: unexplained(both.aerodynamics, seed=seed + 2000), Left((), ())
-    )
-    found, failed = attempted(
-        "The form of unexplained structure was not sought",
-        lambda: forms_of(both.aerodynamics, left, seed=seed + 3000),
-        Forms((), ()),
-    )
-    aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced), found.sizes)
-    notes = []
-    if filtered := filtered_channels(flights):
-        notes.append(
-            f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes are "
-            "not corrected for the bias from such noise, and their intervals do not include it."
+@dataclass(frozen=True)
+class Search:
+    """The search for effects that `model` misses in records; `extra` candidates stand beside the catalogue's."""
+
+    records: Sequence[FlightRecord]
+    card: Card
+    model: Model
+    extra: Sequence[Effect]
+    settings: DiagnosisSettings
+    seed: int
+    progress: Progress | None = None
+
+    def coefficients(self) -> SearchResult:
+        """Where coefficients can be formed."""
+        flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
+        full = candidate_model(self.model, flights, self.extra, self.settings)
+        mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
+        theta = full.neutral_vector
+        for name, value in zip(mle.names, mle.estimate, strict=True):
+            if name in full.model.names:
+                theta[full.columns([name])[0]] = value
+        responses = EquationError.of(flights, full.model)
+        both = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
+        left, failures = attempted(
+            "Unexplained structure was not sought",
+            lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
+            Left((), ()),
         )
-    if not has_chunks(aerodynamics.state):
-        notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
-    notes += [
-        f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
-        "coefficients by more than the flight path gains, so it is not made."
-        for name in both.denied
-    ]
-    named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
-    return SearchResult(
-        full,
-        (*named, (COEFFICIENTS, aerodynamics)),
-        (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
-        noise_report(aerodynamics, outliers),
-        tuple(notes),
-        (*failures, *failed),
-        changes=left.changes,
-        terms=found.terms,
-        forms=found.rivals,
-    )
+        found, failed = attempted(
+            "The form of unexplained structure was not sought",
+            lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
+            Forms((), ()),
+        )
+        aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced), found.sizes)
+        notes = []
+        if filtered := filtered_channels(flights):
+            notes.append(
+                f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes "
+                "are not corrected for the bias from such noise, and their intervals do not include it."
+            )
+        if not has_chunks(aerodynamics.state):
+            notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
+        notes += [
+            f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
+            "coefficients by more than the flight path gains, so it is not made."
+            for name in both.denied
+        ]
+        named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
+        return SearchResult(
+            full,
+            (*named, (COEFFICIENTS, aerodynamics)),
+            (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
+            noise_report(aerodynamics, outliers),
+            tuple(notes),
+            (*failures, *failed),
+            changes=left.changes,
+            terms=found.terms,
+            forms=found.rivals,
+        )
+
+    def innovations(self) -> SearchResult:
+        """What a filter does not foresee of all recorded outputs, in air that is not at rest.
+
+        Gusts, noise of the states and of the sensors are estimated with the card's model. Their filter then follows
+        each flight sample by sample, and what it does not foresee is compared with every candidate of the catalogue,
+        errors of sensors beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor
+        does. In what is left then, terms of the library are sought.
+        """
+        if self.progress:
+            self.progress("process noise", 0.0)
+        flights, outliers = despiked(join(self.records, self.card, FLIGHT))
+        base = aircraft_dynamics(self.model, flights)
+        # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
+        start = np.array([p.start for p in base.free])
+        brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
+        fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
+        full = without_lags(candidate_model(self.model, flights, self.extra, self.settings))
+        known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+        found, status = _searched(_Filtered(full, flights, base, fit.R), known, self.seed, self.progress)
+        notes = [
+            "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
+            "channel or of time."
+        ]
+        if status is not PredictionErrorStatus.CONVERGED:
+            notes.append(f"Process noise: {status.value}.")
+        return self._with_terms(INNOVATIONS, found, flights, outliers, notes)
+
+    def trajectories(self) -> SearchResult:
+        """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
+
+        Accelerations are compared too where they were recorded. The card's model is flown through the recorded inputs
+        in windows; the selection is that of the coefficients. Less is seen than there: a trajectory integrates what a
+        coefficient shows at once. A lag of the separation point that the card does not have would be a state of its
+        own: it is tried where something is missing.
+        """
+        if why := too_few_windows(self.records):
+            raise InputError(why)
+        flights, outliers = despiked(join(self.records, self.card, FLIGHT))
+        base = aircraft_dynamics(self.model, flights)
+        fit = self._inside(in_windows(flights, base))
+        whole = candidate_model(self.model, flights, self.extra, self.settings)
+        state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
+        found = plausible_selection(state, seed=self.seed, progress=self.progress)
+        lagged, failures = _asked_of_a_lag(whole, found, self.seed, self.progress)
+        notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
+        if absent := lacking(self.records, self.card):
+            notes.append(
+                f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
+                "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
+                "channel or of time."
+            )
+        return self._with_terms(TRAJECTORIES, lagged or found, flights, outliers, notes, failures)
+
+    def _inside(self, fit: OutputErrorResult) -> OutputErrorResult:
+        """A fit whose simulation stays in the envelope."""
+        if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+            raise InputError(f"card {self.card.name}: {fit.status.value}")
+        return fit
+
+    def _with_terms(
+        self,
+        stage: str,
+        found: Extension,
+        flights: Flights,
+        outliers: Mapping[str, int],
+        notes: list[str],
+        failures: Sequence[str] = (),
+    ) -> SearchResult:
+        """The result of a search in trajectories or innovations, with terms of the library for what is left."""
+        left, failed = attempted(
+            "The form of what the catalogue does not explain was not sought",
+            lambda: flown_forms(found, seed=self.seed + 3000, progress=self.progress),
+            Forms((), ()),
+        )
+        if still := taken_as_zero(flights):
+            notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
+        found = withdrawn(found, left.replaced, left.sizes)
+        return SearchResult(
+            found.state.full,
+            ((stage, found),),
+            (*left.unknown, *offsets_found(found, left.idle)),
+            noise_report(found, outliers, of_innovations=stage == INNOVATIONS),
+            tuple(notes),
+            (*failures, *failed),
+            testable_now=stage != TRAJECTORIES,
+            terms=left.terms,
+            forms=left.rivals,
+        )
+
+    # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
 
 
-# --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
 # The flight path names errors of sensors that the coefficients would silently absorb. In gusts it may name one that is
 # not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
 
@@ -286,81 +382,10 @@ def _path_gain(sensors: Extension, name: str) -> float:
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 
-# --- The search for missing effects in innovations: what a filter does not foresee, in air that is not at rest.
-# Gusts, noise of the states and of the sensors are estimated with the card's model. Their filter then follows each
-# flight sample by sample, and what it does not foresee is compared with every candidate of the catalogue, errors of
-# sensors beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor does. In what
-# is left then, terms of the library are sought.
+# --- Innovations and trajectories.
 
+FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
 START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
-
-
-def search_innovations(
-    records: Sequence[FlightRecord],
-    card: Card,
-    model: Model,
-    extra: Sequence[Effect],
-    settings: DiagnosisSettings,
-    *,
-    seed: int,
-    progress: Progress | None = None,
-) -> SearchResult:
-    """Search in the innovations of all recorded outputs; arguments and result as of `search_trajectories`."""
-    if progress:
-        progress("process noise", 0.0)
-    flights, outliers = despiked(join(records, card, FLIGHT))
-    base = aircraft_dynamics(model, flights)
-    # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
-    start = np.array([p.start for p in base.free])
-    brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
-    fit = fit_output_error(brief, max_iterations=START_STEPS)
-    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
-        raise InputError(f"card {card.name}: {fit.status.value}")
-    full = without_lags(candidate_model(model, flights, extra, settings))
-    known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-    found, status = _searched(_Filtered(full, flights, base, fit.R), known, seed, progress)
-    notes = [
-        "Of structure without a name, terms of the library are sought in innovations, and no functions of a channel or "
-        "of time."
-    ]
-    if status is not PredictionErrorStatus.CONVERGED:
-        notes.append(f"Process noise: {status.value}.")
-    return _with_terms(INNOVATIONS, found, outliers, [*notes, *_taken_as_zero(flights)], seed=seed, progress=progress)
-
-
-def _taken_as_zero(flights: Flights) -> list[str]:
-    still = taken_as_zero(flights)
-    return [f"Not recorded, and taken as zero: {', '.join(still)}."] if still else []
-
-
-def _with_terms(
-    stage: str,
-    found: Extension,
-    outliers: Mapping[str, int],
-    notes: Sequence[str],
-    failures: Sequence[str] = (),
-    *,
-    seed: int,
-    progress: Progress | None,
-) -> SearchResult:
-    """The result of a search in trajectories or innovations, with terms of the library for what is left."""
-    left, failed = attempted(
-        "The form of what the catalogue does not explain was not sought",
-        lambda: flown_forms(found, seed=seed + 3000, progress=progress),
-        Forms((), ()),
-    )
-    found = withdrawn(found, left.replaced, left.sizes)
-    return SearchResult(
-        found.state.full,
-        ((stage, found),),
-        (*left.unknown, *offsets_found(found, left.idle)),
-        noise_report(found, outliers, of_innovations=stage == INNOVATIONS),
-        tuple(notes),
-        (*failures, *failed),
-        testable_now=stage != TRAJECTORIES,
-        terms=left.terms,
-        forms=left.rivals,
-    )
 
 
 class _Filtered(NamedTuple):
@@ -438,50 +463,6 @@ def _searched(
             return _searched(flown, begin, seed, progress, extension, (*barred, *extension.implausible))
         known = dict(zip(state.full.model.names, found.state.theta, strict=True))
         apart, active = found.state.apart, chosen
-
-
-# --- The search for missing effects in trajectories, where no accelerometer gives the coefficients.
-# The card's model is flown through the recorded inputs in windows; the selection is that of the coefficients. Less
-# is seen than there: a trajectory integrates what a coefficient shows at once.
-
-FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
-
-
-def search_trajectories(
-    records: Sequence[FlightRecord],
-    card: Card,
-    model: Model,
-    extra: Sequence[Effect],
-    settings: DiagnosisSettings,
-    *,
-    seed: int,
-    progress: Progress | None = None,
-) -> SearchResult:
-    """Search in airspeed, alpha, attitude, pitch rate and altitude alone.
-
-    Accelerations are compared too where they were recorded. A lag of the separation point that the card does not have
-    would be a state of its own: it is tried where something is missing.
-    """
-    if why := too_few_windows(records):
-        raise InputError(why)
-    flights, outliers = despiked(join(records, card, FLIGHT))
-    base = aircraft_dynamics(model, flights)
-    fit = in_windows(flights, base)
-    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
-        raise InputError(f"card {card.name}: {fit.status.value}")
-    whole = candidate_model(model, flights, extra, settings)
-    state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
-    found = plausible_selection(state, seed=seed, progress=progress)
-    lagged, failures = _asked_of_a_lag(whole, found, seed, progress)
-    notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
-    if absent := lacking(records, card):
-        notes.append(
-            f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
-            "trajectories. Of structure without a name, terms of the library are sought, and no functions of a channel "
-            "or of time."
-        )
-    notes += _taken_as_zero(flights)
-    return _with_terms(TRAJECTORIES, lagged or found, outliers, notes, failures, seed=seed, progress=progress)
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:

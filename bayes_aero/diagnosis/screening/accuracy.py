@@ -47,7 +47,7 @@ class Size:
 
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
-    """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size, and that."""
+    """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size; that."""
     found = {}
     for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
         largest = effect.sizes[p.name][1]

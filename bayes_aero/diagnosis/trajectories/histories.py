@@ -26,7 +26,7 @@ from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.inference.likelihood.output_error import fit_disturbed, one_by_one, trajectories
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.inference.one_step import one_step
 from bayes_aero.inference.posterior.nuts import sample_innovations
@@ -47,25 +47,6 @@ def label(flown: SegmentTrajectories, row: int) -> str:
     return f"{name}, {'first' if row == 0 else 'second'} half"
 
 
-def paths_of(
-    fit: OutputErrorResult,
-    flown: SegmentTrajectories,
-    model: str,
-    split: str,
-    departure: Float[np.ndarray, "w s"],
-    tolerances: Mapping[str, float],
-    *,
-    drawn: bool = False,
-    variance_inflation: float = 1.0,
-    seed: int = 0,
-) -> list[SimulatedManoeuvre]:
-    """Every segment of `flown` that counts, simulated with the parameters of `fit`, or (`drawn`) its posterior, too."""
-    draws = None
-    if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        draws = posterior_draws(fit, variance_inflation, seed)
-    return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
-
-
 def simulated(
     estimate: Float[np.ndarray, " k"],
     flown: SegmentTrajectories,
@@ -75,7 +56,7 @@ def simulated(
     tolerances: Mapping[str, float],
     draws: Float[np.ndarray, "m k"] | None = None,
 ) -> list[SimulatedManoeuvre]:
-    """The same with given parameters; with `draws` of them, too, the chance to stay inside the tolerances."""
+    """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
     shown, every = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure))
     paths = []
     for row, found in every.items():

@@ -16,7 +16,7 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel, finite, lag_of
 from bayes_aero.diagnosis.selection.forward_selection import Extension, large
 from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.histories import paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.histories import posterior_covariance, posterior_draws, simulated
 from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import with_biases_of
@@ -66,7 +66,7 @@ class CandidateFit:
     weighed: bool = True  # samples count by the noise_growth of what is missed
 
     def silent(self, segment: int, unidentified: float) -> dict[str, float]:
-        """Joint values of a cause's parameters whose standard error without this segment is `unidentified` times more."""
+        """Joint values of causes' parameters whose standard error without this segment is `unidentified` times more."""
         if not self.own:
             return {}
         others = masked(self.fit.flown, segment, keep=False)
@@ -116,11 +116,13 @@ def holdout_fits(
 ) -> list[SimulatedManoeuvre]:
     """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
     posterior, too, where there are tolerances to stay inside."""
-    flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
-    options = {"drawn": bool(tolerances), "variance_inflation": variance_inflation, "seed": seed}
+    flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
     found = []
     for k, fit in enumerate(fits):
-        found += paths_of(fit, masked(flown, k, keep=True), name, "hold_out", still, tolerances, **options)
+        known = bool(tolerances) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE
+        draws = posterior_draws(fit, variance_inflation, seed) if known else None
+        alone = masked(flown, k, keep=True)
+        found += simulated(fit.estimate, alone, contender.name, "hold_out", still, tolerances, draws)
     return found
 
 

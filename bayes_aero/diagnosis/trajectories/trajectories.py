@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.flight_path_check import sensor_noise
 from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
-from bayes_aero.diagnosis.trajectories.histories import label, paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.histories import label, posterior_covariance, simulated
 from bayes_aero.diagnosis.trajectories.holdout import (
     CandidateFit,
     FlightNoise,
@@ -105,7 +105,7 @@ def compare_trajectories(
     tell("errors", 0.9)
     paths, shown = [], {"card": (contenders["card"], fits["card"]), "extended": (flies.contender, flies.fits)}
     for name, (c, _) in shown.items():
-        paths += paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
+        paths += simulated(c.fit.estimate, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
     for name, (c, without) in shown.items():
         paths += [replace(p, model=name) for p in holdout_fits(c, without, tolerances, inflation, seed)]
     fit, gone = flies.contender.fit, flies.gone
@@ -260,8 +260,8 @@ def fit_trajectories(
     tell("errors of the trajectories", 0.9)
     bands, still = tolerances or {}, np.zeros_like(fit.departure)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
-        paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
-        paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
+        paths = simulated(first, whole, START, START, still, bands)
+        paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, bands)
     return TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting
     )
