@@ -61,9 +61,11 @@ def consistency(
         seek: where sensors disagree, look for the known error that explains it (some seconds).
         known: the search's result, where it has been done.
     """
-    found = as_recorded(records, card, seed)
-    if not found.recorded:
-        return found
+    if why := no_flight_path(records, card):
+        return Consistency(why)
+    flights = _flights(records, card)
+    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
+    found = Consistency("", unchecked, checks(flights, card, seed))
     if known is None:
         if found.agreement is Agreement.AGREE or not seek:
             return found
@@ -71,28 +73,13 @@ def consistency(
             known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
-    return with_known_errors(found, records, card, known, seed)
-
-
-def as_recorded(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> Consistency:
-    """The check of the records as they are; nothing is looked for."""
-    if why := no_flight_path(records, card):
-        return Consistency(why)
-    flights = _flights(records, card)
-    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    return Consistency("", unchecked, checks(flights, card, seed))
-
-
-def with_known_errors(
-    found: Consistency, records: Sequence[FlightRecord], card: Card, known: KnownErrors, seed: int = 0
-) -> Consistency:
-    """`as_recorded` with the errors that are known; where the sensors disagree, checked again without these."""
     found = replace(found, errors=known.errors, open=known.open)
     if found.agreement is Agreement.AGREE or not known.effects:
         return found
-    model = Model.of(known.effects, axes=tuple(Axis))
+    # Where the sensors disagree, they are checked again without the errors that are known.
     values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
-    return replace(found, corrected=checks(with_corrections(_flights(records, card), model, values), card, seed))
+    corrected = with_corrections(flights, Model.of(known.effects, axes=tuple(Axis)), values)
+    return replace(found, corrected=checks(corrected, card, seed))
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:

@@ -170,11 +170,8 @@ def next_test_points(
 def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
     """The effects of an ambiguity set; `InputError` if it is none."""
     known = {e.name: e for e in state.full.model.effects if e.parameters}
-    for name in effects:
-        if name not in known:
-            raise InputError(
-                f"effect {name} is none that this record can test; choose among the candidates of the state"
-            )
+    for name in (name for name in effects if name not in known):
+        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
     chosen = [known[name] for name in dict.fromkeys(effects)]
     if len(chosen) < 2:
         raise InputError("an ambiguity set has at least two effects")
@@ -188,11 +185,8 @@ def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
     """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
-    return [
-        standard(state, effects, amplitude=amplitude, faster=faster, envelope=envelope)
-        for faster in FASTER
-        for amplitude in AMPLITUDES
-    ]
+    pairs = [{"amplitude": amplitude, "faster": faster} for faster in FASTER for amplitude in AMPLITUDES]
+    return [standard(state, effects, **pair, envelope=envelope) for pair in pairs]
 
 
 def possible_points(
@@ -203,13 +197,12 @@ def possible_points(
     envelope: Envelope,
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
-    found = []
-    for one in variants:
-        for name, flight in one.flown.items():
-            if envelope.programmed_inputs or name not in NOT_BY_HAND:
-                there = on_record(state, one.model, flight, one.theta, chosen, noise)
-                found.append(Variant(name, one, there.information(one.seconds[name])))
-    return found
+    pairs = [(one, name, flight) for one in variants for name, flight in one.flown.items()]
+    return [
+        Variant(name, one, on_record(state, one.model, flight, one.theta, chosen, noise).information(one.seconds[name]))
+        for one, name, flight in pairs
+        if envelope.programmed_inputs or name not in NOT_BY_HAND
+    ]
 
 
 def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
@@ -349,27 +342,6 @@ class Information:
         return found
 
 
-def information_of(
-    state: SelectionState, noise: ResidualNoise, chosen: Sequence[Effect], blocks: int | None = None
-) -> Information:
-    """Of the record (its first `blocks`) on which `state` is linearised: on its parameters and on `chosen` effects."""
-    own = {label: column for e in chosen for label, column in columns_of(state, e).items()}
-    base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in chosen}])))
-    parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
-    labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
-    columns = [(parameters | own)[label] for label in labels]
-    alone = [k for k in base if k >= len(state.theta)]
-    whole, weight = state.scaled[:blocks], 1.0 / noise.variance
-    S = own_columns = whole[:, :, columns]
-    if alone:
-        N = whole[:, :, alone]
-        normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
-        S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
-    matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
-    score = noise.colour.meat(S, noise.variance, manoeuvres(state.responses.manoeuvre[:blocks]))
-    return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
-
-
 def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
     """Columns of an effect by label; of one without slope at neutral, that of its least scanned value."""
     begin = len(state.theta) + state.nuisance
@@ -495,9 +467,24 @@ class LinearisedRecord:
     chosen: tuple[Effect, ...]
 
     def information(self, seconds: float | None = None) -> Information:
-        """Of the record, or of its first `seconds`."""
-        blocks = None if seconds is None else round(seconds / self.state.responses.seconds)
-        return information_of(self.state, self.noise, self.chosen, blocks)
+        """Of the record, or of its first `seconds`: on the parameters in the state, and on the `chosen` effects."""
+        state, noise = self.state, self.noise
+        blocks = None if seconds is None else round(seconds / state.responses.seconds)
+        own = {label: column for e in self.chosen for label, column in columns_of(state, e).items()}
+        base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in self.chosen}])))
+        parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
+        labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
+        columns = [(parameters | own)[label] for label in labels]
+        alone = [k for k in base if k >= len(state.theta)]
+        whole, weight = state.scaled[:blocks], 1.0 / noise.variance
+        S = own_columns = whole[:, :, columns]
+        if alone:
+            N = whole[:, :, alone]
+            normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
+            S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
+        matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
+        score = noise.colour.meat(S, noise.variance, manoeuvres(state.responses.manoeuvre[:blocks]))
+        return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
 
 
 def of_records(state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise) -> LinearisedRecord:

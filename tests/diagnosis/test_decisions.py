@@ -22,11 +22,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import holdout
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import (
-    Confirmation,
-    LeftOut,
-    backward_elimination,
-)
+from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure import unexplained
 from bayes_aero.diagnosis.trajectories.holdout import left_out_of

@@ -9,11 +9,11 @@ simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 8
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import linprog
 
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
@@ -23,6 +23,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.model.joined_records import Recorded
+from bayes_aero.parameter import Parameter
 
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
@@ -165,6 +166,24 @@ def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1)
 
     names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, own)]]
     return {name: (least(row), -least(-row)) for name, row in zip(names, np.array(biases).T / scale, strict=True)}
+
+
+def normal_draws(
+    mean: Float[np.ndarray, " k"],
+    columns: Int[np.ndarray, " j"],
+    covariance: Float[np.ndarray, "j j"],
+    parameters: Sequence[Parameter],
+    seed: int,
+    count: int,
+) -> Float[np.ndarray, "r k"]:
+    """Parameters drawn from the normal distribution of estimates, `columns` of which vary, within their bounds."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    white = np.random.default_rng(seed).standard_normal((count, len(columns)))
+    draws = np.tile(mean, (count, 1))
+    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
+    lower, upper = np.array([p.bounds for p in parameters], float).reshape(-1, 2).T
+    return np.clip(draws, np.minimum(lower, mean), np.maximum(upper, mean))
 
 
 def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:

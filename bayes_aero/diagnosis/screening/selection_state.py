@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -160,6 +160,26 @@ class SelectionState:
     def left(self, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
         """Residuals that a fit leaves, divided by the noise_growth."""
         return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
+
+    def with_components(
+        self, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice] | None = None
+    ) -> SelectionState:
+        """The state in which components are the candidates in place of effects; those `chosen` are in."""
+        folds, extra = self.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
+        S = np.concatenate([self.S[:, :, :-1], *extra, self.S[:, :, -1:]], axis=2)
+        width, size = S.shape[2] - self.S.shape[2], float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
+        flat = np.full(width, self.variance_inflation / (10 * size) ** 2)
+        precision = np.concatenate([self.precision[:-1], flat, [1.0]])
+        mean = np.concatenate([self.mean[:-1], np.zeros(width), [0.0]])
+        products = Products.of(self.residual / self.noise_growth, S / self.noise_growth[:, :, None], folds)
+        return replace(
+            self, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+            components=tuple(components), chosen=tuple(chosen),
+        )  # fmt: skip
+
+    def share_of(self, own: Int[np.ndarray, " k"]) -> float:
+        """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
+        return float(np.max(1.0 - self.fit_columns(self.wider(own)).variance / self.fit().variance))
 
     @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:

@@ -27,7 +27,7 @@ from bayes_aero.diagnosis.screening.parameter_fit import inflation_along, optimu
 from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import ScreeningResult, uncertainty, without_active
 from bayes_aero.diagnosis.screening.selection_state import TINY, Component, SelectionState, moved
-from bayes_aero.diagnosis.structure.components import Trial, parts_of, with_components
+from bayes_aero.diagnosis.structure.components import Trial, parts_of
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.inference.covariance import ORDER, nats
 
@@ -73,7 +73,7 @@ def sought_change(
         return None
     state = _beside(state, [*chosen, first[0].component])
     folds = manoeuvres(state.responses.manoeuvre)
-    whole = with_components(state, (), chosen, folds)
+    whole = state.with_components((), chosen, folds)
     wider = Trial(state, first[0].component, chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
     held = whole.fit_columns(whole.columns(), held=wider.variance)
@@ -103,7 +103,7 @@ def _promising(
 ) -> tuple[SpanChange, ChangeScan] | None:
     """The change that explains most to first order, if that is worth another look."""
     folds = manoeuvres(state.responses.manoeuvre)
-    whole = state if not chosen and folds == state.folds else with_components(state, (), chosen, folds)
+    whole = state if not chosen and folds == state.folds else state.with_components((), chosen, folds)
     fit, columns = whole.fit(), _free(state)
     # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
     # the noise that is there already, as in `accuracy.noise_effect`.
@@ -353,7 +353,7 @@ Value = tuple[float, float]
 
 def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
-    whole = with_components(state, (), chosen, manoeuvres(state.responses.manoeuvre))
+    whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
     fit = whole.fit()
     covariance = uncertainty(whole, fit)
     widths = [c.basis.shape[2] for c in chosen]

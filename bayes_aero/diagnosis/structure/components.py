@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import moves, noise_channels
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.screening import explained_shares
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, manoeuvre_constants
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
@@ -105,7 +105,7 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     folds, constants = chunks(state), manoeuvre_constants
     manoeuvre = state.responses.manoeuvre
     components = [Component(c, "manoeuvre", constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
-    whole, found = with_components(state, components, (), folds), []
+    whole, found = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
         if trial.share < state.settings.unnamed_share or trial.gain <= 0.0:
@@ -155,31 +155,6 @@ def in_batches(state: SelectionState, components: Sequence[Component], folds: Se
     return found
 
 
-def with_components(
-    state: SelectionState,
-    components: Sequence[Component],
-    chosen: Sequence[Component],
-    folds: Sequence[slice] | None = None,
-) -> SelectionState:
-    """The state in which components are the candidates in place of effects; those `chosen` are in."""
-    folds, extra = state.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
-    S = np.concatenate([state.S[:, :, :-1], *extra, state.S[:, :, -1:]], axis=2)
-    width, size = S.shape[2] - state.S.shape[2], float(np.median(np.std(state.residual / state.noise_growth, axis=0)))
-    flat = np.full(width, state.variance_inflation / (10 * size) ** 2)
-    precision = np.concatenate([state.precision[:-1], flat, [1.0]])
-    mean = np.concatenate([state.mean[:-1], np.zeros(width), [0.0]])
-    products = Products.of(state.residual / state.noise_growth, S / state.noise_growth[:, :, None], folds)
-    return replace(
-        state, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
-        components=tuple(components), chosen=tuple(chosen),
-    )  # fmt: skip
-
-
-def share_of(state: SelectionState, own: Int[np.ndarray, " k"]) -> float:
-    """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
-    return float(np.max(1.0 - state.fit_columns(state.wider(own)).variance / state.fit().variance))
-
-
 class Trial:
     """A component as the only candidate beside those `chosen`, and the fit with it in."""
 
@@ -190,7 +165,7 @@ class Trial:
         chosen: Sequence[Component] = (),
         folds: Sequence[slice] | None = None,
     ) -> None:
-        self.state = with_components(state, (component,), chosen, folds)
+        self.state = state.with_components((component,), chosen, folds)
         self.wide = self.state.wider(self.state.component_columns[0])
 
     @cached_property

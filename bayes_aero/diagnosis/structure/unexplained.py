@@ -31,9 +31,7 @@ from bayes_aero.diagnosis.structure.components import (
     in_batches,
     null_shares,
     parts_of,
-    share_of,
     term_of,
-    with_components,
 )
 from bayes_aero.inference.covariance import nats
 
@@ -161,10 +159,10 @@ def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
 
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
-    wide, least = with_components(state, (), chosen), state.least_share(state.settings.unnamed_share)
+    wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
     dropped, deviance, count = [], wide.fit().deviance, float(wide.products.count.sum())
     for name in causes:
-        rest = with_components(removed(state, name), (), chosen).fit().deviance
+        rest = removed(state, name).with_components((), chosen).fit().deviance
         if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
             dropped.append(name)
     return tuple(dropped)
@@ -192,7 +190,7 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
     for folds, components, least in families(state):
         batches, leaders = in_batches(state, components, folds), []
         for batch in batches:
-            trials = with_components(state, batch, chosen, folds)
+            trials = state.with_components(batch, chosen, folds)
             scores = screen(trials, trials.fit(), seed=seed, nulls=False).candidate_scores[:tried]
             leaders += [(standing.score, next(c for c in batch if c.label == standing.effect)) for standing in scores]
         leaders.sort(key=lambda leader: -leader[0])
@@ -202,7 +200,7 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
                 continue
             # How often noise alone lets some component explain so large a share.
             noise = trial.colour, trial.fit.variance, seed
-            nulls = [null_shares(with_components(state, batch, chosen, folds), *noise) for batch in batches]
+            nulls = [null_shares(state.with_components(batch, chosen, folds), *noise) for batch in batches]
             p = chance_of(trial.share, np.max(nulls, axis=0))
             if p <= state.settings.unnamed_false_alarm_rate:
                 return _Found(state, component, trial.share, p)
@@ -240,7 +238,7 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
     best = None
     parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
-        trial = with_components(state, components, (), folds)
+        trial = state.with_components(components, (), folds)
         bare = trial.columns(())
         products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
@@ -253,8 +251,8 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
             columns = trial.component_columns[i]
             gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
             margin = _margin(state, gained, known)
-            share = share_of(taken_out, columns)
-            left = share_of(trial, columns) if margin > 0.0 and share >= least else 0.0
+            share = taken_out.share_of(columns)
+            left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
                 best = (margin, _Found(state, components[i], share, float("nan")))
     return best

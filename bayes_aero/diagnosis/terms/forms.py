@@ -28,7 +28,6 @@ from bayes_aero.diagnosis.structure.components import (
     likeness,
     polynomials,
     term_of,
-    with_components,
 )
 from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous, taken_out
 from bayes_aero.diagnosis.terms.library import SEPARATED, ProductTerm
@@ -73,7 +72,7 @@ class _Model:
     @property
     def wide(self) -> SelectionState:
         """The state with the terms in."""
-        return with_components(self.state, (), self.components)
+        return self.state.with_components((), self.components)
 
     @property
     def components(self) -> tuple[Component, ...]:

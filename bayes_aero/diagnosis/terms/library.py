@@ -121,21 +121,17 @@ def _beyond(quantity: TermFactor, at: float) -> str:
 
 def _break(quantity: TermFactor, at: float) -> TermFactor:
     """What the quantity is beyond a value, on either side if `lateral`: its slope is another one there."""
-    if quantity.lateral:
-        code = f"xp.sign({quantity.code}) * xp.maximum(xp.abs({quantity.code}) - {at!r}, 0.0)"
-        name = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)"
-
-        def beyond(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
-            x = quantity.evaluate(s, a)
-            return np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
-
-        return TermFactor(name, code, quantity.channels, beyond, True, 2, quantity.unit)
-    code = f"xp.maximum({quantity.code} - {at!r}, 0.0)"
+    own, lateral = quantity.code, quantity.lateral
+    code = f"xp.maximum({f'xp.abs({own})' if lateral else own} - {at!r}, 0.0)"
     name = f"max({_beyond(quantity, at)}, 0)"
-    return TermFactor(
-        name, code, quantity.channels, lambda s, a: np.maximum(quantity.evaluate(s, a) - at, 0.0),
-        quantity.lateral, 2, quantity.unit,
-    )  # fmt: skip
+    if lateral:
+        name, code = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)", f"xp.sign({own}) * {code}"
+
+    def evaluate(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
+        x = quantity.evaluate(s, a)
+        return np.sign(x) * np.maximum(np.abs(x) - at, 0.0) if lateral else np.maximum(x - at, 0.0)
+
+    return TermFactor(name, code, quantity.channels, evaluate, lateral, 2, quantity.unit)
 
 
 def _bump(quantity: TermFactor, at: float, width: float) -> TermFactor:

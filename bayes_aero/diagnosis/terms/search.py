@@ -27,15 +27,7 @@ from bayes_aero.diagnosis.screening.screening import (
 )
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
-from bayes_aero.diagnosis.structure.components import (
-    TermColumn,
-    Trial,
-    chance_of,
-    columns_of,
-    null_shares,
-    share_of,
-    with_components,
-)
+from bayes_aero.diagnosis.structure.components import TermColumn, Trial, chance_of, columns_of, null_shares
 from bayes_aero.diagnosis.terms.library import ProductTerm
 from bayes_aero.inference.covariance import nats
 
@@ -93,7 +85,7 @@ def terms_of_coefficient(
 
     def gain(components: Sequence[Component]) -> float:
         """Deviance of left-out folds that components gain together."""
-        wide = with_components(state, (), components)
+        wide = state.with_components((), components)
         return holdout_deviance_gain(wide, wide.columns(), state.columns())
 
     inflation, least = max(one.inflation for one in found), gain(functions)
@@ -118,7 +110,7 @@ def leader(
     """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
     labels = {c.component.label for c in chosen}
     open_ones = [c for c in columns if c.component.label not in labels]
-    trial = with_components(state, [c.component for c in open_ones], [c.component for c in chosen])
+    trial = state.with_components([c.component for c in open_ones], [c.component for c in chosen])
     fit = trial.fit()
     order, lost, inflation = _ranked(trial, fit)
     weights = weights_of(lost, [open_ones[j].term.cost for j in order])
@@ -130,7 +122,7 @@ def leader(
     own = trial.wider(column)
     explained = nats(fit.deviance - trial.fit_columns(own).deviance, inflation)
     one = SelectedTerm(
-        open_ones[order[first]], holdout_deviance_gain(trial, own), share_of(trial, column), inflation,
+        open_ones[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
         float(weights[first]), tuple(others), float("nan"), len(columns),
     )  # fmt: skip
     return one, explained, trial
@@ -164,7 +156,7 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
 
 def sized(state: SelectionState, found: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
     """All terms fitted together, beside the parameters of the model."""
-    whole = with_components(state, (), components_of(found))
+    whole = state.with_components((), components_of(found))
     fit = whole.fit()
     deviation = np.sqrt(np.diag(uncertainty(whole, fit)))[len(fit.columns) - len(found) :]
     if state.responses.jackknife_blocks is not None:  # no smaller than the estimates without each part scatter
@@ -226,7 +218,7 @@ def _next(
     chosen, screened = [one.column for one in found], []
     for columns in library:
         left = [c for c in columns if c not in chosen]
-        trial = with_components(state, [c.component for c in left], components_of(found))
+        trial = state.with_components([c.component for c in left], components_of(found))
         screened.append(_Screened(left, trial, screen(trial, trial.fit(), seed=0, nulls=False, noise=noise)))
     tried = state.settings.candidates_tried
     leaders = [(one, standing) for one in screened for standing in one.screening.candidate_scores[:tried]]
@@ -245,7 +237,7 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
     settings, own = trial.settings, np.array(standing.columns, int)
     alone = len(trial.responses.flights.lengths) == 1
     least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
-    if share_of(trial, own) < least or standing.log_bayes <= 0.0:
+    if trial.share_of(own) < least or standing.log_bayes <= 0.0:
         return 1.0
     wide = trial.wider(own)
     if nats(holdout_deviance_gain(trial, wide), standing.variance_inflation) < settings.ambiguous:
@@ -268,7 +260,7 @@ def _weighed(
     best = gains[first.component.label][1]
     near = [(c, gain) for c, gain in gains.values() if gain >= NEAR * best]
     near.sort(key=lambda pair: pair[0] is not first)  # the leader is the first
-    trial = with_components(state, [c.component for c, _ in near], chosen)
+    trial = state.with_components([c.component for c, _ in near], chosen)
     fit = trial.fit()
     colour = autocorrelation_of(trial.left(trial.fit_columns(trial.wider(trial.component_columns[0]))), trial.folds)
     # What tells two of them apart is the residual along the difference of what they explain.

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.screening.accuracy import normal_draws
 from bayes_aero.diagnosis.trajectories.results import (
     Error,
     GustHistory,
@@ -95,13 +96,7 @@ def posterior_draws(
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = posterior_covariance(fit, variance_inflation)[np.ix_(moving, moving)]
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    white = np.random.default_rng(seed).standard_normal((count, len(moving)))
-    thetas = np.tile(fit.estimate, (count, 1))
-    thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
-    lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
-    return np.clip(thetas, lower, upper)
+    return normal_draws(fit.estimate, moving, covariance, fit.parameters, seed, count)
 
 
 def _probabilities(

@@ -126,11 +126,7 @@ def compare_trajectories(
 
 
 def _contenders(
-    diagnosis: Diagnosis,
-    added: Sequence[Effect],
-    flights: Flights,
-    biases: Mapping[str, Prior] | None,
-    tell: Progress,
+    diagnosis: Diagnosis, added: Sequence[Effect], flights: Flights, biases: Mapping[str, Prior] | None, tell: Progress
 ) -> tuple[dict[str, CandidateFit], LagTest | None, FlightNoise]:
     """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
     whole = diagnosis.aerodynamics.state.full

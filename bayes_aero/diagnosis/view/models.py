@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH, Cause, Diagnosis
+from bayes_aero.diagnosis.screening.accuracy import normal_draws
 from bayes_aero.diagnosis.screening.autocorrelation import lag1_within
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.regression import RegressionFit
@@ -63,8 +64,10 @@ def view_of(diagnosis: Diagnosis) -> DiagnosisView:
 
 def coefficient_view(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
-    before, last = _card(diagnosis), diagnosis.aerodynamics
-    after = last.state, last.fit
+    last, sensors = diagnosis.aerodynamics, diagnosis.sensors
+    before, after = (last.base, last.base_fit), (last.state, last.fit)
+    if sensors is not None and sensors.state.active:
+        before = refitted(moved(last.base, last.base.full.at_neutral(last.base.theta, sensors.state.active)))
     if set(diagnosis.kept) != set(last.state.active):  # the part of the extension that hold-out data confirm
         after = refitted(truncated(last.state, diagnosis.kept))
     flights = diagnosis.aerodynamics.state.responses.flights
@@ -97,13 +100,6 @@ def with_stalls(view: View) -> View:
     """The same with the stall of the card's model, and of the extended one where there is one."""
     models = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}
     return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
-
-
-def _card(diagnosis: Diagnosis) -> tuple[SelectionState, RegressionFit]:
-    base, sensors = diagnosis.aerodynamics.base, diagnosis.sensors
-    if sensors is None or not sensors.state.active:
-        return base, diagnosis.aerodynamics.base_fit
-    return refitted(moved(base, base.full.at_neutral(base.theta, sensors.state.active)))
 
 
 def _fitted(
@@ -151,18 +147,10 @@ def _deviations(fitted: Fitted) -> dict[str, float]:
 
 def _stall(fitted: Fitted) -> Stall:
     """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
-    state = fitted.state
-    columns, covariance = covariance_of(fitted)
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    white = np.random.default_rng(0).standard_normal((DRAWS, len(columns)))
-    draws = np.tile(state.theta, (DRAWS, 1))
-    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
-    lower, upper = (np.array([p.bounds[i] for p in state.full.model.free], float) for i in (0, 1))
-    lower, upper = np.minimum(lower, state.theta), np.maximum(upper, state.theta)
-    model, flights = state.full.model, state.responses.flights
+    model, flights = fitted.state.full.model, fitted.state.responses.flights
+    draws = normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
     signals = {name: fitted.signals[name] for name in fitted.signals if name not in NOT_SIGNALS}
-    return stall_of(model, np.clip(draws, lower, upper), signals, flights.aircraft)
+    return stall_of(model, draws, signals, flights.aircraft)
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
