@@ -150,19 +150,20 @@ def candidate_model(
 def noise_channels(flights: Recorded) -> tuple[str, ...]:
     """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
     found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
-    return tuple(n for n, x in found.items() if noise_alone(x, *_parts(x, flights)))
+    return tuple(n for n, x in found.items() if noise_alone(x, *by_manoeuvre(x, flights)))
 
 
 def moves(x: Any, flights: Recorded, least: float = 1e-9) -> bool:
     """Whether a channel (n,) moves within a manoeuvre: what differs only between them is no more than an offset."""
-    return any(_moves(part, least) for part in _parts(np.asarray(x), flights))
+    return any(_moves(part, least) for part in by_manoeuvre(np.asarray(x), flights))
 
 
 def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
     return bool(np.ptp(x) > least * max(1.0, float(np.abs(x).max())))
 
 
-def _parts(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+def by_manoeuvre(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+    """A channel (n,) of each manoeuvre."""
     return np.split(x, np.cumsum(flights.lengths)[:-1])
 
 
@@ -173,7 +174,7 @@ def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[
     of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
     if not own or of_others or not set(effect.channels) <= set(flights.channels):
         return ()
-    parts = {n: _parts(np.asarray(flights.channels[n], float), flights) for n in own}
+    parts = {n: by_manoeuvre(np.asarray(flights.channels[n], float), flights) for n in own}
     calm = {n: np.concatenate([np.full_like(x, x.mean()) for x in each]) for n, each in parts.items()}
     there = _varies(_made(effect, flights, {}), flights)
     return own if there and not _varies(_made(effect, flights, calm), flights) else ()
@@ -189,7 +190,9 @@ def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) 
 
 def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
     """Whether any of these moves within a manoeuvre: T/(qbar S) does where only the airspeed changes."""
-    return any(np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in _parts(x, flights))
+    return any(
+        np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in by_manoeuvre(x, flights)
+    )
 
 
 # --- The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.

@@ -141,15 +141,18 @@ def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cau
     hold-out test fail, no cause is confirmed.
     """
 
+    def loses(gain: Gain) -> bool:
+        """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
+        return bool(gain.degraded) or found.full.settings.degrades(gain.elpd, gain.elpd_se)
+
     def asked() -> tuple[list[Cause], Kept]:
         confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
         while True:
             causes = causes_of(found, confirmations, progress)
-            losing = [c for c in causes if c.confirmed and loses(c, found.full.settings)]
+            losing = [c for c in causes if c.confirmed and loses(c.gain)]
             if not losing:
                 return causes, {stage: one.kept for stage, one in confirmations.items()}
-            last = losing[-1]
-            one = confirmations[last.stage]
+            last, one = losing[-1], confirmations[losing[-1].stage]
             confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
@@ -167,11 +170,6 @@ def without_conditional(
     return tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
 
 
-def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
-    """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
-    return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
-
-
 def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
@@ -179,15 +177,13 @@ def causes_of(
     found, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
         sure = confirmations.get(stage)
-        measured = {}
-        if sure is not None and extension.causes:
-            measured = gains_of(extension, searched.model, sure.kept, progress)
+        ask = sure is not None and extension.causes
+        measured = gains_of(extension, searched.model, sure.kept, progress) if ask else {}
         forms = searched.forms if extension is searched.model else {}
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
-            names = [n for n in larger.causes if n in out]
-            found += _causes_in(full, stage, larger, names, None, {}, {})
+            found += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return found
 
 

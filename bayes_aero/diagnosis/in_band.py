@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.design import flights_of, narrowed
 from bayes_aero.diagnosis.result import COEFFICIENTS, CausesInBand, Diagnosis, SizeInBand
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
@@ -83,8 +84,7 @@ def band_of(flights: Flights) -> Band:
     times, reach = sampling_times(flights), 0.0
     low = PERIODS / min(n * dt for n, dt in zip(flights.lengths, times, strict=True))
     for name in (name for name in ("p", "q", "r") if name in flights.recorded):
-        parts = np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
-        for x, dt in zip(parts, times, strict=True):
+        for x, dt in zip(by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
             power = np.abs(np.fft.rfft(x - x.mean())) ** 2
             if power.sum() > 0.0:
                 share = np.cumsum(power) / power.sum()

@@ -123,11 +123,11 @@ def test_middles_are_the_blocks_of_the_whole(problem):
     _, S, _, folds = problem
     colour = Autocorrelation(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
     variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
-    diagonal, (first, second) = Middle(S, variance, folds, places).under(colour, [1, 2])
+    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour], [1, 2])
     whole = colour.meat(S, variance, folds)
-    np.testing.assert_allclose(diagonal, np.diag(whole), rtol=1e-10)
-    np.testing.assert_allclose(first, whole[np.ix_(places[1], places[1])], rtol=1e-10)
-    np.testing.assert_allclose(second, whole[np.ix_(places[2], places[2])], rtol=1e-10)
+    np.testing.assert_allclose(diagonal[0], np.diag(whole), rtol=1e-10)
+    for block, place in zip(blocks, places[1:], strict=True):
+        np.testing.assert_allclose(block[0], whole[np.ix_(place, place)], rtol=1e-10)
 
 
 def test_no_noise_and_no_information_leave_numbers(problem, recwarn):

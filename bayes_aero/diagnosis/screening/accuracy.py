@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linprog
 
+from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
 from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
@@ -71,7 +72,7 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
 
 def recording_noise(flights: Recorded) -> dict[str, float]:
     """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
-    return {name: noise_of(*_parts(flights, name)) for name in flights.recorded}
+    return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
 
 
 def filtered_channels(flights: Recorded) -> tuple[str, ...]:
@@ -79,17 +80,12 @@ def filtered_channels(flights: Recorded) -> tuple[str, ...]:
     # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
     found = []
     for name in (name for name in REGRESSORS if name in flights.recorded):
-        rough = np.concatenate([np.diff(part, 3) for part in _parts(flights, name)])
+        rough = np.concatenate([np.diff(part, 3) for part in by_manoeuvre(np.asarray(flights.channels[name]), flights)])
         limit = 5.0 * np.median(np.abs(rough))
         inside = np.clip(rough, -limit, limit)
         if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
             found.append(name)
     return tuple(found)
-
-
-def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
-    """A channel, manoeuvre by manoeuvre."""
-    return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
 
 
 def noise_effect(

@@ -44,24 +44,31 @@ class SpanChange:
 
 
 @dataclass(frozen=True)
-class Sought:
-    """A change that is beyond chance, with what it was judged by."""
+class FoundComponent:
+    """A component that is taken for real, and the state in which it was found."""
+
+    state: SelectionState
+    component: Component
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class FoundChange(FoundComponent):
+    """A change of a parameter that is beyond chance, with what it was judged by."""
 
     change: SpanChange
-    state: SelectionState
     scan: ChangeScan
     residual: Float[np.ndarray, "m c"]
     folds: tuple[slice, ...]
     colour: Autocorrelation
-    share: float
-    p_value: float
     gain: float  # deviance that it takes away
     gained: float  # deviance of the parts left out
 
 
 def sought_change(
     state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
-) -> Sought | None:
+) -> FoundChange | None:
     """The change that explains most of what the active effects and the `chosen` components leave, if it is real.
 
     It must gain more than `least` deviance on parts left out. Without it the other parameters were fitted to both
@@ -88,7 +95,8 @@ def sought_change(
     if p > settings.change_false_alarm_rate:
         return None
     gain = whole.fit().deviance - trial.fit.deviance
-    return Sought(change, state, scan, residual, folds, colour, trial.share, p, gain, gained)
+    known = state, change.component, trial.share, p
+    return FoundChange(*known, change, scan, residual, folds, colour, gain, gained)
 
 
 def testable(state: SelectionState) -> bool:
@@ -321,7 +329,7 @@ NEAREST = 200  # moments that are compared with the best one, those that explain
 
 
 def told(
-    state: SelectionState, found: Sought, chosen: Sequence[Component], election: ScreeningResult | None
+    state: SelectionState, found: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
     change, span = found.change, found.change.span
@@ -367,7 +375,7 @@ def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component
     return before, after, size
 
 
-def _as_good(state: SelectionState, found: Sought) -> tuple[tuple[int, int], list[str], float]:
+def _as_good(state: SelectionState, found: FoundChange) -> tuple[tuple[int, int], list[str], float]:
     """First and last block from which the change may as well begin; other parameters that explain about as much; and
     the variance inflation of the change itself."""
     scan, settings, (span, parameter) = found.scan, state.settings, found.change.at

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -23,7 +22,14 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.changes import Sought, holdout_gain_of, sought_change, testable, told
+from bayes_aero.diagnosis.structure.changes import (
+    FoundChange,
+    FoundComponent,
+    holdout_gain_of,
+    sought_change,
+    testable,
+    told,
+)
 from bayes_aero.diagnosis.structure.components import (
     Trial,
     chance_of,
@@ -46,24 +52,9 @@ class Left:
     functions: tuple[Component, ...] = ()  # by which the structure was found
 
 
-class _Found(NamedTuple):
-    """A component that is taken for real, and the state in which it was found."""
-
-    state: SelectionState
-    component: Component
-    share: float
-    p_value: float
-    change: Sought | None = None  # of a parameter, if it is one
-
-    @classmethod
-    def of(cls, change: Sought) -> _Found:
-        """A change of a parameter."""
-        return cls(change.state, change.change.component, change.share, change.p_value, change)
-
-
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, found = extension.state, list[_Found]()
+    state, found = extension.state, list[FoundComponent]()
     for number in range(max(state.settings.unnamed_most, len(state.outputs))):
         one = _best(state, [f.component for f in found], seed + number)
         if one is None:
@@ -117,21 +108,21 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
     return state.offsets[first : first + width]
 
 
-def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:
+def _left(extension: Extension, found: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
     """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in found]
     bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
     election = None if last is None or last.chosen is not None else last.screening
     for one in found:
-        if one.change is not None:
-            change = told(bare, one.change, chosen, election)
+        if isinstance(one, FoundChange):
+            change = told(bare, one, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
             of = one.component
             unknown.append(UnexplainedStructure(of.coefficient, of.channel, one.share, one.p_value))
-    functions = tuple(one.component for one in found if one.change is None)
+    functions = tuple(one.component for one in found if not isinstance(one, FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
@@ -175,16 +166,16 @@ def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size])
     return replace(found, causes=causes, minor=minor, sizes={**found.sizes, **sizes})
 
 
-def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The component, or the change of a parameter, that explains what is left, is beyond chance and predicts what was
     left out. Of both, the one that predicts it better."""
     smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
-        return _Found.of(change)
+        return change
     return smooth
 
 
-def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The best function of a channel or of time."""
     tried = state.settings.unnamed_tried
     for folds, components, least in families(state):
@@ -203,11 +194,11 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
             nulls = [null_shares(state.with_components(batch, chosen, folds), *noise) for batch in batches]
             p = chance_of(trial.share, np.max(nulls, axis=0))
             if p <= state.settings.unnamed_false_alarm_rate:
-                return _Found(state, component, trial.share, p)
+                return FoundComponent(state, component, trial.share, p)
     return None
 
 
-def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None:
+def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
     bare = taken_out(state, extension.causes)
@@ -221,7 +212,7 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None
     if found is None:
         return None
     margin = _margin(state, found.gained, known)
-    return None if margin <= 0.0 else (margin, _Found.of(found))
+    return (margin, found) if margin > 0.0 else None
 
 
 def _margin(state: SelectionState, gained: float, known: float) -> float:
@@ -229,7 +220,7 @@ def _margin(state: SelectionState, gained: float, known: float) -> float:
     return gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation
 
 
-def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
+def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
     """The same of a function, of whose share a part must be left where the causes are in."""
     # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
     # less than a function of its own channel where the parameters of the model beside it extrapolate.
@@ -254,7 +245,7 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
             share = taken_out.share_of(columns)
             left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
-                best = (margin, _Found(state, components[i], share, float("nan")))
+                best = (margin, FoundComponent(state, components[i], share, float("nan")))
     return best
 
 

@@ -138,13 +138,6 @@ def profiles(
     return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
 
 
-def _deviations(fitted: Fitted) -> dict[str, float]:
-    columns, covariance = covariance_of(fitted)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    free = fitted.state.full.model.names
-    return {free[c]: float(x) for c, x in zip(columns, sd, strict=True)}
-
-
 def _stall(fitted: Fitted) -> Stall:
     """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
     model, flights = fitted.state.full.model, fitted.state.responses.flights
@@ -155,15 +148,19 @@ def _stall(fitted: Fitted) -> Stall:
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
     """Parameters of the card's own effects."""
-    full = after.state.full
-    sds = _deviations(before), _deviations(after)
+
+    def deviations(fitted: Fitted) -> dict[str, float]:
+        columns, covariance = covariance_of(fitted)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return {fitted.state.full.model.names[c]: float(x) for c, x in zip(columns, sd, strict=True)}
+
+    full, sd, sd_after = after.state.full, deviations(before), deviations(after)
     found = {}
-    for effect in full.base:
-        for name in full.parameters_of(effect):
-            if name in sds[0] and name in sds[1]:
-                i = full.columns([name])[0]
-                values = float(before.state.theta[i]), float(after.state.theta[i])
-                found[name] = ParameterMove(*values, sds[0][name], sds[1][name], full.model.free[i].unit)
+    for p, i in (
+        (p, full.columns([p])[0]) for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after
+    ):
+        values = float(before.state.theta[i]), float(after.state.theta[i])
+        found[p] = ParameterMove(*values, sd[p], sd_after[p], full.model.free[i].unit)
     return found
 
 
