@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     unbiased,
 )
 from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression, equivalent, score
-from bayes_aero.diagnosis.screening.regression import Products, RegressionFit, inverse, partialled
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse, partialled
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.covariance import jackknife_covariance, nats, variance_inflation
 
@@ -87,12 +87,10 @@ def screen(
     `without` takes one addition out first, to first order: it is then a candidate like the others, and each of
     them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
     """
-    active = tuple(e for e in state.active if e != without)
-    standpoint = _Standpoint(state.products, state.mean, state.columns(), fit, state.left(fit))
     if without is not None:
-        standpoint = _taken_out(state, standpoint, without, active)
-    fit, residual, mean = standpoint.fit, standpoint.residual, standpoint.mean
-    blocks = [b for b in state.blocks if b[0] not in active]
+        state = state.without([without])
+        fit = state.fit()
+    residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
     if not blocks:
         return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
@@ -107,7 +105,7 @@ def screen(
     if stretch is not None:
         pairs = zip(estimates, covariances, projected.between(residual, estimates, stretch), strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
-    gains = _gains(state, standpoint, [b[1] for b in blocks])
+    gains = _gains(state, fit, [b[1] for b in blocks])
     before = projected.deviance(residual)
     away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
     apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
@@ -125,7 +123,7 @@ def screen(
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(estimates[j], covariances[j], mean[own], prior),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -181,36 +179,12 @@ def without_active(
     return residual - np.tensordot(step, B, (-1, 2))
 
 
-@dataclass(frozen=True)
-class _Standpoint:
-    """From where candidates are judged: what is active, its fit, and what that leaves."""
-
-    products: Products
-    mean: Float[np.ndarray, " K"]
-    columns: Int[np.ndarray, " k"]
-    fit: RegressionFit
-    residual: Float[np.ndarray, "m c"]
-
-
-def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
-    """The same with one addition at neutral, to first order; `active` are the others."""
-    own = state.full.own_columns(effect)
-    away = state.departure[own]
-    products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
-    mean[own] += away
-    fit = products.fit(columns, mean, state.precision)
-    before = state.scaled[:, :, here.fit.columns] @ here.fit.step
-    residual = here.residual + state.scaled[:, :, own] @ away + before - state.scaled[:, :, columns] @ fit.step
-    return _Standpoint(products, mean, columns, fit, residual)
-
-
-def _gains(state: SelectionState, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
-    dummy = state.S.shape[2] - 1
-    width = max(len(own) for own in blocks)
-    rows = np.array([np.concatenate([here.columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
-    step, _, _, deviance = here.products.fit_many(rows, here.mean, state.precision)
-    return here.fit.deviance - deviance, step[:, len(here.columns) :]
+    columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(own) for own in blocks)
+    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = state.products.fit_many(rows, state.mean, state.precision)
+    return fit.deviance - deviance, step[:, len(columns) :]
 
 
 def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:

@@ -181,6 +181,18 @@ class SelectionState:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
         return float(np.max(1.0 - self.fit_columns(self.wider(own)).variance / self.fit().variance))
 
+    def without(self, effects: Sequence[str]) -> SelectionState:
+        """The state with some of its additions at neutral, to first order."""
+        if not effects:
+            return self
+        own = self.full.own_columns(*effects)
+        away, theta, mean = self.departure[own], self.theta.copy(), self.mean.copy()
+        theta[own], mean[own] = self.full.neutral_vector[own], mean[own] + away
+        residual = self.residual + self.S[:, :, own] @ away
+        active = tuple(e for e in self.active if e not in effects)
+        products = self.products.shifted(own, -away)
+        return replace(self, theta=theta, mean=mean, residual=residual, products=products, active=active)
+
     @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:
         """Sensitivities divided by the noise_growth."""

@@ -111,7 +111,7 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
 def _left(extension: Extension, found: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
     """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in found]
-    bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
+    bare = found[-1].state.without([name for name in replaced if name in found[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
     election = None if last is None or last.chosen is not None else last.screening
     for one in found:
@@ -133,19 +133,6 @@ def _constants(state: SelectionState) -> set[str]:
     S = state.S[:, outputs][:, :, : len(state.theta)]
     constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
     return {name for name, own in zip(state.full.model.names, constant, strict=True) if own}
-
-
-def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
-    """The state with some of its additions at neutral, to first order."""
-    if not effects:
-        return state
-    own = state.full.own_columns(*effects)
-    away, theta, mean = state.departure[own], state.theta.copy(), state.mean.copy()
-    theta[own], mean[own] = state.full.neutral_vector[own], mean[own] + away
-    residual = state.residual + state.S[:, :, own] @ away
-    active = tuple(e for e in state.active if e not in effects)
-    products = state.products.shifted(own, -away)
-    return replace(state, theta=theta, mean=mean, residual=residual, products=products, active=active)
 
 
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
@@ -201,7 +188,7 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
 def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
-    bare = taken_out(state, extension.causes)
+    bare = state.without(extension.causes)
     if not testable(bare):
         return None
     parts = parts_of(state, state.settings.change_parts)

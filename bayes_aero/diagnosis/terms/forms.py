@@ -29,7 +29,7 @@ from bayes_aero.diagnosis.structure.components import (
     polynomials,
     term_of,
 )
-from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous, taken_out
+from bayes_aero.diagnosis.structure.unexplained import Left, constants_of, superfluous
 from bayes_aero.diagnosis.terms.library import SEPARATED, ProductTerm
 from bayes_aero.diagnosis.terms.search import (
     SWING,
@@ -140,13 +140,13 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
     if instead.terms or instead.replaced:
         return instead
     causes = [name for name in extension.causes if name not in left.replaced]
-    state = taken_out(extension.state, [name for name in left.replaced if name in extension.state.active])
+    state = extension.state.without([name for name in left.replaced if name in extension.state.active])
     found = sought(state)
     if not found:
         return instead
     replaced = superfluous(state, causes, components_of(found))
     if replaced:  # terms are sought again without causes that only stood in for one
-        state = taken_out(state, replaced)
+        state = state.without(replaced)
         found = sought(state)
     return instead._replace(terms=sized(state, found), replaced=replaced if found else ())
 
@@ -160,7 +160,7 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
         return instead._replace(unknown=described((), instead))
     found, replaced = terms_of_flights(state, seed), ()
     if found and (replaced := superfluous(state, extension.causes, components_of(found))):
-        bare = taken_out(state, replaced)
+        bare = state.without(replaced)
         again = terms_of_flights(bare, seed)
         state, found, replaced = (bare, again, replaced) if again else (state, found, ())
     shown = [(one, one.column.component) for one in found]

@@ -94,7 +94,7 @@ class LagTest:
 
 
 @dataclass(frozen=True)
-class Estimates:
+class TrajectoryEstimates:
     """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
 
     values: Mapping[str, float]
@@ -104,7 +104,7 @@ class Estimates:
     held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
 
     @classmethod
-    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
+    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> TrajectoryEstimates:
         """The estimates of a fit without the parameters that are `gone`."""
         values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
         units = {p.name: p.unit for p in fit.parameters if p.name in values}
@@ -116,8 +116,8 @@ class Trajectories:
     """What simulations say of the card's model and of the extended one."""
 
     paths: tuple[SimulatedManoeuvre, ...]
-    card: Estimates
-    extended: Estimates
+    card: TrajectoryEstimates
+    extended: TrajectoryEstimates
     deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
     variance_inflation: float  # how many times the colour multiplies variances
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone

@@ -34,11 +34,11 @@ from bayes_aero.diagnosis.trajectories.results import (
     FITTED,
     START,
     Disagreement,
-    Estimates,
     LagTest,
     ProcessNoise,
     Setting,
     Trajectories,
+    TrajectoryEstimates,
     TrajectoryFit,
 )
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics
@@ -112,8 +112,8 @@ def compare_trajectories(
     sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
     return Trajectories(
         paths=tuple(paths),
-        card=Estimates.of(contenders["card"].fit),
-        extended=Estimates.of(fit, gone),
+        card=TrajectoryEstimates.of(contenders["card"].fit),
+        extended=TrajectoryEstimates.of(fit, gone),
         deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
         variance_inflation=inflation,
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
