@@ -177,8 +177,9 @@ def causes_of(
     found, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
         sure = confirmations.get(stage)
-        ask = sure is not None and extension.causes
-        measured = gains_of(extension, searched.model, sure.kept, progress) if ask else {}
+        measured = {}
+        if sure is not None and extension.causes:
+            measured = gains_of(extension, searched.model, sure.kept, progress)
         forms = searched.forms if extension is searched.model else {}
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
