@@ -18,7 +18,7 @@ from jaxtyping import Float
 from bayes_aero.arrays import AnyArray
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import Axis
-from bayes_aero.parameter import Length, Lengths, Limits, Parameter, Prior, Role, Sign
+from bayes_aero.parameter import Lengths, Parameter, Prior, Role
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
 
 Values = Mapping[str, Any]
@@ -203,18 +203,12 @@ def parameter(
     *,
     neutral: float = 0.0,
     start: float | None = None,
-    lengths: tuple[Length, ...] = (),
-    role: Role | None = None,
-    sign: Sign | None = None,
-    limits: Limits | None = None,
-    place: int | None = None,
-    knee: float = math.inf,
+    **fields: Any,
 ) -> tuple[Parameter, tuple[float, float]]:
     """A parameter of `effect`, and its sizes; see `Parameter` for its fields and `Effect` for the sizes. It starts at
     neutral unless `start` is given."""
     start = neutral if start is None else start
-    fields = (name, unit, neutral, start, description, prior, bounds, lengths, role, sign, limits, place, knee)
-    return Parameter(*fields), sizes
+    return Parameter(name, unit, neutral, start, description, prior, bounds, **fields), sizes
 
 
 def effect(
@@ -228,13 +222,9 @@ def effect(
     kind: Kind = Kind.AERODYNAMICS,
     stage: Stage = Stage.ATTACHED,
     channels: tuple[str, ...] | None = None,
-    scan: Mapping[str, tuple[float, ...]] | None = None,
-    together: bool = False,
-    candidate: bool = True,
-    disturbance: Disturbance | None = None,
-    axis: Axis | None = None,
+    **fields: Any,
 ) -> Effect:
-    """An effect as one entry of a table; see `Effect` for the fields.
+    """An effect as one entry of a table; see `Effect` for these and its further `fields`.
 
     Unless `channels` are given, it needs the signals of its example. Parameters of its example that it does not own
     are those that it `uses`.
@@ -252,10 +242,6 @@ def effect(
         source,
         uses=tuple(n for n in example.parameters if n not in own),
         sizes=own,
-        scan={} if scan is None else scan,
-        together=together,
-        candidate=candidate,
-        disturbance=disturbance,
-        axis=axis,
         formula=formula,
+        **fields,
     )

@@ -98,7 +98,7 @@ def six_axes(work: Path) -> list[str]:
     card = work / "six.toml"
     effects = tuple(name for name in (*LONGITUDINAL, *LATERAL) if name != "rudder_roll")
     card.write_text(card_text(plane, effects), encoding="utf-8")
-    return ["diagnose", *files, "--model", str(card), "--no-figures", "--no-predictors"]
+    return ["diagnose", *files, "--model", str(card), "--no-figures"]
 
 
 def said(arguments: list[str]) -> tuple[int, str]:

@@ -7,7 +7,7 @@ lags. In gusts of the Dryden kind, along and across the path, air data and force
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 
 import numpy as np
 from scipy.optimize import fsolve
@@ -16,44 +16,20 @@ G = 9.80665
 Rates = Callable[..., np.ndarray]
 
 
-@dataclass(frozen=True)
-class Plane:
-    """Constants, SI and radians; `Cmq` belongs to q c/2V."""
+USUAL = {
+    "CL0": 0.3, "CLa": 5.2, "a1": 22.0, "alpha_star": 0.27, "CD0": 0.032, "e": 0.78, "CDX": 0.06, "Cm0": 0.05,
+    "Cma": -0.85, "Cmq": -17.0, "Cmde": -1.35, "CmX": -0.06,
+} | dict.fromkeys((
+    "thrust_arm", "Cma2", "Cmadot", "CLq", "tau1", "thrust_lift", "CLmin", "CLde_extra", "CDde", "CmdeX", "CmqX",
+    "CmaX", "thrust_lag", "vertical_wind",
+), 0.0)  # fmt: skip
+SIZES = ("mass", "S", "c", "b", "Iy", "tail", "speed", "power")
+Constants = make_dataclass("Constants", [*SIZES, *((name, float, x) for name, x in USUAL.items())], frozen=True)
 
-    mass: float
-    S: float
-    c: float
-    b: float
-    Iy: float
-    tail: float
-    speed: float
-    power: float
-    CL0: float = 0.3
-    CLa: float = 5.2
-    a1: float = 22.0
-    alpha_star: float = 0.27
-    CD0: float = 0.032
-    e: float = 0.78
-    CDX: float = 0.06
-    Cm0: float = 0.05
-    Cma: float = -0.85
-    Cmq: float = -17.0
-    Cmde: float = -1.35
-    CmX: float = -0.06
-    thrust_arm: float = 0.0
-    Cma2: float = 0.0
-    Cmadot: float = 0.0
-    CLq: float = 0.0
-    tau1: float = 0.0
-    thrust_lift: float = 0.0
-    CLmin: float = 0.0
-    CLde_extra: float = 0.0
-    CDde: float = 0.0
-    CmdeX: float = 0.0
-    CmqX: float = 0.0
-    CmaX: float = 0.0
-    thrust_lag: float = 0.0
-    vertical_wind: float = 0.0
+
+@dataclass(frozen=True)
+class Plane(Constants):
+    """Constants, SI and radians; `Cmq` belongs to q c/2V."""
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""

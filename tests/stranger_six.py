@@ -9,7 +9,7 @@ table 1.7-1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 
 import numpy as np
 from scipy.optimize import fsolve
@@ -21,59 +21,29 @@ STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X
 CONTROLS = ("elevator", "aileron", "rudder", "thrust_left", "thrust_right")
 
 
-@dataclass(frozen=True)
-class Plane:
-    """Constants, SI and radians; rates made free of units by c/V and b/2V. `station` is where half a wing acts, m."""
+USUAL = {  # SI and radians; rates made free of units by c/V and b/2V
+    "mass": 17600.0, "Ix": 140e3, "Iy": 330e3, "Iz": 430e3, "Ixz": 20e3, "Ixy": 0.0, "Iyz": 0.0,
+    "S": 64.0, "c": 3.16, "b": 21.5, "engine_arm": 2.8, "engine_drop": 0.6,
+    "nose": (1.5, 0.0, -0.4),  # accelerometers, from the centre of gravity
+    "station": 5.0,  # m, where half a wing acts
+    "dihedral": 0.1, "CL0": 0.15, "CLa": 5.0,
+    "CLde_extra": 0.1,  # beyond that of the tail's moment
+    "CD0": 0.035, "e": 0.8, "tail": 10.0, "CDX": 0.06, "Cm0": 0.06, "Cma": -0.9, "Cmq": -14.0, "Cmde": -1.3,
+    "CmX": -0.05, "a1": 22.0, "alpha_star": 0.27,
+    "first": 0.0,  # rad by which the left half stalls before the right one
+    "tau1": 0.0,  # chords
+    "CYbe": -0.75, "CYr": 0.3, "CYdr": 0.2, "Clbe": -0.06, "Clp": -0.25, "Clr": 0.16, "Clda": -0.14, "Cldr": 0.02,
+    "Cnbe": 0.13, "Cnbbb": 0.0, "Cnp": -0.05, "Cnr": -0.19, "Cnda": 0.01, "Cndr": -0.10, "stalls": True,
+    "gust": (0.0, 0.0, 0.0),  # motion of the air along the body axes, m/s
+    "aside": 0.0,  # m by which the centre of gravity lies right of the plane of symmetry
+    "uneven": 0.0,  # share by which the left engine delivers more than its lever says, and the right one less
+}  # fmt: skip
+Constants = make_dataclass("Constants", [(name, type(x), x) for name, x in USUAL.items()], frozen=True)
 
-    mass: float = 17600.0
-    Ix: float = 140e3
-    Iy: float = 330e3
-    Iz: float = 430e3
-    Ixz: float = 20e3
-    Ixy: float = 0.0
-    Iyz: float = 0.0
-    S: float = 64.0
-    c: float = 3.16
-    b: float = 21.5
-    engine_arm: float = 2.8
-    engine_drop: float = 0.6
-    nose: tuple[float, float, float] = (1.5, 0.0, -0.4)  # accelerometers, from the centre of gravity
-    station: float = 5.0
-    dihedral: float = 0.1
-    CL0: float = 0.15
-    CLa: float = 5.0
-    CLde_extra: float = 0.1  # beyond that of the tail's moment
-    CD0: float = 0.035
-    e: float = 0.8
-    tail: float = 10.0
-    CDX: float = 0.06
-    Cm0: float = 0.06
-    Cma: float = -0.9
-    Cmq: float = -14.0
-    Cmde: float = -1.3
-    CmX: float = -0.05
-    a1: float = 22.0
-    alpha_star: float = 0.27
-    first: float = 0.0  # rad by which the left half stalls before the right one
-    tau1: float = 0.0  # chords
-    CYbe: float = -0.75
-    CYr: float = 0.3
-    CYdr: float = 0.2
-    Clbe: float = -0.06
-    Clp: float = -0.25
-    Clr: float = 0.16
-    Clda: float = -0.14
-    Cldr: float = 0.02
-    Cnbe: float = 0.13
-    Cnbbb: float = 0.0
-    Cnp: float = -0.05
-    Cnr: float = -0.19
-    Cnda: float = 0.01
-    Cndr: float = -0.10
-    stalls: bool = True
-    gust: tuple[float, float, float] = (0.0, 0.0, 0.0)  # motion of the air along the body axes, m/s
-    aside: float = 0.0  # m by which the centre of gravity lies right of the plane of symmetry
-    uneven: float = 0.0  # share by which the left engine delivers more than its lever says, and the right one less
+
+@dataclass(frozen=True)
+class Plane(Constants):
+    """One of the `USUAL` constants, or others."""
 
     def density(self, h: float) -> float:
         """Standard atmosphere, kg/m^3."""
@@ -183,31 +153,24 @@ class Strips(Plane):
         return np.array([self.CL0 + tail + lift.sum(), CD, y @ down, -y @ forward])
 
 
+FIGHTER = {
+    "mass": 9300.0, "Ix": 12.9e3, "Iy": 75.7e3, "Iz": 85.6e3, "Ixz": 1.3e3, "S": 27.9, "c": 3.45, "b": 9.14,
+    "engine_arm": 0.0, "engine_drop": 0.0, "tail": 5.0, "station": 0.0, "stalls": False,
+}  # fmt: skip
+Small = make_dataclass("Small", [(name, type(x), x) for name, x in FIGHTER.items()], bases=(Plane,), frozen=True)
+
+
 @dataclass(frozen=True)
-class Fighter(Plane):
+class Fighter(Small):
     """A small fighter whose coefficients are polynomials of the angle of attack, sideslip, rates and controls; nothing
     separates. Form and size are those of a published global model, numbers rounded, the centre of gravity 5 % of the
     chord ahead of the reference. Source: E. A. Morelli, "Global nonlinear parametric modeling with application to F-16
     aerodynamics", American Control Conference, 1998."""
 
-    mass: float = 9300.0
-    Ix: float = 12.9e3
-    Iy: float = 75.7e3
-    Iz: float = 85.6e3
-    Ixz: float = 1.3e3
-    S: float = 27.9
-    c: float = 3.45
-    b: float = 9.14
-    engine_arm: float = 0.0
-    engine_drop: float = 0.0
-    tail: float = 5.0
-    station: float = 0.0
-    stalls: bool = False
     curved: tuple[float, ...] = (1.0,) * 6  # factors of what is not linear: CX, CZ, CY, Cl, Cm, Cn
     levels_off: float = 0.0  # slope of CZ that is lost above 0.25 rad, as in a table
     saturates: float = 0.0  # slope of Cm that is gained above 0.2 rad
     falls: float = 0.0  # share of the elevator's moment that is lost, per rad^2 of deflection
-    Cnbbb: float = 0.0
     CmqAlpha: float = 0.0
 
     def coefficients(self, x: np.ndarray, controls: np.ndarray) -> np.ndarray:

@@ -32,12 +32,12 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Envelope, excursion
+from bayes_aero.flight.atmosphere import altitude_of_density
 from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.joined_records import Recorded
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
-from bayes_aero.physics.atmosphere import altitude_of_density
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import flight_path
 

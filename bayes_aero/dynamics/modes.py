@@ -22,9 +22,9 @@ from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.simulated.trim import CONTROLS, SURFACES, Condition, rigid_trim
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.flight.channel import Axis
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY
 
 LATERAL = ("beta", "p", "r", "phi")
 SPEEDS, HEAVES = ("airspeed", "u"), ("alpha", "w")  # u and w of cards with velocities in body axes, m/s

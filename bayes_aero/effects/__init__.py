@@ -26,5 +26,4 @@ def _discover() -> dict[str, Effect]:
     return dict(sorted(found.items()))
 
 
-CATALOGUE: dict[str, Effect] = _discover()
-"""All built-in effects by name, in alphabetical order."""
+CATALOGUE: dict[str, Effect] = _discover()  # all built-in effects by name, in alphabetical order

@@ -13,20 +13,20 @@ from bayes_aero.effect import (
     Example,
     Increments,
     Kind,
-    Known,
     Signals,
     Stage,
     Values,
     effect,
     parameter,
 )
-from bayes_aero.effects.sources import OUR_WIDTH, RELATIVE_ERROR
+from bayes_aero.effects.derivatives import OUR_WIDTH, RELATIVE_ERROR
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.separation import lagged
 
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"
+PLACES = ("reference_point", "accelerometer", "engine")
 THRUSTS = ("thrust", "thrust_left", "thrust_right")  # the last two where they are recorded
 
 # Entries are packed; one argument a line would make the module twice as long:
@@ -39,10 +39,8 @@ MASS_SCALE = effect(
     "mass_scale", "The aircraft is heavier or lighter than the card says.",
     "True mass = (1 + mass_scale) of the card's; the inertias stay.",
     lambda v, _s, a, _: {"mass": v["mass_scale"] * a.mass},
-    parameter(
-        "mass_scale", "1", "relative departure of the mass from the card", Prior("normal", 0.0, 0.075), (0.01, 0.15),
-        (-0.5, 1.0),
-    ),
+    parameter("mass_scale", "1", "relative departure of the mass from the card", Prior("normal", 0.0, 0.075),
+        (0.01, 0.15), (-0.5, 1.0)),
     example=Example({"mass_scale": 0.04}, {}, {"mass": 600.0}, "4 % of 15000 kg, by hand"),
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT,
 )
@@ -51,10 +49,8 @@ INERTIA_SCALE = effect(
     "inertia_scale", "The pitch inertia is larger or smaller than the card says.",
     "True Iy = (1 + inertia_scale) of the card's.",
     lambda v, _s, a, _: {"Iy": v["inertia_scale"] * a.Iy},
-    parameter(
-        "inertia_scale", "1", "relative departure of Iy from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
-        (-0.5, 1.0),
-    ),
+    parameter("inertia_scale", "1", "relative departure of Iy from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
+        (-0.5, 1.0)),
     example=Example({"inertia_scale": -0.05}, {}, {"Iy": -10000.0}, "-5 % of 200000 kg m^2, by hand"),
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT,
 )
@@ -63,10 +59,8 @@ ROLL_INERTIA_SCALE = effect(
     "roll_inertia_scale", "The roll inertia is larger or smaller than the card says.",
     "True Ix = (1 + roll_inertia_scale) of the card's.",
     lambda v, _s, a, _: {"Ix": v["roll_inertia_scale"] * a.Ix},
-    parameter(
-        "roll_inertia_scale", "1", "relative departure of Ix from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
-        (-0.5, 1.0),
-    ),
+    parameter("roll_inertia_scale", "1", "relative departure of Ix from the card", Prior("normal", 0.0, 0.15),
+        (0.03, 0.3), (-0.5, 1.0)),
     example=Example({"roll_inertia_scale": -0.05}, {}, {"Ix": -5000.0}, "-5 % of 100000 kg m^2, by hand"),
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
@@ -75,10 +69,8 @@ YAW_INERTIA_SCALE = effect(
     "yaw_inertia_scale", "The yaw inertia is larger or smaller than the card says.",
     "True Iz = (1 + yaw_inertia_scale) of the card's.",
     lambda v, _s, a, _: {"Iz": v["yaw_inertia_scale"] * a.Iz},
-    parameter(
-        "yaw_inertia_scale", "1", "relative departure of Iz from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
-        (-0.5, 1.0),
-    ),
+    parameter("yaw_inertia_scale", "1", "relative departure of Iz from the card", Prior("normal", 0.0, 0.15),
+        (0.03, 0.3), (-0.5, 1.0)),
     example=Example({"yaw_inertia_scale": -0.05}, {}, {"Iz": -15000.0}, "-5 % of 300000 kg m^2, by hand"),
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
@@ -88,28 +80,19 @@ INERTIA_PRODUCT = effect(
     "The principal axes of inertia are inclined otherwise than the card says, and so couple roll and yaw.",
     "True Ixz = the card's + inertia_product Iz.",
     lambda v, _s, a, _: {"Ixz": v["inertia_product"] * a.Iz},
-    parameter(
-        "inertia_product", "1", "departure of Ixz from the card, share of Iz", Prior("normal", 0.0, 0.03, OUR_WIDTH),
-        (0.005, 0.1), (-0.3, 0.3),
-    ),
+    parameter("inertia_product", "1", "departure of Ixz from the card, share of Iz",
+        Prior("normal", 0.0, 0.03, OUR_WIDTH), (0.005, 0.1), (-0.3, 0.3)),
     example=Example({"inertia_product": 0.02}, {}, {"Ixz": 6000.0}, "2 % of 300000 kg m^2, by hand"),
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
 
-def _cg_shift(v: Values, *_: Any) -> Increments:
-    dx = v["cg_shift"]
-    aft = (-dx, 0.0, 0.0)
-    return {"reference_point": aft, "accelerometer": aft, "engine": aft, "tail_arm": dx}
-
-
 CG_SHIFT = effect(
     "cg_shift", "The centre of gravity lies further forward or aft than the card says.",
     "Positions are measured from the CG: with it dx further forward, all else lies dx further aft.",
-    _cg_shift,
-    parameter(
-        "cg_shift", "m", "CG forward of the card's position", Prior("normal", 0.0, 0.25), (0.03, 0.5), (-2.0, 2.0),
-    ),
+    lambda v, *_: dict.fromkeys(PLACES, (-v["cg_shift"], 0.0, 0.0)) | {"tail_arm": v["cg_shift"]},
+    parameter("cg_shift", "m", "CG forward of the card's position", Prior("normal", 0.0, 0.25), (0.03, 0.5),
+        (-2.0, 2.0)),
     example=Example(
         {"cg_shift": 0.1}, {},
         {"reference_point": (-0.1, 0.0, 0.0), "accelerometer": (-0.1, 0.0, 0.0), "engine": (-0.1, 0.0, 0.0),
@@ -119,26 +102,16 @@ CG_SHIFT = effect(
     source="geometry", kind=Kind.MASS, stage=Stage.AIRCRAFT,
 )
 
-
-def _lateral_cg_shift(v: Values, *_: Any) -> Increments:
-    left = (0.0, -v["lateral_cg_shift"], 0.0)
-    return {"reference_point": left, "accelerometer": left, "engine": left}
-
-
 LATERAL_CG_SHIFT = effect(
     "lateral_cg_shift",
     "The centre of gravity lies further right or left than the card says, by an asymmetry of fuel for instance.",
     "Positions are measured from the CG: with it dy further right, all else lies dy further left.",
-    _lateral_cg_shift,
-    parameter(
-        "lateral_cg_shift", "m", "CG right of the card's position", Prior("normal", 0.0, 0.1, OUR_WIDTH), (0.02, 0.5),
-        (-2.0, 2.0),
-    ),
-    example=Example(
-        {"lateral_cg_shift": 0.1}, {},
+    lambda v, *_: dict.fromkeys(PLACES, (0.0, -v["lateral_cg_shift"], 0.0)),
+    parameter("lateral_cg_shift", "m", "CG right of the card's position", Prior("normal", 0.0, 0.1, OUR_WIDTH),
+        (0.02, 0.5), (-2.0, 2.0)),
+    example=Example({"lateral_cg_shift": 0.1}, {},
         {"reference_point": (0.0, -0.1, 0.0), "accelerometer": (0.0, -0.1, 0.0), "engine": (0.0, -0.1, 0.0)},
-        "geometry, by hand",
-    ),
+        "geometry, by hand"),
     source="geometry", kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
@@ -148,10 +121,8 @@ THRUST_SCALE = effect(
     "thrust_scale", "The engines deliver more or less thrust than the record says.",
     "True thrust = (1 + thrust_scale) computed thrust, of the left and the right engine too where recorded.",
     lambda v, s, *_: {name: v["thrust_scale"] * s[name] for name in THRUSTS if name in s},
-    parameter(
-        "thrust_scale", "1", "relative error of the computed thrust", Prior("normal", 0.0, 0.15), (0.02, 0.3),
-        (-0.9, 2.0),
-    ),
+    parameter("thrust_scale", "1", "relative error of the computed thrust", Prior("normal", 0.0, 0.15), (0.02, 0.3),
+        (-0.9, 2.0)),
     example=Example({"thrust_scale": -0.1}, {"thrust": 12000.0}, {"thrust": -1200.0}, "-10 % of 12000 N, by hand"),
     source=RELATIVE_ERROR, kind=Kind.PROPULSION, stage=Stage.CHANNEL,
 )
@@ -167,55 +138,40 @@ THRUST_LAG = effect(
     "thrust_lag", "The thrust follows what the record says with a lag.",
     "thrust_lag dT/dt + T = computed thrust, in equilibrium at the start of each manoeuvre; so of either engine.",
     _thrust_lag,
-    parameter(
-        "thrust_lag", "s", "time constant of the thrust", Prior("halfnormal", 0.0, 2.5), (0.3, 5.0), (0.0, 20.0),
-        start=1.0,
-    ),
-    example=Example(
-        {"thrust_lag": 1.0}, {"thrust": (0.0, 1000.0, 2000.0), "dt": (1.0, 1.0, 1.0), "start": (1.0, 0.0, 0.0)},
+    parameter("thrust_lag", "s", "time constant of the thrust", Prior("halfnormal", 0.0, 2.5), (0.3, 5.0), (0.0, 20.0),
+        start=1.0),
+    example=Example({"thrust_lag": 1.0},
+        {"thrust": (0.0, 1000.0, 2000.0), "dt": (1.0, 1.0, 1.0), "start": (1.0, 0.0, 0.0)},
         {"thrust": (0.0, 1000.0 * (math.exp(-1.0) - 1.0), 1000.0 * (math.exp(-2.0) - 1.0))},
-        "a first-order lag of 1 s behind a ramp of 1000 N/s: -1000 (1 - exp(-t)), closed form",
-    ),
+        "a first-order lag of 1 s behind a ramp of 1000 N/s: -1000 (1 - exp(-t)), closed form"),
     source="first-order lag; our choice of form", kind=Kind.PROPULSION, stage=Stage.CHANNEL,
     scan={"thrust_lag": (0.5, 1.0, 2.0, 4.0)},
 )
 
 
-def _thrust_moment(v: Values, s: Signals, a: Aircraft, _: Known) -> Increments:
-    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
-    return {"Cm": v["thrust_arm"] * s["thrust"] / (qbar * a.wing_area * a.chord)}
+def pressure_area(s: Signals, a: Aircraft) -> Any:
+    """Dynamic pressure times wing area, N."""
+    return 0.5 * s["density"] * xp.square(s["airspeed"]) * a.wing_area
 
 
 THRUST_MOMENT = effect(
     "thrust_moment", "Thrust pitches the aircraft more or less than the position of the engines says.",
     "Cm += T thrust_arm/(qbar S c): a line further down pitches up.",
-    _thrust_moment,
-    parameter(
-        "thrust_arm", "m", "how much lower the thrust line lies than on the card", Prior("normal", 0.0, 0.5),
-        (0.05, 2.0),
-    ),
-    example=Example(
-        {"thrust_arm": 0.3}, {"thrust": 9000.0, "density": 1.0, "airspeed": 60.0}, {"Cm": 1.0 / 120.0},
-        "9000 x 0.3/(1800 x 60 x 3), by hand, 60 m^2 and chord 3 m",
-    ),
+    lambda v, s, a, _: {"Cm": v["thrust_arm"] * s["thrust"] / (pressure_area(s, a) * a.chord)},
+    parameter("thrust_arm", "m", "how much lower the thrust line lies than on the card", Prior("normal", 0.0, 0.5),
+        (0.05, 2.0)),
+    example=Example({"thrust_arm": 0.3}, {"thrust": 9000.0, "density": 1.0, "airspeed": 60.0}, {"Cm": 1.0 / 120.0},
+        "9000 x 0.3/(1800 x 60 x 3), by hand, 60 m^2 and chord 3 m"),
     source="a force at an arm makes a moment, by mechanics", kind=Kind.PROPULSION, stage=Stage.TOTAL, together=True,
 )
-
-
-def _thrust_lift(v: Values, s: Signals, a: Aircraft, _: Known) -> Increments:
-    qbar = 0.5 * s["density"] * xp.square(s["airspeed"])
-    return {"CL": v["thrust_lift"] * s["thrust"] / (qbar * a.wing_area)}
-
 
 THRUST_LIFT = effect(
     "thrust_lift", "Thrust makes lift beyond what the inclination of the engines says.",
     "CL += thrust_lift T/(qbar S).",
-    _thrust_lift,
+    lambda v, s, a, _: {"CL": v["thrust_lift"] * s["thrust"] / pressure_area(s, a)},
     parameter("thrust_lift", "1", "lift per thrust (an inclination in rad)", Prior("normal", 0.0, 0.5), (0.1, 1.0)),
-    example=Example(
-        {"thrust_lift": 0.2}, {"thrust": 10800.0, "density": 1.0, "airspeed": 60.0}, {"CL": 0.02},
-        "0.2 x 10800/(1800 x 60), by hand, 60 m^2",
-    ),
+    example=Example({"thrust_lift": 0.2}, {"thrust": 10800.0, "density": 1.0, "airspeed": 60.0}, {"CL": 0.02},
+        "0.2 x 10800/(1800 x 60), by hand, 60 m^2"),
     source="an inclined thrust has a lift component, by mechanics; interference lumped with it is our choice",
     kind=Kind.PROPULSION, stage=Stage.TOTAL, together=True,
 )
@@ -231,14 +187,10 @@ THRUST_ASYMMETRY = effect(
     "The left engine delivers more thrust than recorded and the right one less (or reversed, where negative).",
     "True left and right thrust = recorded + and - thrust_asymmetry times their mean: the total stays.",
     _thrust_asymmetry,
-    parameter(
-        "thrust_asymmetry", "1", "share by which the left engine delivers more", Prior("normal", 0.0, 0.1, OUR_WIDTH),
-        (0.01, 0.5), (-1.0, 1.0),
-    ),
-    example=Example(
-        {"thrust_asymmetry": 0.05}, {"thrust_left": 5000.0, "thrust_right": 7000.0},
-        {"thrust_left": 300.0, "thrust_right": -300.0}, "5 % of 6000 N, by hand",
-    ),
+    parameter("thrust_asymmetry", "1", "share by which the left engine delivers more",
+        Prior("normal", 0.0, 0.1, OUR_WIDTH), (0.01, 0.5), (-1.0, 1.0)),
+    example=Example({"thrust_asymmetry": 0.05}, {"thrust_left": 5000.0, "thrust_right": 7000.0},
+        {"thrust_left": 300.0, "thrust_right": -300.0}, "5 % of 6000 N, by hand"),
     source=RELATIVE_ERROR, kind=Kind.PROPULSION, stage=Stage.CHANNEL, axis=Axis.LATERAL,
 )
 
@@ -248,13 +200,10 @@ DENSITY_SCALE = effect(
     "density_scale", "The air is denser or thinner than the record says.",
     "Recorded = (1 + density_scale) true.",
     lambda v, s, *_: {"density": s["density"] / (1.0 + v["density_scale"]) - s["density"]},
-    parameter(
-        "density_scale", "1", "relative error of the recorded air density", Prior("normal", 0.0, 0.05), (0.01, 0.1),
-        (-0.5, 1.0),
-    ),
-    example=Example(
-        {"density_scale": 0.04}, {"density": 0.78}, {"density": -0.03}, "recorded 0.78 = 1.04 x 0.75, by hand",
-    ),
+    parameter("density_scale", "1", "relative error of the recorded air density", Prior("normal", 0.0, 0.05),
+        (0.01, 0.1), (-0.5, 1.0)),
+    example=Example({"density_scale": 0.04}, {"density": 0.78}, {"density": -0.03},
+        "recorded 0.78 = 1.04 x 0.75, by hand"),
     source=RELATIVE_ERROR, kind=Kind.ENVIRONMENT, stage=Stage.CHANNEL,
 )
 
@@ -263,9 +212,8 @@ VERTICAL_WIND = effect(
     "altitude += -vertical_wind t: the altitude that the flight through the air alone would have given.",
     lambda v, s, *_: {"altitude": -v["vertical_wind"] * s["elapsed"]},
     parameter("vertical_wind", "m/s", "constant updraft", Prior("normal", 0.0, 2.5), (0.2, 5.0)),
-    example=Example(
-        {"vertical_wind": 1.5}, {"altitude": 5000.0, "elapsed": 40.0}, {"altitude": -60.0}, "1.5 m/s for 40 s, by hand",
-    ),
+    example=Example({"vertical_wind": 1.5}, {"altitude": 5000.0, "elapsed": 40.0}, {"altitude": -60.0},
+        "1.5 m/s for 40 s, by hand"),
     source="kinematics: the air moves with the wind", kind=Kind.ENVIRONMENT, stage=Stage.CHANNEL,
 )
 
@@ -286,10 +234,8 @@ def gust(
         formula,
         increments,
         parameter(name, "m/s", f"standard deviation of the {words}", strength, (0.1, 10.0), (0.0, 20.0), start=0.5),
-        parameter(
-            length, "m", f"scale length of the {words}", Prior("lognormal", 300.0, 0.7, scale), (20.0, 1000.0),
-            (10.0, 5000.0), neutral=300.0,
-        ),
+        parameter(length, "m", f"scale length of the {words}", Prior("lognormal", 300.0, 0.7, scale), (20.0, 1000.0),
+            (10.0, 5000.0), neutral=300.0),
         example=example, source=source, kind=Kind.ENVIRONMENT, stage=Stage.INFLOW, channels=("airspeed", state),
         candidate=False, axis=axis,
         disturbance=Disturbance(state, "m/s", name, lambda v, s, _: s["airspeed"] / v[length]),
@@ -300,18 +246,16 @@ VERTICAL_GUST = gust(
     "vertical_gust", "gust_w",
     "alpha += gust_w / airspeed; gust_w is the air's motion along the upward normal of the path, m/s.",
     lambda _v, s, *_: {"alpha": s["gust_w"] / s["airspeed"]},
-    example=Example(
-        {"vertical_gust": 1.0}, {"airspeed": 100.0, "gust_w": 2.0}, {"alpha": 0.02}, "2 m/s at 100 m/s, by hand",
-    ),
+    example=Example({"vertical_gust": 1.0}, {"airspeed": 100.0, "gust_w": 2.0}, {"alpha": 0.02},
+        "2 m/s at 100 m/s, by hand"),
     source=ETKIN_REID,
 )
 
 LATERAL_GUST = gust(
     "lateral_gust", "gust_v", "beta += gust_v / airspeed; gust_v is the air's motion to the left across the path, m/s.",
     lambda _v, s, *_: {"beta": s["gust_v"] / s["airspeed"]},
-    example=Example(
-        {"lateral_gust": 1.0}, {"airspeed": 100.0, "gust_v": 2.0}, {"beta": 0.02}, "2 m/s at 100 m/s, by hand",
-    ),
+    example=Example({"lateral_gust": 1.0}, {"airspeed": 100.0, "gust_v": 2.0}, {"beta": 0.02},
+        "2 m/s at 100 m/s, by hand"),
     source=ETKIN_REID, axis=Axis.LATERAL,
 )
 
@@ -327,20 +271,14 @@ BUFFET = effect(
     "buffet", "Buffet of separated flow shakes the lift.",
     "CL += buffet (1 - X); `buffet` is the fluctuation of the lift coefficient of wholly separated flow.",
     lambda _v, s, _, known: {"CL": s["buffet"] * (1.0 - known["X"])},
-    parameter(
-        "buffet", "1", "standard deviation of the lift coefficient of fully separated flow",
+    parameter("buffet", "1", "standard deviation of the lift coefficient of fully separated flow",
         Prior("halfnormal", 0.0, 0.2, "heavy buffet shakes the normal force by a tenth of itself; our choice"),
-        (0.005, 0.5), (0.0, 2.0), start=0.05,
-    ),
-    parameter(
-        "buffet_length", "c/V", "correlation of buffet, chords travelled",
+        (0.005, 0.5), (0.0, 2.0), start=0.05),
+    parameter("buffet_length", "c/V", "correlation of buffet, chords travelled",
         Prior("lognormal", 3.0, 0.7, "reduced frequencies f c/V of a few hundredths to a few tenths; our choice"),
-        (0.5, 30.0), (0.3, 50.0), neutral=3.0,
-    ),
-    example=Example(
-        {"buffet": 0.1, "buffet_length": 3.0}, {"buffet": 0.08}, {"CL": 0.06}, "0.08 x (1 - 1/4), by hand",
-        known={"X": 0.25},
-    ),
+        (0.5, 30.0), (0.3, 50.0), neutral=3.0),
+    example=Example({"buffet": 0.1, "buffet_length": 3.0}, {"buffet": 0.08}, {"CL": 0.06}, "0.08 x (1 - 1/4), by hand",
+        known={"X": 0.25}),
     source="Mabey 1973, J. Aircraft 10, 642 (buffet over the separated part of a wing); of first order, our choice",
     kind=Kind.ENVIRONMENT, stage=Stage.TOTAL, candidate=False,
     disturbance=Disturbance("buffet", "1", "buffet", lambda v, s, a: s["airspeed"] / (v["buffet_length"] * a.chord)),

@@ -6,9 +6,8 @@ import math
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Example, Stage, effect, parameter
-from bayes_aero.effects.sources import ATTAS, DERIVATIVE, EVEN_TERM, HFB_320, MACH_TERM, STALL_MODEL
+from bayes_aero.effects.derivatives import ATTAS, EVEN_TERM, HFB_320, MACH_TERM, STALL_MODEL, derivative
 from bayes_aero.parameter import Length, Limits, Prior, Sign
-from bayes_aero.physics.rates import reduced, speed_ratio
 
 # Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
@@ -33,95 +32,61 @@ ATTACHED_LIFT = effect(
     source=STALL_MODEL,
 )
 
-PITCH_RATE_LIFT = effect(
-    "pitch_rate_lift", "Pitch rate makes lift, mostly at the tail.",
-    "CL_attached += CLq q c/V (not q c/2V); length and speed as `reduced` has them.",
-    lambda v, s, a, _: {"CL_attached": reduced(v["CLq"] * s["q"], s["airspeed"], a)},
-    parameter(
-        "CLq", "1", "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
-        lengths=(Length.RATE,),
-    ),
-    example=Example(
-        {"CLq": 4.0}, {"q": 0.05, "airspeed": 75.0}, {"CL_attached": 0.008}, "4 x 0.05 x 3/75, by hand, chord 3 m",
-    ),
-    source=DERIVATIVE,
+PITCH_RATE_LIFT = derivative(
+    "pitch_rate_lift", "Pitch rate makes lift, mostly at the tail.", "CL_attached", "q",
+    parameter("CLq", "1", "lift due to pitch rate, per q c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
+        lengths=(Length.RATE,)),
+    (4.0, 0.05, 75.0, 0.008), remark=" (not q c/2V)",
 )
 
-ALPHA_DOT_LIFT = effect(
-    "alpha_dot_lift", "A changing angle of attack makes lift: downwash needs time to reach the tail.",
-    "CL_attached += CLadot alpha_dot c/V; length and speed as `reduced` has them.",
-    lambda v, s, a, _: {"CL_attached": reduced(v["CLadot"] * s["alpha_dot"], s["airspeed"], a)},
-    parameter(
-        "CLadot", "1", "lift due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
-        lengths=(Length.RATE,),
-    ),
-    example=Example(
-        {"CLadot": 2.0}, {"alpha_dot": 0.04, "airspeed": 80.0}, {"CL_attached": 0.003},
-        "2 x 0.04 x 3/80, by hand, chord 3 m",
-    ),
-    source=DERIVATIVE,
+ALPHA_DOT_LIFT = derivative(
+    "alpha_dot_lift",
+    "A changing angle of attack makes lift: downwash needs time to reach the tail.", "CL_attached", "alpha_dot",
+    parameter("CLadot", "1", "lift due to alpha-dot, per alpha_dot c/V", Prior("normal", 0.0, 10.0), (2.0, 10.0),
+        lengths=(Length.RATE,)),
+    (2.0, 0.04, 80.0, 0.003),
 )
 
-ELEVATOR_LIFT = effect(
-    "elevator_lift", "The elevator makes more or less lift than its moment and the tail arm say.",
-    "CL_attached += CLde_extra de.",
-    lambda v, s, *_: {"CL_attached": v["CLde_extra"] * s["elevator"]},
+ELEVATOR_LIFT = derivative(
+    "elevator_lift",
+    "The elevator makes more or less lift than its moment and the tail arm say.", "CL_attached", "elevator",
     parameter("CLde_extra", "1/rad", "elevator lift beyond -Cmde c/l_tail", Prior("normal", 0.0, 0.5), (0.1, 1.0)),
-    example=Example({"CLde_extra": 0.3}, {"elevator": -0.1}, {"CL_attached": -0.03}, "0.3 x -0.1, by hand"),
-    source=DERIVATIVE,
+    (0.3, -0.1, -0.03),
 )
 
-STABILIZER_LIFT = effect(
-    "stabilizer_lift", "The stabilizer makes more or less lift than its moment and the tail arm say.",
-    "CL_attached += CLih_extra ih. The trim follows the airspeed, so in one manoeuvre it says much the same as "
-    "alpha does: diagnosis never proposes it.",
-    lambda v, s, *_: {"CL_attached": v["CLih_extra"] * s["stabilizer"]},
+STABILIZER_LIFT = derivative(
+    "stabilizer_lift",
+    "The stabilizer makes more or less lift than its moment and the tail arm say.", "CL_attached", "stabilizer",
     parameter("CLih_extra", "1/rad", "stabilizer lift beyond -Cmih c/l_tail", Prior("normal", 0.0, 1.0), (0.1, 3.0)),
-    example=Example({"CLih_extra": 0.5}, {"stabilizer": -0.04}, {"CL_attached": -0.02}, "0.5 x -0.04, by hand"),
-    source=DERIVATIVE, candidate=False,
+    (0.5, -0.04, -0.02),
+    remark=". The trim follows the airspeed, so in one manoeuvre it says much the same as alpha does: diagnosis never "
+    "proposes it",
+    candidate=False,
 )
 
-CANARD_LIFT = effect(
-    "canard_lift", "The canard changes the lift.",
-    "CL_attached += CLdc canard.",
-    lambda v, s, *_: {"CL_attached": v["CLdc"] * s["canard"]},
+CANARD_LIFT = derivative(
+    "canard_lift", "The canard changes the lift.", "CL_attached", "canard",
     parameter("CLdc", "1/rad", "lift per canard deflection", Prior("normal", 0.0, 0.5), (0.1, 2.0)),
-    example=Example({"CLdc": 0.4}, {"canard": 0.1}, {"CL_attached": 0.04}, "0.4 x 0.1, by hand"),
-    source=DERIVATIVE,
+    (0.4, 0.1, 0.04),
 )
 
-FLAP_LIFT = effect(
-    "flap_lift", "The landing flaps change the lift.",
-    "CL_attached += CLdf flap: lift of the attached flow, so that induced drag goes with it.",
-    lambda v, s, *_: {"CL_attached": v["CLdf"] * s["flap"]},
+FLAP_LIFT = derivative(
+    "flap_lift", "The landing flaps change the lift.", "CL_attached", "flap",
     parameter("CLdf", "1/rad", "lift per flap deflection", Prior("normal", 0.0, 1.5), (0.05, 3.0)),
-    example=Example({"CLdf": 0.9}, {"flap": 0.2}, {"CL_attached": 0.18}, "0.9 x 0.2, by hand"),
-    source=DERIVATIVE,
+    (0.9, 0.2, 0.18), remark=": lift of the attached flow, so that induced drag goes with it",
 )
 
-DLC_LIFT = effect(
-    "dlc_lift", "The direct-lift flaps change the lift.",
-    "CL_attached += CLdlc (left + right)/2.",
-    lambda v, s, *_: {"CL_attached": v["CLdlc"] * 0.5 * (s["dlc_left"] + s["dlc_right"])},
-    parameter(
-        "CLdlc", "1/rad", "lift per mean deflection of the direct-lift flaps", Prior("normal", 0.0, 1.5), (0.1, 3.0),
-    ),
-    example=Example(
-        {"CLdlc": 1.2}, {"dlc_left": -0.05, "dlc_right": -0.15}, {"CL_attached": -0.12},
-        "1.2 x (-0.05 + -0.15)/2, by hand",
-    ),
-    source=DERIVATIVE, together=True,
+DLC_LIFT = derivative(
+    "dlc_lift", "The direct-lift flaps change the lift.", "CL_attached", "dlc",
+    parameter("CLdlc", "1/rad", "lift per mean deflection of the direct-lift flaps", Prior("normal", 0.0, 1.5),
+        (0.1, 3.0)),
+    (1.2, -0.05, -0.15, -0.12),
 )
 
-SPOILER_LIFT = effect(
-    "spoiler_lift", "The spoilers change the lift.",
-    "CL += CLds (left + right)/2.",
-    lambda v, s, *_: {"CL": v["CLds"] * 0.5 * (s["spoiler_left"] + s["spoiler_right"])},
+SPOILER_LIFT = derivative(
+    "spoiler_lift", "The spoilers change the lift.", "CL", "spoilers",
     parameter("CLds", "1/rad", "lift per mean deflection of the spoilers", Prior("normal", 0.0, 1.0), (0.05, 2.0)),
-    example=Example(
-        {"CLds": -0.8}, {"spoiler_left": 0.1, "spoiler_right": 0.2}, {"CL": -0.12}, "-0.8 x (0.1 + 0.2)/2, by hand",
-    ),
-    source=DERIVATIVE, stage=Stage.TOTAL, together=True,
+    (-0.8, 0.1, 0.2, -0.12), stage=Stage.TOTAL,
 )
 
 MACH_LIFT = effect(
@@ -133,23 +98,16 @@ MACH_LIFT = effect(
     source=ATTAS,
 )
 
-SPEED_LIFT = effect(
-    "speed_lift", "The lift coefficient changes with airspeed.",
-    "CL_attached += CLV V/V0; V0 is the card's reference_speed, or 100 m/s where the card names none. A "
-    "stand-in, at one altitude, for Mach number, thrust and elasticity alike, so diagnosis never proposes it.",
-    lambda v, s, a, _: {"CL_attached": v["CLV"] * speed_ratio(s["airspeed"], a)},
+SPEED_LIFT = derivative(
+    "speed_lift", "The lift coefficient changes with airspeed.", "CL_attached", "speed",
     parameter("CLV", "1", "lift per V/V0", Prior("normal", 0.0, 1.0), (0.05, 2.0)),
-    example=Example({"CLV": 0.5}, {"airspeed": 80.0}, {"CL_attached": 0.4}, "0.5 x 80/100, by hand, V0 100 m/s"),
-    source=HFB_320, candidate=False,
+    (0.5, 80.0, 0.4), source=HFB_320, candidate=False,
 )
 
-SIDESLIP_LIFT = effect(
-    "sideslip_lift", "Sideslip changes the lift.",
-    "CL += CLb2 beta^2: even in beta, for the aircraft is symmetric.",
-    lambda v, s, *_: {"CL": v["CLb2"] * s["beta"] * s["beta"]},
+SIDESLIP_LIFT = derivative(
+    "sideslip_lift", "Sideslip changes the lift.", "CL", "beta^2",
     parameter("CLb2", "1/rad^2", "lift per sideslip squared", Prior("normal", 0.0, 10.0), (2.0, 20.0)),
-    example=Example({"CLb2": -3.0}, {"beta": -0.1}, {"CL": -0.03}, "-3 x (-0.1)^2, by hand"),
-    source=EVEN_TERM, stage=Stage.TOTAL,
+    (-3.0, -0.1, -0.03), source=EVEN_TERM, stage=Stage.TOTAL,
 )
 
 # Drag: the polar, then the controls, speed and sideslip.
@@ -158,10 +116,8 @@ PROFILE_DRAG = effect(
     "profile_drag", "The aircraft has drag at zero lift.",
     "CD += CD0.",
     lambda v, s, *_: {"CD": v["CD0"] + 0.0 * s["alpha"]},
-    parameter(
-        "CD0", "1", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2), start=0.04,
-        limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11,
-    ),
+    parameter("CD0", "1", "zero-lift drag", Prior("normal", 0.04, 0.05), (0.001, 0.2), start=0.04,
+        limits=Limits(0.0, math.inf, "drag without lift cannot be negative"), place=11),
     example=Example({"CD0": 0.04}, {"alpha": 0.1}, {"CD": 0.04}, "by hand"),
     source=STALL_MODEL,
 )
@@ -171,15 +127,11 @@ INDUCED_DRAG = effect(
     "induced_drag", "Drag grows with the square of the lift.",
     "CD += CL_attached^2/(e pi AR): the published model squares the attached lift, not the Kirchhoff lift.",
     lambda v, _s, a, known: {"CD": xp.square(known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)},
-    parameter(
-        "e", "1", "Oswald efficiency factor", Prior("lognormal", 0.8, 0.5, "around 0.8 for a transport; our choice"),
-        (0.02, 3.0), (0.05, 10.0), neutral=math.inf, start=0.8,
-        limits=Limits(0.0, 1.5, "no wing has so little induced drag"), place=12,
-    ),
-    example=Example(
-        {"e": 0.8}, {"alpha": 0.1}, {"CD": 1.0 / (0.8 * math.pi * 7.0)}, "by hand, aspect ratio 7",
-        known={"CL_attached": 1.0},
-    ),
+    parameter("e", "1", "Oswald efficiency factor",
+        Prior("lognormal", 0.8, 0.5, "around 0.8 for a transport; our choice"), (0.02, 3.0), (0.05, 10.0),
+        neutral=math.inf, start=0.8, limits=Limits(0.0, 1.5, "no wing has so little induced drag"), place=12),
+    example=Example({"e": 0.8}, {"alpha": 0.1}, {"CD": 1.0 / (0.8 * math.pi * 7.0)}, "by hand, aspect ratio 7",
+        known={"CL_attached": 1.0}),
     source=STALL_MODEL, stage=Stage.TOTAL, scan={"e": (0.8,)},
 )
 
@@ -190,96 +142,70 @@ DRAG_OFFSET = effect(
         "CD": v["CLmin"] * (v["CLmin"] - 2.0 * known["CL_attached"]) / (v["e"] * xp.pi * a.aspect_ratio)
     },
     parameter("CLmin", "1", "lift at least drag", Prior("normal", 0.0, 0.25), (0.02, 0.5)),
-    example=Example(
-        {"CLmin": 0.2, "e": 0.8}, {"alpha": 0.1}, {"CD": -0.36 / (0.8 * math.pi * 7.0)},
-        "0.2^2 - 2 x 1 x 0.2 = -0.36, by hand, aspect ratio 7", known={"CL_attached": 1.0},
-    ),
+    example=Example({"CLmin": 0.2, "e": 0.8}, {"alpha": 0.1}, {"CD": -0.36 / (0.8 * math.pi * 7.0)},
+        "0.2^2 - 2 x 1 x 0.2 = -0.36, by hand, aspect ratio 7", known={"CL_attached": 1.0}),
     source="quadratic polar of a cambered wing; textbook form", stage=Stage.TOTAL,
 )
 
-ALPHA_DRAG = effect(
-    "alpha_drag", "Drag grows linearly with the angle of attack.",
-    "CD += CDa alpha: the tangent of the drag polar at a trim point. Where induced drag is in the model it says "
-    "the same once more, so diagnosis never proposes it.",
-    lambda v, s, *_: {"CD": v["CDa"] * s["alpha"]},
+ALPHA_DRAG = derivative(
+    "alpha_drag", "Drag grows linearly with the angle of attack.", "CD", "alpha",
     parameter("CDa", "1/rad", "drag per angle of attack", Prior("normal", 0.0, 1.0), (0.0125, 1.0)),
-    example=Example({"CDa": 0.3}, {"alpha": 0.1}, {"CD": 0.03}, "0.3 x 0.1, by hand"),
+    (0.3, 0.1, 0.03),
+    remark=": the tangent of the drag polar at a trim point. Where induced drag is in the model it says the same once "
+    "more, so diagnosis never proposes it",
     source=HFB_320, candidate=False,
 )
 
-ELEVATOR_DRAG = effect(
-    "elevator_drag", "Elevator deflection changes the drag.",
-    "CD += CDde de, signed: the trimmed tail carries load, so the slope at de = 0 is not zero.",
-    lambda v, s, *_: {"CD": v["CDde"] * s["elevator"]},
+ELEVATOR_DRAG = derivative(
+    "elevator_drag", "Elevator deflection changes the drag.", "CD", "elevator",
     parameter("CDde", "1/rad", "drag per elevator deflection", Prior("normal", 0.0, 0.15), (0.02, 0.3)),
-    example=Example({"CDde": 0.05}, {"elevator": -0.12}, {"CD": -0.006}, "0.05 x -0.12, by hand"),
-    source=DERIVATIVE, stage=Stage.TOTAL,
+    (0.05, -0.12, -0.006), remark=", signed: the trimmed tail carries load, so the slope at de = 0 is not zero",
+    stage=Stage.TOTAL,
 )
 
-STABILIZER_DRAG = effect(
-    "stabilizer_drag", "The trim of the stabilizer changes the drag.",
-    "CD += CDih ih, signed: the trimmed tail carries load. The trim follows the airspeed, so in one manoeuvre it "
-    "says much the same as alpha does: diagnosis never proposes it.",
-    lambda v, s, *_: {"CD": v["CDih"] * s["stabilizer"]},
+STABILIZER_DRAG = derivative(
+    "stabilizer_drag", "The trim of the stabilizer changes the drag.", "CD", "stabilizer",
     parameter("CDih", "1/rad", "drag per stabilizer deflection", Prior("normal", 0.0, 0.25), (0.02, 0.5)),
-    example=Example({"CDih": 0.1}, {"stabilizer": -0.05}, {"CD": -0.005}, "0.1 x -0.05, by hand"),
-    source=DERIVATIVE, stage=Stage.TOTAL, candidate=False,
+    (0.1, -0.05, -0.005),
+    remark=", signed: the trimmed tail carries load. The trim follows the airspeed, so in one manoeuvre it says much "
+    "the same as alpha does: diagnosis never proposes it",
+    stage=Stage.TOTAL, candidate=False,
 )
 
-CANARD_DRAG = effect(
-    "canard_drag", "Canard deflection changes the drag.",
-    "CD += CDdc canard, signed: the trimmed canard carries load, so the slope at zero deflection is not zero.",
-    lambda v, s, *_: {"CD": v["CDdc"] * s["canard"]},
+CANARD_DRAG = derivative(
+    "canard_drag", "Canard deflection changes the drag.", "CD", "canard",
     parameter("CDdc", "1/rad", "drag per canard deflection", Prior("normal", 0.0, 0.15), (0.02, 0.3)),
-    example=Example({"CDdc": 0.05}, {"canard": 0.2}, {"CD": 0.01}, "0.05 x 0.2, by hand"),
-    source=DERIVATIVE, stage=Stage.TOTAL,
+    (0.05, 0.2, 0.01), remark=", signed: the trimmed canard carries load, so the slope at zero deflection is not zero",
+    stage=Stage.TOTAL,
 )
 
 # Beyond the induced drag of the lift of the flaps.
-FLAP_DRAG = effect(
-    "flap_drag", "The landing flaps change the drag.",
-    "CD += CDdf flap.",
-    lambda v, s, *_: {"CD": v["CDdf"] * s["flap"]},
+FLAP_DRAG = derivative(
+    "flap_drag", "The landing flaps change the drag.", "CD", "flap",
     parameter("CDdf", "1/rad", "drag per flap deflection", Prior("normal", 0.0, 0.25), (0.01, 0.5)),
-    example=Example({"CDdf": 0.15}, {"flap": 0.2}, {"CD": 0.03}, "0.15 x 0.2, by hand"),
-    source=DERIVATIVE, stage=Stage.TOTAL,
+    (0.15, 0.2, 0.03), stage=Stage.TOTAL,
 )
 
-SPOILER_DRAG = effect(
-    "spoiler_drag", "The spoilers change the drag.",
-    "CD += CDds (left + right)/2.",
-    lambda v, s, *_: {"CD": v["CDds"] * 0.5 * (s["spoiler_left"] + s["spoiler_right"])},
+SPOILER_DRAG = derivative(
+    "spoiler_drag", "The spoilers change the drag.", "CD", "spoilers",
     parameter("CDds", "1/rad", "drag per mean deflection of the spoilers", Prior("normal", 0.0, 0.25), (0.01, 0.5)),
-    example=Example(
-        {"CDds": 0.2}, {"spoiler_left": 0.1, "spoiler_right": 0.3}, {"CD": 0.04}, "0.2 x (0.1 + 0.3)/2, by hand",
-    ),
-    source=DERIVATIVE, stage=Stage.TOTAL, together=True,
+    (0.2, 0.1, 0.3, 0.04), stage=Stage.TOTAL,
 )
 
-MACH_DRAG = effect(
-    "mach_drag", "The drag changes with Mach number.",
-    "CD += CDM Mach.",
-    lambda v, s, *_: {"CD": v["CDM"] * s["mach"]},
+MACH_DRAG = derivative(
+    "mach_drag", "The drag changes with Mach number.", "CD", "mach",
     parameter("CDM", "1", "drag per Mach number", Prior("normal", 0.0, 0.15), (0.01, 0.3)),
-    example=Example({"CDM": 0.1}, {"mach": 0.3}, {"CD": 0.03}, "0.1 x 0.3, by hand"),
-    source=MACH_TERM, stage=Stage.TOTAL,
+    (0.1, 0.3, 0.03), source=MACH_TERM, stage=Stage.TOTAL,
 )
 
-SPEED_DRAG = effect(
-    "speed_drag", "The drag coefficient changes with airspeed.",
-    "CD += CDV V/V0; V0 is the card's reference_speed, or 100 m/s where the card names none. A stand-in, at one "
-    "altitude, for Mach number, thrust and elasticity alike, so diagnosis never proposes it.",
-    lambda v, s, a, _: {"CD": v["CDV"] * speed_ratio(s["airspeed"], a)},
+SPEED_DRAG = derivative(
+    "speed_drag", "The drag coefficient changes with airspeed.", "CD", "speed",
     parameter("CDV", "1", "drag per V/V0", Prior("normal", 0.0, 0.2), (0.005, 0.5)),
-    example=Example({"CDV": 0.05}, {"airspeed": 80.0}, {"CD": 0.04}, "0.05 x 80/100, by hand, V0 100 m/s"),
-    source=HFB_320, stage=Stage.TOTAL, candidate=False,
+    (0.05, 80.0, 0.04), source=HFB_320, stage=Stage.TOTAL, candidate=False,
 )
 
-SIDESLIP_DRAG = effect(
-    "sideslip_drag", "Sideslip adds drag.",
-    "CD += CDb2 beta^2: even in beta, for the aircraft is symmetric.",
-    lambda v, s, *_: {"CD": v["CDb2"] * s["beta"] * s["beta"]},
+SIDESLIP_DRAG = derivative(
+    "sideslip_drag", "Sideslip adds drag.", "CD", "beta^2",
     parameter("CDb2", "1/rad^2", "drag per sideslip squared", Prior("normal", 0.0, 2.5), (0.2, 5.0)),
-    example=Example({"CDb2": 0.8}, {"beta": 0.05}, {"CD": 0.002}, "0.8 x (0.05)^2, by hand"),
-    source=EVEN_TERM, stage=Stage.TOTAL,
+    (0.8, 0.05, 0.002), source=EVEN_TERM, stage=Stage.TOTAL,
 )

@@ -20,66 +20,47 @@ MOVED = ((0.03, 0.0, -0.01, -0.06), (-0.03, -0.01, -0.05, 0.0))
 """Worked examples of a delay: the channel, and each next sample less this one; nothing is known beyond the last."""
 
 
+# Entries are packed; one argument a line would make the module twice as long:
+# effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
+# fmt: off
+
+
 def bias(
-    name: str,
-    channel: str,
-    what: str,
-    unit: str,
-    *,
-    sd: float,
-    sizes: tuple[float, float],
+    name: str, channel: str, what: str, unit: str, *, sd: float, sizes: tuple[float, float],
     example: tuple[float, float, float, str],
 ) -> Effect:
     """A constant error of a channel. `sd`: of its prior. `example`: error, recorded value, what corrects it, why."""
     error, recorded, correction, by_hand = example
     return effect(
-        name,
-        f"The recorded {what} is off by a constant.",
+        name, f"The recorded {what} is off by a constant.",
         f"Recorded = true + {name}.",
         lambda v, s, *_: {channel: -v[name] + xp.zeros_like(s[channel])},
         parameter(name, unit, f"constant error of the recorded {what}", Prior("normal", 0.0, sd), sizes),
         example=Example({name: error}, {channel: recorded}, {channel: correction}, f"{by_hand}, by hand"),
-        source=SENSOR_ERRORS,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
+        source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
     )
 
 
 def scale(
-    name: str,
-    channel: str,
-    what: str,
-    *,
-    sd: float,
-    sizes: tuple[float, float],
-    example: tuple[float, float, float, str],
-    axis: Axis | None = None,
+    name: str, channel: str, what: str, *, sd: float, sizes: tuple[float, float],
+    example: tuple[float, float, float, str], axis: Axis | None = None,
 ) -> Effect:
     """A proportional error of a channel. `sd`: of its prior. `example`: as of `bias`."""
     error, recorded, correction, by_hand = example
     prior = Prior("normal", 0.0, sd)
     return effect(
-        name,
-        f"The recorded {what} is too large or too small in proportion.",
+        name, f"The recorded {what} is too large or too small in proportion.",
         f"Recorded = (1 + {name}) true.",
         lambda v, s, *_: {channel: s[channel] / (1.0 + v[name]) - s[channel]},
         parameter(name, "1", f"relative error of the recorded {what}", prior, sizes, (-0.5, 1.0)),
         example=Example({name: error}, {channel: recorded}, {channel: correction}, f"{by_hand}, by hand"),
-        source=SENSOR_ERRORS,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
-        axis=axis,
+        source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=axis,
     )
 
 
 def delay(
-    name: str,
-    channel: str,
-    what: str,
-    example: tuple[tuple[float, ...], tuple[float, ...]],
-    *,
-    candidate: bool = True,
-    axis: Axis | None = None,
+    name: str, channel: str, what: str, example: tuple[tuple[float, ...], tuple[float, ...]], *,
+    candidate: bool = True, axis: Axis | None = None,
 ) -> Effect:
     """A delay of a channel. `example`: four samples 0.04 s apart, and what corrects a delay of one sample."""
     recorded, correction = example
@@ -90,49 +71,23 @@ def delay(
         return {channel: advance(x, xp.asarray(v[name]), s["dt"], s["first"], s["last"]) - x}
 
     return effect(
-        name,
-        f"The {what} is recorded late (or early, where negative).",
+        name, f"The {what} is recorded late (or early, where negative).",
         f"Recorded(t) = true(t - {name}).",
         increments,
-        parameter(
-            name,
-            "s",
-            f"delay of the recorded {what}; positive is late",
-            Prior("normal", 0.0, 0.25),
-            (0.02, 0.5),
-            (-2.0, 2.0),
-            role=Role.DELAY,
-        ),
-        example=Example(
-            {name: 0.04},
-            {channel: recorded, **marks},
-            {channel: correction},
-            "one sample late: the next sample less this one, by hand; nothing is known beyond the last",
-        ),
-        source=DELAY,
-        kind=Kind.MEASUREMENT,
-        stage=Stage.CHANNEL,
-        candidate=candidate,
-        axis=axis,
+        parameter(name, "s", f"delay of the recorded {what}; positive is late", Prior("normal", 0.0, 0.25), (0.02, 0.5),
+            (-2.0, 2.0), role=Role.DELAY),
+        example=Example({name: 0.04}, {channel: recorded, **marks}, {channel: correction},
+            "one sample late: the next sample less this one, by hand; nothing is known beyond the last"),
+        source=DELAY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, candidate=candidate, axis=axis,
     )
 
 
-# Entries are packed; one argument a line would make the module twice as long:
-# effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).
-# fmt: off
-
 # Air data.
 
-ALPHA_BIAS = bias(
-    "alpha_bias", "alpha", "angle of attack", "rad", sd=0.017, sizes=(0.002, 0.035),
-    example=(0.01, 0.21, -0.01, "recorded 0.21, true 0.20"),
-)
-
-ALPHA_SCALE = scale(
-    "alpha_scale", "alpha", "angle of attack", sd=0.1, sizes=(0.01, 0.2),
-    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.20"),
-)
-
+ALPHA_BIAS = bias("alpha_bias", "alpha", "angle of attack", "rad", sd=0.017, sizes=(0.002, 0.035),
+    example=(0.01, 0.21, -0.01, "recorded 0.21, true 0.20"))
+ALPHA_SCALE = scale("alpha_scale", "alpha", "angle of attack", sd=0.1, sizes=(0.01, 0.2),
+    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.20"))
 ALPHA_DELAY = delay("alpha_delay", "alpha", "angle of attack", RISING)
 
 
@@ -160,15 +115,11 @@ VANE_POSITION = effect(
     "first order alpha rises by x q/V, beta falls by x r/V. The airspeed is not corrected: its sensor may stand "
     "anywhere, and x q sin(alpha) is small.",
     _vane_position,
-    parameter(
-        "vane_position", "m", "distance of the flow-angle sensors ahead of the centre of gravity",
-        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"vane_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
+    parameter("vane_position", "m", "distance of the flow-angle sensors ahead of the centre of gravity",
+        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0)),
+    example=Example({"vane_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
         {"alpha": 0.009999666686665, "beta": -0.004999958333958},
-        "arctan(8 x 0.1/80) and -arctan(8 x 0.05/80), by hand",
-    ),
+        "arctan(8 x 0.1/80) and -arctan(8 x 0.05/80), by hand"),
     channels=("alpha", "q", "airspeed"), source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
@@ -183,36 +134,28 @@ AIRSPEED_BIAS = effect(
     "airspeed_bias", "The recorded airspeed is off by a constant.",
     "Recorded = true + airspeed_bias; a Mach number that follows the airspeed is off in proportion.",
     _airspeed_bias,
-    parameter(
-        "airspeed_bias", "m/s", "constant error of the recorded airspeed", Prior("normal", 0.0, 4.0), (0.5, 8.0),
-        (-30.0, 30.0),
-    ),
-    example=Example(
-        {"airspeed_bias": 2.0}, {"airspeed": 80.0, "mach": 0.24}, {"airspeed": -2.0, "mach": -0.006},
-        "recorded 80, true 78; 0.24 x 2/80; by hand",
-    ),
+    parameter("airspeed_bias", "m/s", "constant error of the recorded airspeed", Prior("normal", 0.0, 4.0), (0.5, 8.0),
+        (-30.0, 30.0)),
+    example=Example({"airspeed_bias": 2.0}, {"airspeed": 80.0, "mach": 0.24}, {"airspeed": -2.0, "mach": -0.006},
+        "recorded 80, true 78; 0.24 x 2/80; by hand"),
     channels=("airspeed",), source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
 
-def _airspeed_scale(v: Values, s: Signals, *_: Any) -> Increments:
-    share = 1.0 / (1.0 + v["airspeed_scale"]) - 1.0
-    off = {"airspeed": s["airspeed"] * share}
-    return off | ({"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {})
+def in_proportion(s: Signals, share: Any) -> Increments:
+    """The airspeed times a share, and the Mach number that follows it."""
+    mach = {"mach": s["mach"] * share * s.get("mach_follows", 1.0)} if "mach" in s else {}
+    return {"airspeed": s["airspeed"] * share} | mach
 
 
 AIRSPEED_SCALE = effect(
     "airspeed_scale", "The recorded airspeed is too large or too small in proportion.",
     "Recorded = (1 + airspeed_scale) true; a Mach number that follows the airspeed likewise.",
-    _airspeed_scale,
-    parameter(
-        "airspeed_scale", "1", "relative error of the recorded airspeed", Prior("normal", 0.0, 0.05), (0.005, 0.1),
-        (-0.5, 1.0),
-    ),
-    example=Example(
-        {"airspeed_scale": 0.05}, {"airspeed": 84.0, "mach": 0.252}, {"airspeed": -4.0, "mach": -0.012},
-        "recorded 84 = 1.05 x 80; 0.252 = 1.05 x 0.24; by hand",
-    ),
+    lambda v, s, *_: in_proportion(s, 1.0 / (1.0 + v["airspeed_scale"]) - 1.0),
+    parameter("airspeed_scale", "1", "relative error of the recorded airspeed", Prior("normal", 0.0, 0.05),
+        (0.005, 0.1), (-0.5, 1.0)),
+    example=Example({"airspeed_scale": 0.05}, {"airspeed": 84.0, "mach": 0.252}, {"airspeed": -4.0, "mach": -0.012},
+        "recorded 84 = 1.05 x 80; 0.252 = 1.05 x 0.24; by hand"),
     channels=("airspeed",), source=SENSOR_ERRORS, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
 )
 
@@ -221,11 +164,9 @@ MOST = 0.99  # share of the recorded impact pressure that the error may be
 
 
 def _pitot_pressure_bias(v: Values, s: Signals, *_: Any) -> Increments:
-    V = s["airspeed"]
-    impact = 0.5 * s["density"] * xp.maximum(V, SLOWEST) ** 2
+    impact = 0.5 * s["density"] * xp.maximum(s["airspeed"], SLOWEST) ** 2
     share = xp.minimum(v["pitot_pressure_bias"] / impact, MOST)
-    off = -share / (1.0 + xp.sqrt(1.0 - share))
-    return {"airspeed": V * off} | ({"mach": s["mach"] * off * s.get("mach_follows", 1.0)} if "mach" in s else {})
+    return in_proportion(s, -share / (1.0 + xp.sqrt(1.0 - share)))
 
 
 PITOT_PRESSURE_BIAS = effect(
@@ -234,15 +175,11 @@ PITOT_PRESSURE_BIAS = effect(
     "slower the flight.",
     "rho/2 recorded^2 = rho/2 true^2 + pitot_pressure_bias; a Mach number that follows the airspeed likewise.",
     _pitot_pressure_bias,
-    parameter(
-        "pitot_pressure_bias", "Pa", "constant error of the impact pressure (total less static)",
-        Prior("normal", 0.0, 250.0), (30.0, 1000.0), (-3000.0, 3000.0),
-    ),
-    example=Example(
-        {"pitot_pressure_bias": 59.625}, {"airspeed": 80.0, "density": 0.75, "mach": 0.24},
+    parameter("pitot_pressure_bias", "Pa", "constant error of the impact pressure (total less static)",
+        Prior("normal", 0.0, 250.0), (30.0, 1000.0), (-3000.0, 3000.0)),
+    example=Example({"pitot_pressure_bias": 59.625}, {"airspeed": 80.0, "density": 0.75, "mach": 0.24},
         {"airspeed": -1.0, "mach": -0.003},
-        "recorded 0.75/2 x 80^2 = 2400 Pa, true 0.75/2 x 79^2 = 2340.375 Pa; 0.24/80; by hand",
-    ),
+        "recorded 0.75/2 x 80^2 = 2400 Pa, true 0.75/2 x 79^2 = 2340.375 Pa; 0.24/80; by hand"),
     channels=("airspeed", "density"),
     source="incompressible impact pressure; errors of pitot-static systems, Gracey, NASA RP-1046, 1980",
     kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
@@ -266,33 +203,20 @@ PITOT_POSITION = effect(
     "The flow at the tube is (u, v + x r, w - x q): its speed is recorded, and that at the CG is true. Exact "
     "where the flow angles are recorded at the tube, too; of angles at the CG to first order in x q/V.",
     _pitot_position,
-    parameter(
-        "pitot_position", "m", "distance of the pitot tube ahead of the centre of gravity", Prior("normal", 0.0, 10.0),
-        (3.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"pitot_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
-        {"airspeed": 0.004999843759765}, "sqrt(80^2 + (8 x 0.05)^2 + (8 x 0.1)^2) - 80, by hand",
-    ),
+    parameter("pitot_position", "m", "distance of the pitot tube ahead of the centre of gravity",
+        Prior("normal", 0.0, 10.0), (3.0, 20.0), (-40.0, 40.0)),
+    example=Example({"pitot_position": 8.0}, {"alpha": 0.0, "beta": 0.0, "q": 0.1, "r": 0.05, "airspeed": 80.0},
+        {"airspeed": 0.004999843759765}, "sqrt(80^2 + (8 x 0.05)^2 + (8 x 0.1)^2) - 80, by hand"),
     channels=("airspeed", "alpha", "q"), source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL,
     candidate=False,
 )
 
-ALTITUDE_SCALE = scale(
-    "altitude_scale", "altitude", "altitude", sd=0.05, sizes=(0.005, 0.1),
-    example=(0.02, 5100.0, -100.0, "recorded 5100 = 1.02 x 5000"),
-)
-
-SIDESLIP_BIAS = bias(
-    "sideslip_bias", "beta", "sideslip", "rad", sd=0.0175, sizes=(0.002, 0.035),
-    example=(0.01, 0.03, -0.01, "recorded 0.03, true 0.02"),
-)
-
-SIDESLIP_SCALE = scale(
-    "sideslip_scale", "beta", "sideslip", sd=0.1, sizes=(0.02, 0.2),
-    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.2"),
-)
-
+ALTITUDE_SCALE = scale("altitude_scale", "altitude", "altitude", sd=0.05, sizes=(0.005, 0.1),
+    example=(0.02, 5100.0, -100.0, "recorded 5100 = 1.02 x 5000"))
+SIDESLIP_BIAS = bias("sideslip_bias", "beta", "sideslip", "rad", sd=0.0175, sizes=(0.002, 0.035),
+    example=(0.01, 0.03, -0.01, "recorded 0.03, true 0.02"))
+SIDESLIP_SCALE = scale("sideslip_scale", "beta", "sideslip", sd=0.1, sizes=(0.02, 0.2),
+    example=(0.1, 0.22, -0.02, "recorded 0.22 = 1.1 x 0.2"))
 SIDESLIP_DELAY = delay("sideslip_delay", "beta", "sideslip", RISING, axis=Axis.LATERAL)
 
 SIDESLIP_VANE_POSITION = effect(
@@ -301,14 +225,10 @@ SIDESLIP_VANE_POSITION = effect(
     "what yaw rate does there.",
     "The vane reads beta + x r/V; what yaw rate does there is taken out.",
     lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_position"] * s["r"] / s["airspeed"])},
-    parameter(
-        "sideslip_vane_position", "m", "distance of the sideslip sensor ahead of the CG, beyond vane_position",
-        Prior("normal", 0.0, 10.0), (1.0, 20.0), (-40.0, 40.0),
-    ),
-    example=Example(
-        {"sideslip_vane_position": 8.0}, {"beta": 0.0, "r": 0.05, "airspeed": 80.0}, {"beta": -0.004999958333958},
-        "-arctan(8 x 0.05/80), by hand",
-    ),
+    parameter("sideslip_vane_position", "m", "distance of the sideslip sensor ahead of the CG, beyond vane_position",
+        Prior("normal", 0.0, 10.0), (1.0, 20.0), (-40.0, 40.0)),
+    example=Example({"sideslip_vane_position": 8.0}, {"beta": 0.0, "r": 0.05, "airspeed": 80.0},
+        {"beta": -0.004999958333958}, "-arctan(8 x 0.05/80), by hand"),
     source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
 )
 
@@ -318,83 +238,48 @@ SIDESLIP_VANE_HEIGHT = effect(
     "what roll rate does there.",
     "The vane reads beta + h p/V at the height h = -z; what roll rate does there is taken out.",
     lambda v, s, *_: {"beta": turned(s["beta"], -v["sideslip_vane_height"] * s["p"] / s["airspeed"])},
-    parameter(
-        "sideslip_vane_height", "m", "height of the sideslip sensor above the CG", Prior("normal", 0.0, 2.0),
-        (0.5, 10.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"sideslip_vane_height": 2.0}, {"beta": 0.0, "p": 0.2, "airspeed": 80.0}, {"beta": -0.004999958333958},
-        "-arctan(2 x 0.2/80), by hand",
-    ),
+    parameter("sideslip_vane_height", "m", "height of the sideslip sensor above the CG", Prior("normal", 0.0, 2.0),
+        (0.5, 10.0), (-20.0, 20.0)),
+    example=Example({"sideslip_vane_height": 2.0}, {"beta": 0.0, "p": 0.2, "airspeed": 80.0},
+        {"beta": -0.004999958333958}, "-arctan(2 x 0.2/80), by hand"),
     source=POINT_VELOCITY, kind=Kind.MEASUREMENT, stage=Stage.CHANNEL, axis=Axis.LATERAL,
 )
 
 # Rates.
 
-PITCH_RATE_BIAS = bias(
-    "pitch_rate_bias", "q", "pitch rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.050"),
-)
-
-PITCH_RATE_SCALE = scale(
-    "pitch_rate_scale", "q", "pitch rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.040"),
-)
-
-ROLL_RATE_BIAS = bias(
-    "roll_rate_bias", "p", "roll rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"),
-)
-
-ROLL_RATE_SCALE = scale(
-    "roll_rate_scale", "p", "roll rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"),
-)
-
-YAW_RATE_BIAS = bias(
-    "yaw_rate_bias", "r", "yaw rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
-    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"),
-)
-
-YAW_RATE_SCALE = scale(
-    "yaw_rate_scale", "r", "yaw rate", sd=0.075, sizes=(0.01, 0.15),
-    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"),
-)
+PITCH_RATE_BIAS = bias("pitch_rate_bias", "q", "pitch rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.050"))
+PITCH_RATE_SCALE = scale("pitch_rate_scale", "q", "pitch rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.040"))
+ROLL_RATE_BIAS = bias("roll_rate_bias", "p", "roll rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"))
+ROLL_RATE_SCALE = scale("roll_rate_scale", "p", "roll rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"))
+YAW_RATE_BIAS = bias("yaw_rate_bias", "r", "yaw rate", "rad/s", sd=0.01, sizes=(0.0005, 0.02),
+    example=(0.004, 0.054, -0.004, "recorded 0.054, true 0.05"))
+YAW_RATE_SCALE = scale("yaw_rate_scale", "r", "yaw rate", sd=0.075, sizes=(0.01, 0.15),
+    example=(0.05, 0.042, -0.002, "recorded 0.042 = 1.05 x 0.04"))
 
 # Specific forces.
 
-ACCEL_X_BIAS = bias(
-    "accel_x_bias", "ax", "longitudinal specific force", "m/s^2", sd=0.25, sizes=(0.01, 0.5),
-    example=(0.05, 1.25, -0.05, "recorded 1.25, true 1.20"),
-)
-
-ACCEL_Y_BIAS = bias(
-    "accel_y_bias", "ay", "lateral specific force", "m/s^2", sd=0.25, sizes=(0.02, 0.5),
-    example=(0.1, 0.4, -0.1, "recorded 0.4, true 0.3"),
-)
-
-ACCEL_Z_BIAS = bias(
-    "accel_z_bias", "az", "normal specific force", "m/s^2", sd=0.5, sizes=(0.08, 1.0),
-    example=(-0.2, -9.9, 0.2, "recorded -9.9, true -9.7"),
-)
-
-ACCEL_Y_SCALE = scale(
-    "accel_y_scale", "ay", "lateral specific force", sd=0.1, sizes=(0.02, 0.3),
-    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"),
-)
+ACCEL_X_BIAS = bias("accel_x_bias", "ax", "longitudinal specific force", "m/s^2", sd=0.25, sizes=(0.01, 0.5),
+    example=(0.05, 1.25, -0.05, "recorded 1.25, true 1.20"))
+ACCEL_Y_BIAS = bias("accel_y_bias", "ay", "lateral specific force", "m/s^2", sd=0.25, sizes=(0.02, 0.5),
+    example=(0.1, 0.4, -0.1, "recorded 0.4, true 0.3"))
+ACCEL_Z_BIAS = bias("accel_z_bias", "az", "normal specific force", "m/s^2", sd=0.5, sizes=(0.08, 1.0),
+    example=(-0.2, -9.9, 0.2, "recorded -9.9, true -9.7"))
+ACCEL_Y_SCALE = scale("accel_y_scale", "ay", "lateral specific force", sd=0.1, sizes=(0.02, 0.3),
+    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"))
 
 # All three accelerometers; `accel_y_position` and `accel_y_height` move the lateral one by itself.
 ACCELEROMETER_POSITION = effect(
     "accelerometer_position", "The accelerometers are ahead of where the card says (or behind it, where negative).",
     "Where they are, by which the record is brought to the centre of gravity.",
     lambda v, _s, *_: {"accelerometer": (v["accelerometer_position"], 0.0, 0.0)},
-    parameter(
-        "accelerometer_position", "m", "distance of the accelerometers ahead of the place on the card",
-        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"accelerometer_position": 0.5}, {}, {"accelerometer": (0.5, 0.0, 0.0)}, "x is forward; geometry, by hand",
-    ),
+    parameter("accelerometer_position", "m", "distance of the accelerometers ahead of the place on the card",
+        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0)),
+    example=Example({"accelerometer_position": 0.5}, {}, {"accelerometer": (0.5, 0.0, 0.0)},
+        "x is forward; geometry, by hand"),
     source=POINT_ACCELERATION, kind=Kind.MEASUREMENT, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
@@ -402,20 +287,17 @@ ACCELEROMETER_HEIGHT = effect(
     "accelerometer_height", "The accelerometers are higher than the card says (or lower, where negative).",
     "Where they are, by which the record is brought to the centre of gravity; z is down.",
     lambda v, _s, *_: {"accelerometer": (0.0, 0.0, -v["accelerometer_height"])},
-    parameter(
-        "accelerometer_height", "m", "height of the accelerometers above the place on the card",
-        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0),
-    ),
-    example=Example(
-        {"accelerometer_height": 0.5}, {}, {"accelerometer": (0.0, 0.0, -0.5)}, "z is down; geometry, by hand",
-    ),
+    parameter("accelerometer_height", "m", "height of the accelerometers above the place on the card",
+        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0)),
+    example=Example({"accelerometer_height": 0.5}, {}, {"accelerometer": (0.0, 0.0, -0.5)},
+        "z is down; geometry, by hand"),
     source=POINT_ACCELERATION, kind=Kind.MEASUREMENT, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
 )
 
 
-def _accel_y_position(v: Values, s: Signals, *_: Any) -> Increments:
-    r_dot = differentiate_joined(s["r"], s["dt"], s["first"], s["last"])
-    return {"ay": -v["accel_y_position"] * (r_dot + s["p"] * s["q"])}
+def slope(s: Signals, name: str) -> Any:
+    """Time derivative of a channel."""
+    return differentiate_joined(s[name], s["dt"], s["first"], s["last"])
 
 
 ACCEL_Y_POSITION = effect(
@@ -423,11 +305,9 @@ ACCEL_Y_POSITION = effect(
     "The lateral specific force was recorded ahead of where the card says (or behind it, where negative), and "
     "still contains what yaw acceleration does there.",
     "Recorded = true + x (r_dot + p q).",
-    _accel_y_position,
-    parameter(
-        "accel_y_position", "m", "distance of the lateral accelerometer ahead of the place on the card",
-        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0),
-    ),
+    lambda v, s, *_: {"ay": -v["accel_y_position"] * (slope(s, "r") + s["p"] * s["q"])},
+    parameter("accel_y_position", "m", "distance of the lateral accelerometer ahead of the place on the card",
+        Prior("normal", 0.0, 2.0), (0.3, 5.0), (-20.0, 20.0)),
     example=Example(
         {"accel_y_position": 2.0},
         {"p": (0.2,) * 5, "r": (0.0, 0.03, 0.06, 0.09, 0.12), "q": (0.1,) * 5,
@@ -438,22 +318,14 @@ ACCEL_Y_POSITION = effect(
     axis=Axis.LATERAL,
 )
 
-
-def _accel_y_height(v: Values, s: Signals, *_: Any) -> Increments:
-    p_dot = differentiate_joined(s["p"], s["dt"], s["first"], s["last"])
-    return {"ay": -v["accel_y_height"] * (p_dot - s["q"] * s["r"])}
-
-
 ACCEL_Y_HEIGHT = effect(
     "accel_y_height",
     "The lateral specific force was recorded higher than the card says (or lower, where negative), and still "
     "contains what roll acceleration does there.",
     "Recorded = true + h (p_dot - q r) at the height h = -z.",
-    _accel_y_height,
-    parameter(
-        "accel_y_height", "m", "height of the lateral accelerometer above the place on the card",
-        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0),
-    ),
+    lambda v, s, *_: {"ay": -v["accel_y_height"] * (slope(s, "p") - s["q"] * s["r"])},
+    parameter("accel_y_height", "m", "height of the lateral accelerometer above the place on the card",
+        Prior("normal", 0.0, 1.0), (0.2, 3.0), (-20.0, 20.0)),
     example=Example(
         {"accel_y_height": 0.5},
         {"r": (0.2,) * 5, "p": (0.0, 0.03, 0.06, 0.09, 0.12), "q": (0.1,) * 5,
@@ -466,42 +338,22 @@ ACCEL_Y_HEIGHT = effect(
 
 # Attitudes.
 
-PITCH_ATTITUDE_BIAS = bias(
-    "pitch_attitude_bias", "theta", "pitch attitude", "rad", sd=0.025, sizes=(0.002, 0.05),
-    example=(0.02, 0.1, -0.02, "recorded 0.10, true 0.08"),
-)
-
-BANK_ANGLE_BIAS = bias(
-    "bank_angle_bias", "phi", "bank angle", "rad", sd=0.025, sizes=(0.002, 0.05),
-    example=(0.02, 0.5, -0.02, "recorded 0.5, true 0.48"),
-)
-
-BANK_ANGLE_SCALE = scale(
-    "bank_angle_scale", "phi", "bank angle", sd=0.05, sizes=(0.01, 0.15),
-    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"),
-)
-
+PITCH_ATTITUDE_BIAS = bias("pitch_attitude_bias", "theta", "pitch attitude", "rad", sd=0.025, sizes=(0.002, 0.05),
+    example=(0.02, 0.1, -0.02, "recorded 0.10, true 0.08"))
+BANK_ANGLE_BIAS = bias("bank_angle_bias", "phi", "bank angle", "rad", sd=0.025, sizes=(0.002, 0.05),
+    example=(0.02, 0.5, -0.02, "recorded 0.5, true 0.48"))
+BANK_ANGLE_SCALE = scale("bank_angle_scale", "phi", "bank angle", sd=0.05, sizes=(0.01, 0.15),
+    example=(0.25, 0.5, -0.1, "recorded 0.5 = 1.25 x 0.4"))
 HEADING_DELAY = delay("heading_delay", "psi", "heading", RISING, candidate=False)
 
 # Deflections of the control surfaces.
 
-ELEVATOR_SCALE = scale(
-    "elevator_scale", "elevator", "elevator deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"),
-)
-
+ELEVATOR_SCALE = scale("elevator_scale", "elevator", "elevator deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"))
 ELEVATOR_DELAY = delay("elevator_delay", "elevator", "elevator deflection", MOVED)
-
-AILERON_SCALE = scale(
-    "aileron_scale", "aileron", "aileron deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL,
-)
-
+AILERON_SCALE = scale("aileron_scale", "aileron", "aileron deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL)
 AILERON_DELAY = delay("aileron_delay", "aileron", "aileron deflection", MOVED, axis=Axis.LATERAL)
-
-RUDDER_SCALE = scale(
-    "rudder_scale", "rudder", "rudder deflection", sd=0.15, sizes=(0.02, 0.3),
-    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL,
-)
-
+RUDDER_SCALE = scale("rudder_scale", "rudder", "rudder deflection", sd=0.15, sizes=(0.02, 0.3),
+    example=(-0.2, -0.08, -0.02, "recorded -0.08 = 0.8 x -0.10"), axis=Axis.LATERAL)
 RUDDER_DELAY = delay("rudder_delay", "rudder", "rudder deflection", MOVED, axis=Axis.LATERAL)

@@ -32,11 +32,9 @@ class Departure:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """One record: where it departs, and the root mean square left of each channel with what is permitted.
-
-    `turbulence` (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows;
-    `assumed` are channels that were not recorded and taken as zero.
-    """
+    """One record: where it departs, and the root mean square left of each channel with what is permitted. `turbulence`
+    (m/s) is the standard deviation of gusts that was permitted, `gusts` the one that the record shows; `assumed` are
+    channels that were not recorded and taken as zero."""
 
     record: str
     departures: tuple[Departure, ...]
@@ -50,27 +48,19 @@ class PathCheck:
 class OpenError:
     """An error of a sensor that the flight path cannot decide on, SI.
 
-    Attributes:
-        name: of the effect, which has one parameter.
-        unit: of that parameter.
-        mean: what the record says of it, were it the only error.
-        sd: standard error of that.
-        among: standard error with every other error of a sensor possible, as far as such errors usually go.
-        asked: it would explain much of what is left, but parts of the record that were left out do not confirm it.
-        imitators: other errors that together do the same along this flight path; empty where none do.
-        share: of what it does, that they do.
-        joint: other errors that were added together with it, and the correlation of both estimates, where one of them
-            is larger than sensors have: none of them holds by itself, and none is corrected.
+    `asked`: it would explain much of what is left, but parts of the record that were left out do not confirm it.
+    `joint`: other errors that were added together with it, and the correlation of both estimates, where one of them is
+    larger than sensors have: none of them holds by itself, and none is corrected.
     """
 
-    name: str
-    unit: str
-    mean: float
-    sd: float
-    among: float
+    name: str  # of the effect, which has one parameter
+    unit: str  # of that parameter
+    mean: float  # what the record says of it, were it the only error
+    sd: float  # standard error of that
+    among: float  # standard error with every other error of a sensor possible, as far as such errors usually go
     asked: bool
-    imitators: tuple[str, ...]
-    share: float
+    imitators: tuple[str, ...]  # other errors that together do the same along this flight path
+    share: float  # of what it does, that they do
     joint: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -78,24 +68,17 @@ class OpenError:
 class Consistency:
     """The flight path of each record as recorded, and with known errors of sensors taken out.
 
-    Attributes:
-        why_not: why nothing was checked; empty where it was.
-        unchecked: channels of the flight path that could not be checked, for they were not recorded.
-        recorded: a check of each record as it is.
-        corrected: the same with `errors` taken out; empty where none were sought or found.
-        errors: errors of sensors and winds found along the flight path: claim, whether minor, parameters, and `joint`,
-            others with the correlation of the estimates, of which none holds without the other.
-        unsought: why no known error could be sought though the sensors disagree; empty where it could.
-        open: errors of sensors that the flight path cannot decide on; empty where none were sought.
+    `errors` of sensors and winds found along it: claim, whether minor, parameters, and `joint`, others with the
+    correlation of the estimates, of which none holds without the other.
     """
 
-    why_not: str = ""
-    unchecked: tuple[str, ...] = ()
-    recorded: tuple[PathCheck, ...] = ()
-    corrected: tuple[PathCheck, ...] = ()
+    why_not: str = ""  # nothing was checked; empty where it was
+    unchecked: tuple[str, ...] = ()  # channels that could not be checked, for they were not recorded
+    recorded: tuple[PathCheck, ...] = ()  # a check of each record as it is
+    corrected: tuple[PathCheck, ...] = ()  # the same with `errors` taken out; empty where none were sought or found
     errors: Mapping[str, Mapping[str, Any]] | None = None
-    unsought: str = ""
-    open: tuple[OpenError, ...] = ()
+    unsought: str = ""  # why no known error could be sought though the sensors disagree; empty where it could
+    open: tuple[OpenError, ...] = ()  # errors of sensors that the flight path cannot decide on
 
     @property
     def agreement(self) -> Agreement:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray
-from bayes_aero.flight.record import GRAVITY
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.units import number
 
 Scalar = float | Float[AnyArray, ""]
@@ -59,43 +59,22 @@ class Aircraft:
 
 AIRCRAFT_UNITS: dict[str, str] = {
     "mass": "kg",
-    "Ix": "kg m^2",
-    "Iy": "kg m^2",
-    "Iz": "kg m^2",
-    "Ixz": "kg m^2",
+    **dict.fromkeys(("Ix", "Iy", "Iz", "Ixz"), "kg m^2"),
     "wing_area": "m^2",
-    "chord": "m",
-    "half_span": "m",
+    **dict.fromkeys(("chord", "half_span"), "m"),
     "aspect_ratio": "1",
-    "tail_arm": "m",
-    "reference_point": "m",
-    "accelerometer": "m",
-    "engine": "m",
+    **dict.fromkeys(("tail_arm", "reference_point", "accelerometer", "engine"), "m"),
     "engine_inclination": "rad",
     "reference_speed": "m/s",
-    "rate_length": "m",
-    "lateral_length": "m",
-    "lateral_rate_length": "m",
-    "engine_arm": "m",
-    "Ixy": "kg m^2",
-    "Iyz": "kg m^2",
+    **dict.fromkeys(("rate_length", "lateral_length", "lateral_rate_length", "engine_arm"), "m"),
+    **dict.fromkeys(("Ixy", "Iyz"), "kg m^2"),
 }
 AIRCRAFT_KEYS: dict[str, str] = {**AIRCRAFT_UNITS, "span": "m"}
 """Keys of a card's [aircraft]: the constants, and the span in place of half of it."""
-OPTIONAL = (
-    "aspect_ratio",  # span squared over wing area where it is not stated
-    "reference_point",
-    "accelerometer",
-    "engine",
-    "engine_inclination",
-    "reference_speed",
-    "rate_length",
-    "lateral_length",
-    "lateral_rate_length",
-    "engine_arm",
-    "Ixy",
-    "Iyz",
-)
+OPTIONAL = (  # the aspect ratio is the span squared over the wing area where it is not stated
+    "aspect_ratio", "reference_point", "accelerometer", "engine", "engine_inclination", "reference_speed",
+    "rate_length", "lateral_length", "lateral_rate_length", "engine_arm", "Ixy", "Iyz",
+)  # fmt: skip
 
 _NAN = float("nan")
 NO_AIRCRAFT = Aircraft(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN)
@@ -119,10 +98,8 @@ DEFAULT_RANGES = {
 
 @dataclass(frozen=True)
 class Envelope:
-    """Least and greatest value of each quantity, SI; `stated`: by the card, of these quantities.
-
-    `programmed_inputs`: the aircraft can fly inputs that a computer gives, such as multisines.
-    """
+    """Least and greatest value of each quantity, SI; `stated`: by the card, of these quantities. `programmed_inputs`:
+    the aircraft can fly inputs that a computer gives, such as multisines."""
 
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(DEFAULT_RANGES))
     stated: tuple[str, ...] = ()
@@ -140,10 +117,8 @@ class Envelope:
 
 
 def excursion(flight: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI.
-
-    The load factor is -az/g, of the specific force along the body's z axis.
-    """
+    """Least and greatest value of each quantity of an envelope during a flight of these channels, SI. The load factor
+    is -az/g, of the specific force along the body's z axis."""
     found = {name: np.asarray(flight[name]) for name in ("alpha", "beta", "phi", "airspeed") if name in flight}
     if "az" in flight:
         found["load_factor"] = -np.asarray(flight["az"]) / GRAVITY

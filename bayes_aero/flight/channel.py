@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
-from bayes_aero.units import canonical, spellings
+import numpy as np
+
+from bayes_aero.units import canonical, from_si, si_unit, spellings
 
 
 @dataclass(frozen=True)
@@ -36,23 +39,25 @@ class Channel:
         """The name to look for in a file with headers."""
         return self.name if self.label is None else self.label
 
+    @property
+    def si(self) -> str:
+        """The unit that it is held in: the program's, or the SI unit of the file's."""
+        standard = STANDARD_CHANNELS.get(self.name)
+        return standard.unit if standard else si_unit(self.unit, f"channel {self.name}")
+
+    def filed(self, values: Any) -> np.ndarray:
+        """SI values in the unit and with the sign of the file."""
+        return np.asarray(self.sign * from_si(values, self.unit, self.name, self.si))
+
 
 @dataclass(frozen=True)
 class StandardChannel:
-    """A channel that the program knows.
-
-    Attributes:
-        name: its name.
-        unit: its SI unit.
-        description: what it is.
-        plausible: bounds, in `unit`, that no sound record leaves. Wide: they catch wrong units, not odd
-            flying.
-    """
+    """A channel that the program knows."""
 
     name: str
-    unit: str
+    unit: str  # SI
     description: str
-    plausible: tuple[float, float]
+    plausible: tuple[float, float]  # that no sound record leaves. Wide: they catch wrong units, not odd flying
 
 
 _TABLE = (
@@ -60,13 +65,7 @@ _TABLE = (
     ("time", "s", "time", -1e9, 1e10),
     ("ax", "m/s^2", "specific force at the accelerometer, body x (forward)", -200.0, 200.0),
     ("ay", "m/s^2", "specific force at the accelerometer, body y (right)", -200.0, 200.0),
-    (
-        "az",
-        "m/s^2",
-        "specific force at the accelerometer, body z (down); level flight -9.8",
-        -200.0,
-        200.0,
-    ),
+    ("az", "m/s^2", "specific force at the accelerometer, body z (down); level flight -9.8", -200.0, 200.0),
     ("p", "rad/s", "roll rate", -10.0, 10.0),
     ("q", "rad/s", "pitch rate", -5.0, 5.0),
     ("r", "rad/s", "yaw rate", -5.0, 5.0),
@@ -201,25 +200,19 @@ _NAMES: dict[str, str] = {
 }
 
 
-def _sided() -> dict[str, str]:
-    """Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron.
-
-    Only of whole words: "del" and "rde" are too short to say.
-    """
-    pairs = [name.removesuffix("_left") for name in STANDARD_CHANNELS if name.endswith("_left")]
-    return {
-        alias: f"{whole}_{side}"
-        for whole in pairs
-        for word in (whole, *_NAMES.get(whole, "").split())
-        if len(word) > 3
-        for side in ("left", "right")
-        for mark in (side, side[0], f"{side[0]}h")
-        for alias in (word + mark, mark + word)
-    }
-
-
+# Names of the left and right half of what has two: "aileronr" and "raileron" are not the aileron. Only of whole words:
+# "del" and "rde" are too short to say.
+_SIDED = {
+    alias: f"{whole}_{side}"
+    for whole in (name.removesuffix("_left") for name in STANDARD_CHANNELS if name.endswith("_left"))
+    for word in (whole, *_NAMES.get(whole, "").split())
+    if len(word) > 3
+    for side in ("left", "right")
+    for mark in (side, side[0], f"{side[0]}h")
+    for alias in (word + mark, mark + word)
+}
 ALIASES: dict[str, str] = (
-    _sided()
+    _SIDED
     | {alias: name for name, text in _NAMES.items() for alias in text.split()}
     | {name.replace("_", ""): name for name in STANDARD_CHANNELS}
 )
@@ -243,10 +236,16 @@ _BESIDE = frozenset(
 """Words that say where a channel comes from or which way it counts, not what it is: "Q gyro", "NZ up"."""
 
 
+def _parted(heading: str) -> tuple[str, str]:
+    """The name of a heading, and what stands in brackets behind it, with them."""
+    bracketed = _BRACKETS.match(heading.strip())
+    name = bracketed[1] if bracketed else heading.strip()
+    return name, heading.strip()[len(name) :]
+
+
 def plain_heading(heading: str) -> str:
     """The heading without such words, unless nothing would be left: "Q [deg/s]" of "Q gyro [deg/s]"."""
-    bracketed = _BRACKETS.match(heading.strip())
-    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    name, unit = _parted(heading)
     kept = [word for word in _PARTS.split(name) if word and word.lower() not in _BESIDE]
     named = kept and any(not spellings(k) or k.lower() in ALIASES for k in kept)
     return "_".join(kept) + unit if named else heading
@@ -260,8 +259,7 @@ _AROUND = frozenset("eng engine motor no nr net total".split())  # noqa: SIM905
 
 def side_of(heading: str) -> tuple[str, str] | None:
     """The heading without the word for one of two sides or engines, and "left" or "right": "net_thrust_1"."""
-    bracketed = _BRACKETS.match(heading.strip())
-    name, unit = (bracketed[1], heading.strip()[len(bracketed[1]) :]) if bracketed else (heading.strip(), "")
+    name, unit = _parted(heading)
     words = _PARTS.split(_NUMBERED.sub(r"\1 \2", " ".join(filter(None, _PARTS.split(name.lower())))))
     sides = [_SIDES[word] for word in words if word in _SIDES]
     rest = [word for word in words if word not in _SIDES and word not in _AROUND]
@@ -269,12 +267,8 @@ def side_of(heading: str) -> tuple[str, str] | None:
 
 
 def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]:
-    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS".
-
-    Args:
-        heading: as in the file.
-        si: SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]".
-    """
+    """Name in lower case without blanks, and the unit where the heading tells it: "AoA [deg]", "alt_ft", "KTAS". `si`
+    is the SI unit of the channel, if it is known: it decides between the two meanings of "TAS [KN]"."""
     bracketed = _BRACKETS.match(heading.strip()) or _BEHIND_COMMA.fullmatch(heading.strip())
     if bracketed and "," in bracketed[0][len(bracketed[1]) :] and _spelled(bracketed[2], si) is None:
         bracketed = None  # "Gload,norml" is a name of two words
@@ -282,7 +276,12 @@ def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]
     parts = [part for part in _PARTS.split(name.lower()) if part]
     if unit is None and not bracketed:
         for count in (2, 1):  # "rate_deg_s" before "accel_g"
-            found = _ending(parts[-count:], si) if len(parts) > count else None
+            if len(parts) <= count or parts[-1] in _NO_UNIT_OF_A_NAME:
+                continue
+            last = parts[-count:]
+            found = _spelled("/".join(last), si)  # "deg", "s2" is deg/s^2, "in", "hg" is inHg
+            if found is None and count == 2 and last[1] in ("hg", "c", "f", "k"):
+                found = _spelled(" ".join(last), si)
             if found is not None:
                 parts, unit = parts[:-count], found
                 break
@@ -293,16 +292,6 @@ def split_heading(heading: str, si: str | None = None) -> tuple[str, str | None]
 def _spelled(text: str, si: str | None) -> str | None:
     """Only what the table of spellings knows: to pint, "(cal)" would be a calorie."""
     return canonical(text, si) if spellings(text) else None
-
-
-def _ending(words: list[str], si: str | None) -> str | None:
-    """The unit that the last words of a name are: "deg", "s2" is deg/s^2, "in", "hg" is inHg."""
-    if words[-1] in _NO_UNIT_OF_A_NAME:
-        return None
-    if len(words) == 1:
-        return _spelled(words[0], si)
-    found = _spelled("/".join(words), si)
-    return found or (_spelled(" ".join(words), si) if words[-1] in ("hg", "c", "f", "k") else None)
 
 
 _SYMBOLS = frozenset(
@@ -318,8 +307,7 @@ def is_command(heading: str) -> bool:
 
 def symbol_of(heading: str) -> str | None:
     """The symbol that a heading ends with, "nx" of "Long. Load Factor nx [g]"; none of a value that was only wanted."""
-    bracketed = _BRACKETS.match(heading.strip())
-    words = [word for word in _PARTS.split((bracketed[1] if bracketed else heading).lower()) if word]
+    words = [word for word in _PARTS.split(_parted(heading)[0].lower()) if word]
     while len(words) > 1 and spellings(words[-1]) and words[-1] not in _SYMBOLS:
         words.pop()
     return words[-1] if words and words[-1] in _SYMBOLS and not is_command(heading) else None

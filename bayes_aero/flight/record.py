@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.units import instant
-
-__all__ = ["FlightRecord"]
 
 
 def _frozen(values: Any, label: str, n: int | None = None) -> np.ndarray:
@@ -163,7 +162,7 @@ class FlightRecord:
 
 # --- How far a simulation may be from flight: bands by output, each with its source. A card may replace them.
 
-KNOT, GRAVITY = 0.514444, 9.80665
+KNOT = 0.514444
 _STALL = "14 CFR Part 60 Appendix A, Table A2A, 2.c.8"
 _SHORT = "14 CFR Part 60 Appendix A, Table A2A, 2.c.10"
 _LATERAL = "14 CFR Part 60 Appendix A, Table A2A, 2.d"

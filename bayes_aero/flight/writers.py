@@ -14,12 +14,8 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import from_si
 
-__all__ = ["WRITERS", "write_record"]
-
-Columns = list[tuple[Channel, np.ndarray]]
-"""Channels to write, each with its (n,) values in the file's unit."""
+Columns = list[tuple[Channel, np.ndarray]]  # channels to write, each with its (n,) values in the file's unit
 
 
 def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: Sequence[Channel]) -> None:
@@ -37,13 +33,8 @@ def write_record(record: FlightRecord, path: str | os.PathLike[str], channels: S
     writer = WRITERS.get(target.suffix.lower())
     if writer is None:
         raise InputError(f"{target}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
-    columns = []
-    for channel in channels:
-        if not record.has(channel.name) and not channel.required:
-            continue
-        standard = STANDARD_CHANNELS.get(channel.name)
-        values = from_si(record[channel.name], channel.unit, channel.name, standard.unit if standard else None)
-        columns.append((channel, channel.sign * values))
+    written = [channel for channel in channels if record.has(channel.name) or channel.required]
+    columns = [(channel, channel.filed(record[channel.name])) for channel in written]
     try:
         write_whole(writer(columns), target)
     except InputError as reason:
@@ -85,9 +76,8 @@ def _mat(columns: Columns) -> bytes:
     for channel, _ in columns:
         if re.fullmatch(r"[A-Za-z]\w{0,62}", channel.heading, re.ASCII) is None:
             raise InputError(
-                f"channel {channel.name}: {channel.heading!r} cannot be a MATLAB name; give it a label of "
-                f"letters, "
-                f"digits and underscores"
+                f"channel {channel.name}: {channel.heading!r} cannot be a MATLAB name; give it a label of letters, "
+                "digits and underscores"
             )
     buffer = io.BytesIO()
     savemat(buffer, {channel.heading: values[:, None] for channel, values in columns}, do_compression=True)
@@ -116,11 +106,5 @@ def _netcdf(columns: Columns) -> bytes:
 
 
 WRITERS: Mapping[str, Callable[[Columns], bytes]] = {
-    ".asc": _asc,
-    ".txt": _asc,
-    ".dat": _asc,
-    ".csv": _csv,
-    ".mat": _mat,
-    ".parquet": _parquet,
-    ".nc": _netcdf,
-}
+    **dict.fromkeys((".asc", ".txt", ".dat"), _asc), ".csv": _csv, ".mat": _mat, ".parquet": _parquet, ".nc": _netcdf,
+}  # fmt: skip

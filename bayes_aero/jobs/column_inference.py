@@ -12,6 +12,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from bayes_aero.flight.atmosphere import GRAVITY, standard_air
 from bayes_aero.flight.channel import (
     ALIASES,
     STANDARD_CHANNELS,
@@ -21,9 +22,7 @@ from bayes_aero.flight.channel import (
     split_heading,
     symbol_of,
 )
-from bayes_aero.flight.health.finding import standard_air
 from bayes_aero.flight.reading.read_record import RawColumn
-from bayes_aero.physics.atmosphere import GRAVITY
 from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.flight.atmosphere import GAMMA, GAS, air
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.atmosphere import GAMMA, GAS, air
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:

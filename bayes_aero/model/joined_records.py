@@ -15,9 +15,9 @@ from bayes_aero.effect import MARKS, Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.atmosphere import GAMMA, GAS, standard_air
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.health.finding import GAMMA, GAS, standard_air
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import own_effects

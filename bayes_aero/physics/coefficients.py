@@ -18,33 +18,17 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.arrays import Samples, xp
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.physics.coefficient_names import NAMES, REQUIRED
-from bayes_aero.physics.filters import (
-    SMOOTHED_DERIVATIVE_GAIN,
-    SMOOTHING_GAIN,
-    differentiate_joined,
-    smooth_joined,
-)
+from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.filters import SMOOTHED_DERIVATIVE_GAIN, SMOOTHING_GAIN, differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import RATES, Rotation, inertial_moments, lever_arm
 from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
-
-__all__ = [
-    "NAMES",
-    "REQUIRED",
-    "SMOOTHED",
-    "Coefficients",
-    "alike_joined",
-    "coefficient_noise",
-    "coefficients",
-    "condition_joined",
-    "stacked_coefficients",
-    "unsmoothed_joined",
-]
 
 SMOOTHED = ("alpha", "beta", "airspeed")
 
 Signals = dict[str, Float[Array, "*#n"]]
-Filter = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+Series = Float[Array, " n"]
+Index = Int[Array, " n"]
+Filter = Callable[[Series], Series]
 
 
 class Coefficients(NamedTuple):
@@ -59,17 +43,10 @@ class Coefficients(NamedTuple):
     Cn: Float[Array, "*n"] | None = None
 
 
-def condition_joined(
-    channels: Mapping[str, Float[Array, " n"]],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
-) -> Signals:
+def condition_joined(channels: Mapping[str, Series], dt: Series, first: Index, last: Index) -> Signals:
     """Smoothed and differentiated signals, SI and radians, beside the untouched ones; manoeuvres laid end to end.
-
     `first` and `last` are the ends of each sample's own manoeuvre. Adds `alpha_dot`, `p_dot`, `q_dot`, `r_dot`
-    (derivatives of the smoothed signals), replacing recorded ones.
-    """
+    (derivatives of the smoothed signals), replacing recorded ones."""
     signals = {name: jnp.asarray(values) for name, values in channels.items()}
     # One filter over all channels stacked compiles several times faster than one filter each.
     names = [name for name in SMOOTHED if name in signals]
@@ -83,19 +60,17 @@ def condition_joined(
 def unsmoothed_joined(
     channels: Mapping[str, Array],
     accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    dt: Series,
+    first: Index,
+    last: Index,
     recorded: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`.
-
-    The difference of measured and modelled coefficients is smoothed later, so that the filter acts on both sides alike,
-    also on non-linear terms. The published method compares a smoothed pitch acceleration with an unsmoothed elevator,
-    and the lift of a smoothed angle of attack with unsmoothed lift, so that fast effects are underestimated. Only
-    alpha-dot is formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `recorded` are
-    the uncorrected channels, on which the regression of alpha-dot is based.
-    """
+    """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`. The difference of
+    measured and modelled coefficients is smoothed later, so that the filter acts on both sides alike, also on
+    non-linear terms. The published method compares a smoothed pitch acceleration with an unsmoothed elevator, and the
+    lift of a smoothed angle of attack with unsmoothed lift, so that fast effects are underestimated. Only alpha-dot is
+    formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `recorded` are the
+    uncorrected channels, on which the regression of alpha-dot is based."""
 
     def with_slopes(given: Mapping[str, Array]) -> dict[str, Array]:
         rates = [given[name] for name in RATES]
@@ -108,17 +83,11 @@ def unsmoothed_joined(
 
 
 def alike_joined(
-    channels: Mapping[str, Array],
-    accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    channels: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> Signals:
     """Every channel smoothed by the one filter, manoeuvres laid end to end, with the derivatives of `condition_joined`.
-
     The filter is linear, so a coefficient that is a sum of terms is, once filtered, the sum of its filtered terms:
-    measured and modelled coefficients are filtered alike. alpha-dot: `alpha_rate`.
-    """
+    measured and modelled coefficients are filtered alike. alpha-dot: `alpha_rate`."""
     raw = unsmoothed_joined(channels, accelerometer, dt, first, last)
     names = [*channels, "alpha_dot"]
     smoothed = jax.vmap(lambda x: smooth_joined(x, first, last))(jnp.stack([jnp.asarray(raw[n], float) for n in names]))
@@ -126,19 +95,14 @@ def alike_joined(
     return signals | _slopes([signals[n] for n in RATES], lambda x: differentiate_joined(x, dt, first, last), RATES)
 
 
-def _slopes(
-    rows: Sequence[Float[Array, " n"]], derivative: Filter, names: Sequence[str] = ("alpha", *RATES)
-) -> Signals:
-    slopes = jax.vmap(derivative)(jnp.stack(rows))
-    return {f"{name}_dot": slope for name, slope in zip(names, slopes, strict=True)}
+def _slopes(rows: Sequence[Array], derivative: Filter, names: Sequence[str] = ("alpha", *RATES)) -> Signals:
+    return {f"{name}_dot": x for name, x in zip(names, jax.vmap(derivative)(jnp.stack(rows)), strict=True)}
 
 
 def coefficients(signals: Mapping[str, Float[Array, "*n"]], aircraft: Aircraft) -> Coefficients:
     """Coefficients from conditioned signals, sample by sample (so it may be differentiated or mapped sample by sample).
-
     `thrust` is the total net thrust in N, acting at `aircraft.engine`; it is removed from forces and moments, with the
-    moments of `thrust_left` and `thrust_right` where both are there. Without `ay` the lateral ones are None.
-    """
+    moments of `thrust_left` and `thrust_right` where both are there. Without `ay` the lateral ones are None."""
     s, a = signals, aircraft
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     arm_x, arm_y, arm_z = lever_arm(rotation, a.accelerometer)
@@ -174,20 +138,18 @@ def stacked_coefficients(
 
 
 def coefficient_noise(
-    signals: Mapping[str, Float[Array, " n"]],
+    signals: Mapping[str, Series],
     aircraft: Aircraft,
     sensor_sd: Mapping[str, float],
-    dt: float | Float[Array, " n"],
+    dt: float | Series,
     smoothed: Collection[str] = SMOOTHED,
     names: Sequence[str] = NAMES,
 ) -> Float[Array, "n c"]:
-    """Standard deviation of the coefficients `names` per sample from independent white sensor noise.
-
-    `sensor_sd` are its deviations, SI. First order; `smoothed` names the channels that were smoothed. Smoothing and
-    differentiation scale the noise by their weights' root sum of squares, which is exact away from the outer eight
-    samples; a rate and the derivative of its smoothed self are uncorrelated at one sample because the one filter is
-    even and the other odd.
-    """
+    """Standard deviation of the coefficients `names` per sample from independent white sensor noise. `sensor_sd` are
+    its deviations, SI. First order; `smoothed` names the channels that were smoothed. Smoothing and differentiation
+    scale the noise by their weights' root sum of squares, which is exact away from the outer eight samples; a rate and
+    the derivative of its smoothed self are uncorrelated at one sample because the one filter is even and the other
+    odd."""
     noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
     sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in smoothed else 1.0) for name, value in noisy.items()}
     for name in ("p", "q", "r"):
@@ -207,10 +169,8 @@ def coefficient_noise(
 
 
 def lift_drag_from_body(CX: Samples, CZ: Samples, alpha: Samples) -> tuple[Samples, Samples]:
-    """CL and CD from the body-axis force coefficients; `alpha` in rad.
-
-    CL = CX sin alpha - CZ cos alpha, CD = -CX cos alpha - CZ sin alpha.
-    """
+    """CL and CD from the body-axis force coefficients; `alpha` in rad. CL = CX sin alpha - CZ cos alpha, CD = -CX cos
+    alpha - CZ sin alpha."""
     sin, cos = xp.sin(alpha), xp.cos(alpha)
     return CX * sin - CZ * cos, -CX * cos - CZ * sin
 
@@ -231,10 +191,8 @@ def thrust_components(thrust: Samples, aircraft: Aircraft) -> tuple[Samples, Sam
 
 
 def engine_moments(signals: Mapping[str, Samples], aircraft: Aircraft) -> tuple[Samples, Samples]:
-    """Moments (N m) about body x and z of a left and a right engine `engine_arm` off the plane of symmetry.
-
-    None where `thrust_left` and `thrust_right` (N) were not both recorded.
-    """
+    """Moments (N m) about body x and z of a left and a right engine `engine_arm` off the plane of symmetry. None where
+    `thrust_left` and `thrust_right` (N) were not both recorded."""
     if "thrust_left" not in signals or "thrust_right" not in signals:
         nothing = jnp.zeros_like(signals["thrust"])
         return nothing, nothing
@@ -258,14 +216,10 @@ def moments(
     signals: Mapping[str, Samples],
     aircraft: Aircraft,
 ) -> tuple[Samples, Samples, Samples]:
-    """Moments of aerodynamics and engines about body x, y and z through the centre of gravity, N m.
-
-    Args:
-        flow: Cl, Cm, Cn about the aircraft's reference point.
-        force: specific force at the centre of gravity, body axes, m/s2; thrust is taken out of it.
-        signals: `airspeed`, `density` and `thrust`, SI, with `thrust_left` and `thrust_right` where known.
-        aircraft: with its corrected constants.
-    """
+    """Moments of aerodynamics and engines about body x, y and z through the centre of gravity, N m. `flow` has Cl, Cm,
+    Cn about the aircraft's reference point; `force` is the specific force at the centre of gravity, body axes, m/s2, of
+    which thrust is taken out. `signals`: `airspeed`, `density` and `thrust`, SI, with `thrust_left` and `thrust_right`
+    where known."""
     a = aircraft
     area = 0.5 * signals["density"] * jnp.square(signals["airspeed"]) * a.wing_area
     along, down = thrust_components(signals["thrust"], a)

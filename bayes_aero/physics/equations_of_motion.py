@@ -33,18 +33,13 @@ MAX_ITERATIONS = 60  # iterations: bisection alone would need 50
 LONGITUDINAL = (Axis.LONGITUDINAL,)
 
 
-class Motion(NamedTuple):
-    """Motion at one instant.
+class AircraftMotion(NamedTuple):
+    """Motion at one instant."""
 
-    `flow`: coefficients and other quantities of the effects; `force`: specific force at the CG along body axes, m/s2;
-    `rates`: time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s); `rotation`: p_dot, q_dot,
-    r_dot, rad/s2.
-    """
-
-    flow: Mapping[str, Any]
-    force: tuple[Any, Any, Any]
-    rates: Mapping[str, Any]
-    rotation: tuple[Any, Any, Any]
+    flow: Mapping[str, Any]  # coefficients and other quantities of the effects
+    force: tuple[Any, Any, Any]  # specific force at the CG along body axes, m/s2
+    rates: Mapping[str, Any]  # time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s)
+    rotation: tuple[Any, Any, Any]  # p_dot, q_dot, r_dot, rad/s2
 
     @property
     def q_dot(self) -> Any:
@@ -61,21 +56,17 @@ def motion_of_aircraft(
     implicit: bool,
     axes: Collection[Axis] = LONGITUDINAL,
     prescribed: Collection[str] = ("p", "r"),
-) -> Motion:
+) -> AircraftMotion:
     """Forces, moments and the motion that follows.
 
     Forces of `axes` are those of the flow. Others are given: in the plane of symmetry as `force_x` and `force_z`; the
     lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0.
 
-    Args:
-        flow: coefficients and other quantities of the effects, as a function of alpha-dot in rad/s.
-        air: `alpha`, `airspeed` and `density` of the flow, and `thrust`; SI.
-        path: the motion over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`,
-            the direction of gravity in body axes; the angular accelerations of `prescribed` rates (else 0).
-        aircraft: with its corrected constants.
-        implicit: whether the flow depends on alpha-dot.
-        axes: axes whose coefficients the flow has.
-        prescribed: rates of `p`, `q`, `r` that are given, and `alpha`, if it is, with its rate `alpha_dot`.
+    `flow` gives the coefficients and other quantities of the effects as a function of alpha-dot in rad/s, on which they
+    depend where `implicit`. `air`: `alpha`, `airspeed` and `density` of the flow, and `thrust`; SI. `path`: the motion
+    over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`, the direction of
+    gravity in body axes; the angular accelerations of `prescribed` rates (else 0). `prescribed`: those of `p`, `q`, `r`
+    that are given, and `alpha`, if it is, with its rate `alpha_dot`.
     """
     nothing = jnp.zeros_like(air["alpha"])
     pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
@@ -94,25 +85,23 @@ def motion_of_aircraft(
             return fx, path["ay"] - lever_arm(spin, aircraft.accelerometer)[1], fz  # q-dot does not enter it
         return fx, side_force(path, fx, fz) if "beta_dot" in path else nothing, fz
 
-    def rates_of(force: tuple[Any, Any, Any]) -> dict[str, Any]:
-        return motion_in_plane(path, force, down)
-
     if "alpha" in prescribed:
         rate = path["alpha_dot"]
     elif implicit:
-        rate = alpha_dot(lambda rate: rates_of(forces(flow(rate)))["alpha"])
+        rate = alpha_dot(lambda rate: motion_in_plane(path, forces(flow(rate)), down)["alpha"])
     else:
         rate = None
     known = flow(nothing if rate is None else rate)
     force = forces(known)
-    rates = rates_of(force) | {"beta": sideslip_rate(path, force, down)} | ({} if rate is None else {"alpha": rate})
+    rates = motion_in_plane(path, force, down) | {"beta": sideslip_rate(path, force, down)}
+    rates |= {} if rate is None else {"alpha": rate}
     given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
     acting = moments(known, force, air, aircraft)
     rotation = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
-    return Motion(known, force, rates, rotation)
+    return AircraftMotion(known, force, rates, rotation)
 
 
-def accelerometers(now: Motion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
+def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
     """Specific force at the accelerometers, m/s2; `path` has the rates p, q, r."""
     p_dot, q_dot, r_dot = now.rotation
     arm = lever_arm(Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot), aircraft.accelerometer)
@@ -120,13 +109,11 @@ def accelerometers(now: Motion, path: Mapping[str, Any], aircraft: Aircraft) -> 
 
 
 def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
-    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point.
-
-    Usually the right side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases (a
-    negative `CLadot` or hysteresis time) the root is beyond, and for a larger slope the motion is not unique: the
-    result is then NaN. Newton steps that leave the bracket are replaced by bisection. A fixed-point iteration would not
-    converge (gain 0.9 to 2.7). Derivatives are those of the implicit function.
-    """
+    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point. Usually the right
+    side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases (a negative `CLadot`
+    or hysteresis time) the root is beyond, and for a larger slope the motion is not unique: the result is then NaN.
+    Newton steps that leave the bracket are replaced by bisection. A fixed-point iteration would not converge (gain 0.9
+    to 2.7). Derivatives are those of the implicit function."""
 
     def bracketed(excess, first):
         def not_converged(state):

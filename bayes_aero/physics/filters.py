@@ -11,25 +11,16 @@ from jaxtyping import Float, Int
 
 from bayes_aero.arrays import AnyArray, namespace
 
+Series = Float[AnyArray, " n"]
+Index = Int[AnyArray, " n"]
 SPENCER = np.array([-3, -6, -5, 3, 21, 46, 67, 74, 67, 46, 21, 3, -5, -6, -3]) / 320.0
 SHORT_SMOOTHER = np.array([7, 24, 34, 24, 7]) / 96.0
-EIGHTH_ORDER = np.array(
-    [
-        0.88888888887637,
-        -0.31111111109862,
-        0.11313131312500,
-        -0.03535353535135,
-        0.00870240870185,
-        -0.00155400155390,
-        0.00017760017759,
-        -0.00000971250971,
-    ]
-)
+EIGHTH_ORDER = np.array([
+    0.88888888887637, -0.31111111109862, 0.11313131312500, -0.03535353535135, 0.00870240870185, -0.00155400155390,
+    0.00017760017759, -0.00000971250971,
+])  # fmt: skip
 FOURTH_ORDER = np.array([2.0 / 3.0, -1.0 / 12.0])
-FILTER_STEP = (
-    5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample, so one sample in 5 keeps all
-)
-
+FILTER_STEP = 5  # samples; Spencer's filter passes half the power at 0.095 cycles a sample: one in 5 keeps all
 LONG = 3
 LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: smoothed, smoothed long, differentiated
 
@@ -39,65 +30,44 @@ _DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
 SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, SPENCER) ** 2)))
 
 
-def smooth(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
-    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are.
+def smooth(x: Series) -> Series:
+    """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are. It
+    passes cubics unchanged. `x` has any unit; n >= 20."""
+    x = namespace(x).asarray(x)
+    return smooth_joined(x, *_ends(x))
 
-    It passes cubics unchanged. `x` has any unit; n >= 20.
-    """
-    xp = namespace(x)
-    x = xp.asarray(x)
-    n = x.shape[0]
-    inner = xp.convolve(x, xp.asarray(SPENCER), mode="valid")  # samples 7 .. n-8
-    short = xp.convolve(x, xp.asarray(SHORT_SMOOTHER), mode="valid")  # sample i at short[i-2]
-    return xp.concatenate([x[:3], short[1:5], inner, short[n - 9 : n - 5], x[n - 3 :]])
+
+def _ends(x: Series) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """First and last sample of the one manoeuvre that there is."""
+    return np.zeros(x.shape[0], int), np.full(x.shape[0], x.shape[0] - 1)
 
 
 def _central(x: Float[AnyArray, "*r n"], weights: np.ndarray) -> Float[AnyArray, "*r m"]:
     """Antisymmetric central difference per sample at the n - 2 len(weights) samples that have all neighbours."""
     half, n = len(weights), x.shape[-1]
-    lags = range(1, half + 1)
-    return sum(
-        (
-            w * (x[..., half + k : n - half + k] - x[..., half - k : n - half - k])
-            for k, w in zip(lags, weights, strict=True)
-        ),
-        start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)),
-    )
+    lags = enumerate(weights, 1)
+    terms = (w * (x[..., half + k : n - half + k] - x[..., half - k : n - half - k]) for k, w in lags)
+    return sum(terms, start=namespace(x).zeros((*x.shape[:-1], n - 2 * half)))
 
 
-def differentiate(
-    x: Float[AnyArray, " n"], dt: float | Float[AnyArray, ""] | Float[AnyArray, " n"]
-) -> Float[AnyArray, " n"]:
-    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond.
-
-    `x` in any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two.
-    """
-    xp = namespace(x)
-    x = xp.asarray(x)
-    inner = _central(x, EIGHTH_ORDER)  # samples 8 .. n-9
-    near = _central(x, FOURTH_ORDER)  # samples 2 .. n-3
-    n = near.shape[0]
-    body = xp.concatenate([near[:6], inner, near[n - 6 :]])
-    return xp.concatenate([body[:1], body[:1], body, body[-1:], body[-1:]]) / dt
+def differentiate(x: Series, dt: float | Float[AnyArray, ""] | Series) -> Series:
+    """Time derivative: 8th-order central difference, 4th-order in samples 3 to 8 from an end, constant beyond. `x` in
+    any unit, `dt` in seconds; result in that unit per second. Exact for quartics away from the outer two."""
+    x = namespace(x).asarray(x)
+    return differentiate_joined(x, dt, *_ends(x))
 
 
-def smooth_joined(
-    x: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
-) -> Float[AnyArray, " n"]:
-    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to.
-
-    One program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled.
-    """
+def smooth_joined(x: Series, first: Index, last: Index) -> Series:
+    """`smooth` of manoeuvres laid end to end; `first` and `last` are the ends of the one that a sample belongs to. One
+    program for any number of manoeuvres of any lengths: cut into pieces, every new length would be compiled."""
     xp, inside = namespace(x), inside_joined(x.shape[0], first, last)
     wide, short = (xp.convolve(x, xp.asarray(kernel), mode="same") for kernel in (SPENCER, SHORT_SMOOTHER))
     return xp.where(inside >= 7, wide, xp.where(inside >= 3, short, x))
 
 
-def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
-    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band.
-
-    Wrong near the ends.
-    """
+def smooth_long(x: Series) -> Series:
+    """The Spencer filter over every `LONG`-th sample of a smoothed signal: it passes cubics, and a third of the band;
+    wrong near the ends."""
     kernel = np.zeros(LONG * (len(SPENCER) - 1) + 1)
     kernel[::LONG] = SPENCER
     xp = namespace(x)
@@ -105,10 +75,9 @@ def smooth_long(x: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
 
 
 def differentiate_joined(
-    x: Float[AnyArray, "*r n"], dt: Float[AnyArray, " n"], first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]
+    x: Float[AnyArray, "*r n"], dt: float | Float[AnyArray, ""] | Series, first: Index, last: Index
 ) -> Float[AnyArray, "*r n"]:
-    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records of
-    them."""
+    """`differentiate` of manoeuvres laid end to end, each at least 20 samples long; rows are different records."""
     xp, n = namespace(x, dt), x.shape[-1]
     rows = [(0, 0)] * (x.ndim - 1)
     inner, near = (_central(xp.pad(x, [*rows, (len(w), len(w))]), w) for w in (EIGHTH_ORDER, FOURTH_ORDER))
@@ -116,7 +85,7 @@ def differentiate_joined(
     return slope[..., xp.clip(xp.arange(n), first + 2, last - 2)] / dt
 
 
-def inside_joined(n: int, first: Int[AnyArray, " n"], last: Int[AnyArray, " n"]) -> Int[AnyArray, " n"]:
+def inside_joined(n: int, first: Index, last: Index) -> Index:
     """Number of samples to the nearer end of the manoeuvre."""
     xp = namespace(first, last)
     place = xp.arange(n)
@@ -124,10 +93,8 @@ def inside_joined(n: int, first: Int[AnyArray, " n"], last: Int[AnyArray, " n"])
 
 
 def recurrence(keep: Float[AnyArray, "n ..."], drive: Float[AnyArray, "n ..."]) -> Float[AnyArray, "n ..."]:
-    """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero.
-
-    A plain scan: the associative one runs no faster at some thousand samples and takes many times longer to compile.
-    """
+    """x[k] = keep[k] x[k-1] + drive[k] along the first axis, x before the first sample being zero. A plain scan: the
+    associative one runs no faster at some thousand samples and takes many times longer to compile."""
 
     import jax
     import jax.numpy as jnp
@@ -141,17 +108,9 @@ def _kept_and_driven(x, row):
     return x, x
 
 
-def advance(
-    x: Float[AnyArray, " n"],
-    seconds: Float[AnyArray, ""],
-    dt: Float[AnyArray, " n"],
-    first: Int[AnyArray, " n"],
-    last: Int[AnyArray, " n"],
-) -> Float[AnyArray, " n"]:
+def advance(x: Series, seconds: Float[AnyArray, ""], dt: Series, first: Index, last: Index) -> Series:
     """x(t + seconds), by cubic convolution between samples, constant beyond the manoeuvre's `first` and `last` sample.
-
-    Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2.
-    """
+    Third-order accurate and differentiable in `seconds`; source: Keys, IEEE Trans. ASSP 29 (1981) 1153, a = -1/2."""
     xp = namespace(x, seconds, dt)
     place = xp.arange(x.shape[0]) + seconds / dt
     base = xp.floor(place).astype(int)  # a whole number has no derivative

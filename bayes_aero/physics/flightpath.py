@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.flight.aircraft import Aircraft, Position
-from bayes_aero.physics.atmosphere import GRAVITY
+from bayes_aero.flight.atmosphere import GRAVITY
 
 PATH = ("airspeed", "alpha", "theta", "altitude")
 LATERAL = ("beta", "phi")  # flight-path outputs of records whose lateral motion was flown and recorded
@@ -24,18 +24,13 @@ PATH_NEEDS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", 
 FLOW_ANGLES = ("alpha", "beta")
 ANGLES = (*FLOW_ANGLES, "theta", "phi")
 
-Axes = tuple[Samples, Samples, Samples]
-"""Along body x, y and z."""
+Axes = tuple[Samples, Samples, Samples]  # along body x, y and z
+Sines = tuple[Samples, ...]  # sine and cosine of each of `ANGLES`
 
 
-def path_rates(
-    s: Mapping[str, Samples], aircraft: Aircraft, sines: tuple[Samples, ...] | None = None
-) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha, theta, beta, phi (rad/s) and altitude (m/s) from signals in SI.
-
-    `s` holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor.
-    `sines`: sine and cosine of each of `ANGLES`, where they are known.
-    """
+def path_rates(s: Mapping[str, Samples], aircraft: Aircraft, sines: Sines | None = None) -> dict[str, Samples]:
+    """Time derivatives of airspeed (m/s2), alpha, theta, beta, phi (rad/s) and altitude (m/s) from signals in SI. `s`
+    holds `PATH_NEEDS` and the angular accelerations `p_dot`, `q_dot`, `r_dot`; accelerations at the sensor."""
     rotation = Rotation(s["p"], s["q"], s["r"], s["p_dot"], s["q_dot"], s["r_dot"])
     x, y, z = lever_arm(rotation, aircraft.accelerometer)
     force = (s["ax"] - x, s["ay"] - y, s["az"] - z)
@@ -43,29 +38,25 @@ def path_rates(
     return motion_of_path(s, force, sines) | lateral_motion(s, force, sines)
 
 
-def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> tuple[Samples, ...]:
+def _sines(s: Mapping[str, Samples], angles: Sequence[str] = ANGLES) -> Sines:
     """Sine and cosine of each of `angles`."""
     return tuple(f(s[name]) for name in angles for f in (xp.sin, xp.cos))
 
 
-def _down(sines: tuple[Samples, ...]) -> Axes:
+def _down(sines: Sines) -> Axes:
     """The direction of gravity in body axes."""
     sin_t, cos_t, sin_p, cos_p = sines[4:]
     return -sin_t, cos_t * sin_p, cos_t * cos_p
 
 
-def motion_of_path(
-    s: Mapping[str, Samples], force: Axes, sines: tuple[Samples, ...] | None = None
-) -> dict[str, Samples]:
+def motion_of_path(s: Mapping[str, Samples], force: Axes, sines: Sines | None = None) -> dict[str, Samples]:
     """As `path_rates`, from the specific force at the centre of gravity (body axes, m/s2), without beta and phi."""
     sines = _sines(s) if sines is None else sines
     sin_p, cos_p = sines[6:]
     return motion_in_plane(s, force, _down(sines), sines) | {"theta": s["q"] * cos_p - s["r"] * sin_p}
 
 
-def lateral_motion(
-    s: Mapping[str, Samples], force: Axes, sines: tuple[Samples, ...] | None = None
-) -> dict[str, Samples]:
+def lateral_motion(s: Mapping[str, Samples], force: Axes, sines: Sines | None = None) -> dict[str, Samples]:
     """Time derivatives of sideslip and bank (rad/s) from the specific force at the centre of gravity (m/s2)."""
     sines = _sines(s) if sines is None else sines
     sin_t, cos_t, sin_p, cos_p = sines[4:]
@@ -76,12 +67,10 @@ def lateral_motion(
 
 
 def motion_in_plane(
-    s: Mapping[str, Samples], force: Axes, down: Axes, sines: tuple[Samples, ...] | None = None
+    s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None
 ) -> dict[str, Samples]:
-    """Time derivatives of airspeed (m/s2), alpha (rad/s) and altitude (m/s).
-
-    `force`: specific force at the centre of gravity, m/s2; `down`: the direction of gravity; both in body axes.
-    """
+    """Time derivatives of airspeed (m/s2), alpha (rad/s) and altitude (m/s). `force`: specific force at the centre of
+    gravity, m/s2; `down`: the direction of gravity; both in body axes."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
     ax, ay, az = _accelerations(force, down)
     V = s["airspeed"]
@@ -92,9 +81,7 @@ def motion_in_plane(
     }
 
 
-def sideslip_rate(
-    s: Mapping[str, Samples], force: Axes, down: Axes, sines: tuple[Samples, ...] | None = None
-) -> Samples:
+def sideslip_rate(s: Mapping[str, Samples], force: Axes, down: Axes, sines: Sines | None = None) -> Samples:
     """Time derivative of sideslip, rad/s; arguments as those of `motion_in_plane`."""
     sin_a, cos_a, sin_b, cos_b = (_sines(s, FLOW_ANGLES) if sines is None else sines)[:4]
     ax, ay, az = _accelerations(force, down)
@@ -108,11 +95,9 @@ def _accelerations(force: Axes, down: Axes) -> Axes:
 
 
 def path_outputs(channels: Mapping[str, Samples]) -> tuple[str, ...]:
-    """Flight-path outputs that (n,) channels allow: what was recorded of `PATH`, and of `LATERAL` what moves.
-
-    None without `PATH_CORE`. Sideslip that a card states as constant, or bank of wings that stayed level, is no
-    measurement; nor is bank without both of the rates that move it.
-    """
+    """Flight-path outputs that (n,) channels allow: what was recorded of `PATH`, and of `LATERAL` what moves. None
+    without `PATH_CORE`. Sideslip that a card states as constant, or bank of wings that stayed level, is no measurement;
+    nor is bank without both of the rates that move it."""
     if not set(PATH_CORE) <= set(channels):
         return ()
     recorded = tuple(name for name in PATH if name in channels)
@@ -128,11 +113,9 @@ def as_symmetric(channels: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
 
 
 def side_force(s: Mapping[str, Samples], ax: Samples, az: Samples) -> Samples:
-    """Lateral specific force in m/s2 without which sideslip would not have moved as it did: `ay` from the vane.
-
-    From sideslip, its rate `beta_dot`, p and r: the lateral acceleration is v_dot + r u - p w with v = V sin(beta).
-    `ax` and `az` are the specific forces beside it, at the centre of gravity; in sideslip they are not all that slows.
-    """
+    """Lateral specific force in m/s2 without which sideslip would not have moved as it did: `ay` from the vane. From
+    sideslip, its rate `beta_dot`, p and r: the lateral acceleration is v_dot + r u - p w with v = V sin(beta). `ax` and
+    `az` are the specific forces beside it, at the centre of gravity; in sideslip they are not all that slows."""
     sin_a, cos_a, sin_b, cos_b, sin_t, cos_t, sin_p, cos_p = _sines(s)
     in_plane = (ax - GRAVITY * sin_t) * cos_a + (az + GRAVITY * cos_t * cos_p) * sin_a
     turning = s["airspeed"] * (s["beta_dot"] + s["r"] * cos_a - s["p"] * sin_a)
@@ -166,12 +149,10 @@ class Rotation(NamedTuple):
     r_dot: Samples
 
 
-def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> tuple[Samples, Samples, Samples]:
-    """Moments about body x, y and z (N m) of a rotation: I omega_dot + omega x (I omega).
-
-    Full inertia tensor; Ixy, Ixz, Iyz are the integrals of the products (a nose-down principal axis has Ixz > 0).
-    Source: Etkin and Reid, *Dynamics of Flight*, 3rd ed. 1996, eq. 4.3,5.
-    """
+def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> Axes:
+    """Moments about body x, y and z (N m) of a rotation: I omega_dot + omega x (I omega). Full inertia tensor; Ixy,
+    Ixz, Iyz are the integrals of the products (a nose-down principal axis has Ixz > 0). Source: Etkin and Reid,
+    *Dynamics of Flight*, 3rd ed. 1996, eq. 4.3,5."""
     p, q, r, p_dot, q_dot, r_dot = rotation
     a = aircraft
     hx = a.Ix * p - a.Ixy * q - a.Ixz * r
@@ -183,17 +164,10 @@ def inertial_moments(rotation: Rotation, aircraft: Aircraft) -> tuple[Samples, S
     return L, M, N
 
 
-def angular_accelerations(
-    moments: tuple[Samples, Samples, Samples],
-    rates: tuple[Samples, Samples, Samples],
-    aircraft: Aircraft,
-    given: Mapping[str, Samples],
-) -> tuple[Samples, Samples, Samples]:
+def angular_accelerations(moments: Axes, rates: Axes, aircraft: Aircraft, given: Mapping[str, Samples]) -> Axes:
     """p_dot, q_dot, r_dot (rad/s2) from moments about the CG (N m): Euler's equations, `inertial_moments` solved.
-
     `rates` are p, q, r in rad/s. `given` has the accelerations `p_dot`, `q_dot`, `r_dot` of axes whose rate is
-    prescribed; the moment about such an axis is then not used.
-    """
+    prescribed; the moment about such an axis is then not used."""
     a, nothing = aircraft, xp.zeros_like(rates[0])
     turning = inertial_moments(Rotation(*rates, nothing, nothing, nothing), a)
     rows = [(a.Ix, -a.Ixy, -a.Ixz), (-a.Ixy, a.Iy, -a.Iyz), (-a.Ixz, -a.Iyz, a.Iz)]
@@ -213,13 +187,9 @@ def _cross(a: tuple[Any, Any, Any], b: tuple[Any, Any, Any]) -> tuple[Any, Any, 
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def euler_rates(
-    rates: tuple[Samples, Samples, Samples], phi: Samples, theta: Samples
-) -> tuple[Samples, Samples, Samples]:
-    """Time derivatives of phi, theta, psi (rad/s) from p, q, r (rad/s); singular at 90 degrees of pitch.
-
-    Source: Etkin and Reid, *Dynamics of Flight*, 3rd ed. 1996, eq. 4.4,7.
-    """
+def euler_rates(rates: Axes, phi: Samples, theta: Samples) -> Axes:
+    """Time derivatives of phi, theta, psi (rad/s) from p, q, r (rad/s); singular at 90 degrees of pitch. Source: Etkin
+    and Reid, *Dynamics of Flight*, 3rd ed. 1996, eq. 4.4,7."""
     p, q, r = rates
     sin, cos = xp.sin(phi), xp.cos(phi)
     psi_dot = (q * sin + r * cos) / xp.cos(theta)
@@ -227,10 +197,8 @@ def euler_rates(
 
 
 class Attitude(NamedTuple):
-    """A quaternion from earth to body axes, of any length, with scalar part e0; without a singularity.
-
-    Source: Stevens, Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016, ch. 1.8.
-    """
+    """A quaternion from earth to body axes, of any length, with scalar part e0; without a singularity. Source: Stevens,
+    Lewis, Johnson, *Aircraft Control and Simulation*, 3rd ed. 2016, ch. 1.8."""
 
     e0: Samples
     e1: Samples
@@ -242,14 +210,10 @@ class Attitude(NamedTuple):
         """From bank, pitch and heading, rad."""
         sx, sy, sz = (xp.sin(0.5 * x) for x in (phi, theta, psi))
         cx, cy, cz = (xp.cos(0.5 * x) for x in (phi, theta, psi))
-        return cls(
-            cx * cy * cz + sx * sy * sz,
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-        )
+        first, second = cx * cy * cz + sx * sy * sz, sx * cy * cz - cx * sy * sz
+        return cls(first, second, cx * sy * cz + sx * cy * sz, cx * cy * sz - sx * sy * cz)
 
-    def turned(self, rates: tuple[Samples, Samples, Samples]) -> Attitude:
+    def turned(self, rates: Axes) -> Attitude:
         """Its time derivative, 1/s, at body rates p, q, r in rad/s."""
         e0, e1, e2, e3 = self
         p, q, r = rates
@@ -261,7 +225,7 @@ class Attitude(NamedTuple):
         )
 
     @property
-    def down(self) -> tuple[Samples, Samples, Samples]:
+    def down(self) -> Axes:
         """The direction of gravity in body axes."""
         e0, e1, e2, e3 = self
         size = e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3
@@ -269,7 +233,7 @@ class Attitude(NamedTuple):
         return x, y, (e0 * e0 - e1 * e1 - e2 * e2 + e3 * e3) / size
 
     @property
-    def angles(self) -> tuple[Samples, Samples, Samples]:
+    def angles(self) -> Axes:
         """phi, theta, psi in rad: bank and heading to half a turn either way, pitch to a quarter."""
         e0, e1, e2, e3 = self
         x, y, z = self.down
@@ -277,16 +241,14 @@ class Attitude(NamedTuple):
         return xp.arctan2(y, z), xp.arctan2(-x, xp.hypot(y, z)), xp.arctan2(east, north)
 
 
-def down_of(phi: Samples, theta: Samples) -> tuple[Samples, Samples, Samples]:
+def down_of(phi: Samples, theta: Samples) -> Axes:
     """The direction of gravity in body axes at this bank and pitch, rad."""
     return -xp.sin(theta), xp.cos(theta) * xp.sin(phi), xp.cos(theta) * xp.cos(phi)
 
 
-def lever_arm(rotation: Rotation, position: Position) -> tuple[Samples, Samples, Samples]:
-    """Acceleration (m/s2) at `position` (m, from the CG) relative to the CG: omega_dot x r + omega x (omega x r).
-
-    Full rigid-body expression, lateral terms too; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10.
-    """
+def lever_arm(rotation: Rotation, position: Position) -> Axes:
+    """Acceleration (m/s2) at `position` (m, from the CG) relative to the CG: omega_dot x r + omega x (omega x r). Full
+    rigid-body expression, lateral terms too; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10."""
     p, q, r, p_dot, q_dot, r_dot = rotation
     x, y, z = position
     ax = -x * (q * q + r * r) + y * (p * q - r_dot) + z * (p * r + q_dot)

@@ -20,28 +20,20 @@ KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; de
 ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot
 RIDGE = 1e-6  # of the mean square of a column
 
-Operator = Callable[[Float[Array, " n"]], Float[Array, " n"]]
+Series = Float[Array, " n"]
+Index = Int[Array, " n"]
+Operator = Callable[[Series], Series]
 
 
 class LiftRegression(NamedTuple):
-    """Regression of the part of alpha-dot due to specific force on the variables on which lift depends.
+    """Regression of the part of alpha-dot due to specific force on the variables on which lift depends."""
 
-    `share` (c,): coefficients of the regressors (see `_causes`); `knots` (j,), rad; `before` (n,): the part of
-    alpha-dot due to specific force, rad/s, with which the hysteresis was computed.
-    """
-
-    share: Float[Array, " c"]
-    knots: Float[Array, " j"]
-    before: Float[Array, " n"]
+    share: Float[Array, " c"]  # coefficients of the regressors (see `_causes`)
+    knots: Float[Array, " j"]  # rad
+    before: Series  # part of alpha-dot due to specific force, rad/s, of which the hysteresis was computed
 
 
-def alpha_rate(
-    s: Mapping[str, Array],
-    regression: LiftRegression,
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
-) -> Float[Array, " n"]:
+def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
     """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
 
     The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
@@ -51,11 +43,8 @@ def alpha_rate(
     variables on which lift depends (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the
     prediction is used: two-stage least squares. Near the ends of a manoeuvre only the smoothed vane is used.
 
-    Args:
-        s: channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2.
-        regression: `lift_regression` of the uncorrected record; it is not changed by corrections of `s`.
-        dt: sampling interval, s.
-        first, last: the ends of each sample's manoeuvre.
+    `s` are the channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2; `first` and `last` the ends of each
+    sample's manoeuvre. `regression` is that of the uncorrected record; it is not changed by corrections of `s`.
 
     Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); two-stage least squares:
     Wooldridge, *Econometric Analysis of Cross Section and Panel Data*, 2010, ch. 5.
@@ -66,20 +55,17 @@ def alpha_rate(
 
 
 def lift_regression(
-    s: Mapping[str, Array],
-    accelerometer: tuple[Any, Any, Any],
-    dt: Float[Array, " n"],
-    first: Int[Array, " n"],
-    last: Int[Array, " n"],
+    s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> LiftRegression:
     """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
-
-    `accelerometer` is its position from the CG, m.
-    """
+    `accelerometer` is its position from the CG, m."""
     smooth, fast, base = _parts(s, dt, first, last)
     names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
     smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))
-    known = smooth(_from_force(s, accelerometer))
+    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
+    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
+    at_cg = (s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])
+    known = smooth(at_cg / s["airspeed"])  # the part of alpha-dot due to specific force at the CG
     response = fast(known, known)
     knots = jnp.quantile(smoothed["alpha"], jnp.asarray(KNOTS))
     before = part = jnp.zeros_like(base)
@@ -97,8 +83,8 @@ def lift_regression(
 
 
 def _parts(
-    s: Mapping[str, Array], dt: Float[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"]
-) -> tuple[Operator, Callable[[Array, Array], Array], Float[Array, " n"]]:
+    s: Mapping[str, Array], dt: Series, first: Index, last: Index
+) -> tuple[Operator, Callable[[Array, Array], Array], Series]:
     """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
 
     def smooth(x):
@@ -117,14 +103,7 @@ def _parts(
     return smooth, fast, jnp.where(inside, long, alone) + fast(turning, smooth(turning))
 
 
-def _from_force(s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any]) -> Float[Array, " n"]:
-    """Part of alpha-dot due to specific force at the CG, rad/s."""
-    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
-    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
-    return ((s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])) / s["airspeed"]
-
-
-def _causes(s: Mapping[str, Array], rate: Float[Array, " n"], knots: Float[Array, " j"]) -> Float[Array, "c n"]:
+def _causes(s: Mapping[str, Array], rate: Series, knots: Float[Array, " j"]) -> Float[Array, "c n"]:
     """Regressors of lift over mass and airspeed, as rows."""
     weight = s["density"] * s["airspeed"]
     pieces = jnp.maximum(s["alpha"] - knots[:, None], 0.0)

@@ -16,15 +16,13 @@ USUAL_SPEED = 100.0  # m/s, where the card names no reference speed; only keeps 
 def reduced(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:
     """A rate (rad/s, or a multiple of one) times length over speed (m, m/s)."""
     length = aircraft.chord if aircraft.rate_length is None else aircraft.rate_length
-    speed = airspeed if aircraft.reference_speed is None else aircraft.reference_speed
-    return rate * length / speed
+    return rate * length / (airspeed if aircraft.reference_speed is None else aircraft.reference_speed)
 
 
 def reduced_lateral(rate: Samples, airspeed: Samples, aircraft: Aircraft) -> Samples:
     """A roll or yaw rate (rad/s) times length over speed (m, m/s); b/2V unless the card says otherwise."""
     length = aircraft.half_span if aircraft.lateral_rate_length is None else aircraft.lateral_rate_length
-    speed = airspeed if aircraft.reference_speed is None else aircraft.reference_speed
-    return rate * length / speed
+    return rate * length / (airspeed if aircraft.reference_speed is None else aircraft.reference_speed)
 
 
 def speed_ratio(airspeed: Samples, aircraft: Aircraft) -> Samples:

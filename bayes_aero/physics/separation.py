@@ -17,10 +17,8 @@ Scalar = Float[AnyArray, ""]
 
 
 def separation_point(a1: Scalar, alpha: Samples, alpha_star: Scalar) -> Samples:
-    """Static X = (1 - tanh(a1 (alpha - alpha_star)))/2, with alpha in rad and a1 in 1/rad.
-
-    Written as a logistic so that X and its root keep finite derivatives when the flow is fully separated.
-    """
+    """Static X = (1 - tanh(a1 (alpha - alpha_star)))/2, with alpha in rad and a1 in 1/rad. Written as a logistic so
+    that X and its root keep finite derivatives when the flow is fully separated."""
     import jax
 
     return jax.nn.sigmoid(-2.0 * a1 * (alpha - alpha_star))
@@ -45,11 +43,9 @@ def kept_lift(X: Samples, difference: Samples) -> Samples:
 def lagged(
     X_static: Float[AnyArray, " n"], tau: Float[AnyArray, " n"], dt: Float[AnyArray, " n"], start: Bool[AnyArray, " n"]
 ):
-    """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true.
-
-    `tau` and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant
-    over a step; tau = 0 gives X_static exactly, with the correct derivative there: dX/dtau = -dX_static/dt.
-    """
+    """Solve tau dX/dt + X = X_static over manoeuvres laid end to end; the state restarts where `start` is true. `tau`
+    and `dt` (time since the previous sample) in s. Exact for an input linear between samples and tau constant over a
+    step; tau = 0 gives X_static exactly, with the correct derivative there: dX/dtau = -dX_static/dt."""
     import jax.numpy as jnp
 
     ratio = tau / dt
@@ -70,11 +66,9 @@ CENTROID = 4.0 / (3.0 * math.pi)  # of half an elliptic lift distribution, share
 
 
 def moments_of_difference(CL: Samples, CD: Samples, alpha: Samples, aircraft: Aircraft) -> dict[str, Samples]:
-    """Cl and Cn of differences of lift and drag, right less left wing.
-
-    `CL` and `CD` are coefficients of a wing with both halves like the right one, less those with both halves like the
-    left one. The force of a half acts at `CENTROID`. Moments are about body axes.
-    """
+    """Cl and Cn of differences of lift and drag, right less left wing. `CL` and `CD` are coefficients of a wing with
+    both halves like the right one, less those with both halves like the left one. The force of a half acts at
+    `CENTROID`. Moments are about body axes."""
     CX = CL * xp.sin(alpha) - CD * xp.cos(alpha)
     CZ = -CL * xp.cos(alpha) - CD * xp.sin(alpha)
     arm = 0.5 * CENTROID * aircraft.half_span / aircraft.moment_length

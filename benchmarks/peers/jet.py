@@ -174,8 +174,8 @@ def prepare_jet(folder: Path) -> None:
     """Simulate the record, fit it and put it into `folder`."""
     import jax.numpy as jnp
 
+    from bayes_aero.flight.atmosphere import GRAVITY
     from bayes_aero.inference.likelihood.output_error import trajectories
-    from bayes_aero.physics.atmosphere import GRAVITY
 
     flown, aircraft = flown_jet()
     fit = our_fit(flown)

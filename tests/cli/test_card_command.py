@@ -16,10 +16,10 @@ from stranger import fly, plane
 from stranger_records import write
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.atmosphere import standard_air
 from bayes_aero.flight.card.card import parse_card, read_card, shipped_cards
 from bayes_aero.flight.channel import ALIASES, Channel
 from bayes_aero.flight.health import channel_health
-from bayes_aero.flight.health.finding import standard_air
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs.card_template import starter_card

@@ -11,8 +11,8 @@ from bayes_aero.dynamics.simulated.manoeuvres import ramps
 from bayes_aero.dynamics.simulated.simulate import Pilot, fly
 from bayes_aero.dynamics.simulated.trim import INPUTS, FlightState, Plant, conditions
 from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.physics.flightpath import Rotation, lever_arm

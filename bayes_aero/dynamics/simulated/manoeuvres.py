@@ -29,8 +29,8 @@ from bayes_aero.dynamics.simulated.trim import (
 )
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import DEFAULT_RANGES, Aircraft, Envelope, excursion
+from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY, air
 
 SECONDS = 60.0  # s, of every manoeuvre, so that one compiled function serves all
 RUN_IN = 5.0  # s of simulation before the record starts

@@ -29,8 +29,8 @@ from bayes_aero.dynamics.simulated.trim import (
 from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
 from bayes_aero.effect import Stage
 from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
-from bayes_aero.physics.atmosphere import GRAVITY, air
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.units import number
 

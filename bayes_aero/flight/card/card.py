@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft, Envelope
-from bayes_aero.flight.card.lookup import Lookup, parse_tables
+from bayes_aero.flight.card.lookup import LookupTable, parse_tables
 from bayes_aero.flight.card.tables import (
     ONE,
     FlyCard,
@@ -34,12 +35,12 @@ from bayes_aero.flight.card.toml_tables import (
     read_table,
     refuse_unfilled,
     section,
+    strings,
 )
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis, Channel
 from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.flight.record import TOLERANCES, Tolerance
 from bayes_aero.parameter import Prior
-from bayes_aero.units import si_unit
 
 SECTIONS = (
     "title", "source", "aircraft", "channels", "sums", "constants", "derived", "tables", "sensors", "model", "linear",
@@ -49,7 +50,7 @@ PARAMETER_KEYS = ("start", "bounds", "prior")
 
 
 @dataclass(frozen=True)
-class ParameterChange:
+class CardParameter:
     """What a card says of a parameter; None leaves the effect's own value."""
 
     start: float | None = None
@@ -76,11 +77,11 @@ class Card:
     effect_files: tuple[Path, ...]  # Python files with effects of the user's own
     fixed: Mapping[str, float]
     axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
-    changes: Mapping[str, ParameterChange] = field(default_factory=dict)
+    changes: Mapping[str, CardParameter] = field(default_factory=dict)
     gp_inputs: tuple[str, ...] = ("alpha", "elevator", "q", "airspeed")
     constants: Mapping[str, float] = field(default_factory=dict)  # channels that a file may lack, SI
     derived: Mapping[str, str] = field(default_factory=dict)  # channels that a file may lack, and the rule of each
-    tables: Mapping[str, Lookup] = field(default_factory=dict)  # channels that a file may lack, read off tables
+    tables: Mapping[str, LookupTable] = field(default_factory=dict)  # channels that a file may lack, read off tables
     linear: LinearCard | None = None
     tolerances: Mapping[str, Tolerance] = field(default_factory=lambda: dict(TOLERANCES))
     output_biases: Mapping[str, Prior] = field(default_factory=dict)  # of each manoeuvre's own, in fits of trajectories
@@ -133,82 +134,78 @@ def parse_card(table: Mapping[str, Any], name: str, where: str, sha256: str = ""
             raise InputError(f"card {where}: section [{key}] is missing; see models/attas.toml for one")
     if "linear" in table and "model" in table:
         raise InputError(f"card {where}: it has both [model] and [linear]; keep one of them")
-    channels = tuple(parse_channel(key, value, where) for key, value in table["channels"].items())
-    constants = parse_constants(section(table, "constants", where), channels, where)
-    derived = parse_derived(section(table, "derived", where), channels, constants, where)
-    tables = parse_tables(section(table, "tables", where), channels, {**constants, **derived}, where)
-    sums = parse_sums(section(table, "sums", where), channels, constants, (*derived, *tables), where)
-    for formed in (*derived, *tables):
-        if formed in sums:
-            raise InputError(f"card {where}: {formed} is in [sums] and in [derived] or [tables]; keep one of them")
+    part = partial(section, table, where=where)
+    formed = _channels(part, where)
     linear = None
     if "linear" in table:
-        names = {channel.name for channel in channels} | {*constants, *sums, *derived, *tables}
+        names = (c.name for c in formed["channels"])
+        names = {*names, *(n for key in ("constants", "sums", "derived", "tables") for n in formed[key])}
         linear = parse_linear(table["linear"], names, where)
-    model = {} if linear else table["model"]
-    effects = () if linear else _effects(model, where)
-    axes = _axes(model, where)
-    aircraft = parse_aircraft(section(table, "aircraft", where), where) if "aircraft" in table else NO_AIRCRAFT
+    model, effects = {} if linear else table["model"], ()
+    if not linear:
+        known_keys(model, ("effects", "effect_files", "fixed", "axes"), where, "key of [model]")
+        effects = strings(model.get("effects"), f"card {where}: [model] effects must be a list of effect names")
+    if len(set(effects)) < len(effects):
+        raise InputError(f"card {where}: [model] effects names an effect twice")
+    given, known = model.get("axes", [Axis.LONGITUDINAL.value]), [axis.value for axis in Axis]
+    if not (isinstance(given, list) and given and all(x in known for x in given)):
+        raise InputError(f"card {where}: [model] axes must be a list of {' and '.join(known)}")
+    axes = tuple(axis for axis in Axis if axis in given)
+    aircraft = parse_aircraft(part("aircraft"), where) if "aircraft" in table else NO_AIRCRAFT
     if Axis.LATERAL in axes:
         refuse_no_body(aircraft, where)
-    changes = {key: _change(key, value, where) for key, value in section(table, "parameters", where).items()}
+    changes = {key: _parameter(key, value, where) for key, value in part("parameters").items()}
     if linear:
         known_keys(changes, linear.parameters, where, "parameter")
+    gp, said_gp = part("gp"), f"card {where}: [gp] inputs must be a list of signal names"
+    known_keys(gp, ("inputs",), where, "key of [gp]")
+    gp_inputs = strings(gp.get("inputs", ["alpha", "elevator", "q", "airspeed"]), said_gp)
+    bands, said = _of_outputs(part("tolerances"), "tolerances", "half the width of a band is positive", where)
+    deviations, source = _of_outputs(part("output_biases"), "output_biases", "a standard deviation is positive", where)
     return Card(
         name=name,
         title=str(table.get("title", name)),
         source=str(table.get("source", "not stated")),
         sha256=sha256,
         aircraft=aircraft,
-        channels=channels,
-        sums=sums,
-        sensors=_sensors(section(table, "sensors", where), where),
-        tolerances=_tolerances(section(table, "tolerances", where), where),
-        envelope=parse_envelope(section(table, "envelope", where), where),
-        output_biases=_output_biases(section(table, "output_biases", where), where),
-        segments=_segments(section(table, "segments", where), where),
+        sensors=_quantities(part("sensors"), "sensors", "a standard deviation cannot be negative", where),
+        tolerances={key: Tolerance(x, said) for key, x in bands.items()} if part("tolerances") else dict(TOLERANCES),
+        envelope=parse_envelope(part("envelope"), where),
+        output_biases={key: Prior("normal", 0.0, sd, source, by_card=True) for key, sd in deviations.items()},
+        segments=_segments(part("segments"), where),
         effects=effects,
         axes=axes,
         effect_files=_files(model.get("effect_files", []), where),
         fixed=numbers(model.get("fixed", {}), f"{where}: [model] fixed"),
         changes=changes,
-        gp_inputs=_gp_inputs(section(table, "gp", where), where),
-        constants=constants,
-        derived=derived,
-        tables=tables,
+        gp_inputs=gp_inputs,
         linear=linear,
-        fly=parse_fly(section(table, "fly", where), channels, where),
+        fly=parse_fly(part("fly"), formed["channels"], where),
+        **formed,
     )
 
 
-def _effects(model: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    known_keys(model, ("effects", "effect_files", "fixed", "axes"), where, "key of [model]")
-    effects = model.get("effects")
-    if not (isinstance(effects, list) and effects and all(isinstance(e, str) for e in effects)):
-        raise InputError(f"card {where}: [model] effects must be a list of effect names")
-    if len(set(effects)) < len(effects):
-        raise InputError(f"card {where}: [model] effects names an effect twice")
-    return tuple(effects)
-
-
-def _axes(model: Mapping[str, Any], where: str) -> tuple[Axis, ...]:
-    """Axes that the card models, in the order of `Axis`."""
-    given = model.get("axes", [Axis.LONGITUDINAL.value])
-    known = [axis.value for axis in Axis]
-    if not (isinstance(given, list) and given and all(x in known for x in given)):
-        raise InputError(f"card {where}: [model] axes must be a list of {' and '.join(known)}")
-    return tuple(axis for axis in Axis if axis in given)
+def _channels(part: Callable[[str], Mapping[str, Any]], where: str) -> dict[str, Any]:
+    """The sections that say where channels come from, by their fields of `Card`."""
+    channels = tuple(parse_channel(key, value, where) for key, value in part("channels").items())
+    constants = parse_constants(part("constants"), channels, where)
+    derived = parse_derived(part("derived"), channels, constants, where)
+    tables = parse_tables(part("tables"), channels, {**constants, **derived}, where)
+    sums = parse_sums(part("sums"), channels, constants, (*derived, *tables), where)
+    for name in (*derived, *tables):
+        if name in sums:
+            raise InputError(f"card {where}: {name} is in [sums] and in [derived] or [tables]; keep one of them")
+    return {"channels": channels, "constants": constants, "derived": derived, "tables": tables, "sums": sums}
 
 
 def _files(given: Any, where: str) -> tuple[Path, ...]:
     """Paths as the card gives them, relative to its own folder."""
-    if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
-        raise InputError(f"card {where}: [model] effect_files must be a list of paths of Python files")
-    for name in given:
+    names = strings(given, f"card {where}: [model] effect_files must be a list of paths of Python files", empty=True)
+    for name in names:
         if not name.isprintable() or not name.strip():
             raise InputError(f"card {where}: [model] effect_files has {name!r}, which is no path of a Python file")
     try:
-        return tuple((Path(where).parent / name).resolve() for name in given)
+        return tuple((Path(where).parent / name).resolve() for name in names)
     except OSError as error:
         raise InputError(f"card {where}: [model] effect_files cannot be found ({error}); correct the path") from None
 
@@ -216,9 +213,8 @@ def _files(given: Any, where: str) -> tuple[Path, ...]:
 def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]]:
     """[segments]: the manoeuvres that a file of this name holds, each as "FROM:TO" in seconds of its time."""
     for name, parts in table.items():
-        if not isinstance(parts, list) or not parts or not all(isinstance(part, str) for part in parts):
-            raise InputError(f'card {where}: [segments] {name} must be a list of parts, e.g. ["12.5:40", "61:85"]')
-        for part in parts:
+        said = f'card {where}: [segments] {name} must be a list of parts, e.g. ["12.5:40", "61:85"]'
+        for part in strings(parts, said):
             if segment_of(f"{name}@{part}").whole:
                 raise InputError(
                     f"card {where}: [segments] {name} has {part!r}; write FROM:TO in seconds of the file's time, e.g. "
@@ -227,40 +223,22 @@ def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]
     return {name: tuple(parts) for name, parts in table.items()}
 
 
-def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
-    sensors = {key: parse_quantity(key, value, "sensors", where) for key, value in table.items()}
-    for key, deviation in sensors.items():
-        if not deviation >= 0.0:
-            raise InputError(
-                f"card {where}: [sensors] {key} is {table[key]!r}; a standard deviation cannot be negative"
-            )
-    return sensors
-
-
-def _tolerances(table: Mapping[str, Any], where: str) -> dict[str, Tolerance]:
-    """Bands of the card, `source` said once for all of them; without a section the program's own."""
-    if not table:
-        return dict(TOLERANCES)
-    bands, source = _by_output(table, "tolerances", "half the width of a band is positive", where)
-    return {key: Tolerance(value, source) for key, value in bands.items()}
-
-
-def _output_biases(table: Mapping[str, Any], where: str) -> dict[str, Prior]:
-    """Normal priors about zero: the card says their standard deviations."""
-    deviations, source = _by_output(table, "output_biases", "a standard deviation is positive", where)
-    return {key: Prior("normal", 0.0, value, source, by_card=True) for key, value in deviations.items()}
-
-
-def _by_output(table: Mapping[str, Any], name: str, rule: str, where: str) -> tuple[dict[str, float], str]:
-    """Positive quantities of outputs, SI, and the `source` that is said once for all of them."""
-    found = {key: parse_quantity(key, value, name, where) for key, value in table.items() if key != "source"}
+def _quantities(table: Mapping[str, Any], name: str, rule: str, where: str) -> dict[str, float]:
+    """Quantities of channels, SI, none negative, and none zero where the `rule` is of what is positive."""
+    found = {key: parse_quantity(key, value, name, where) for key, value in table.items()}
     for key, value in found.items():
-        if not value > 0.0:
+        if not (value > 0.0 or (value == 0.0 and not rule.endswith("positive"))):
             raise InputError(f"card {where}: [{name}] {key} is {table[key]!r}; {rule}")
+    return found
+
+
+def _of_outputs(table: Mapping[str, Any], name: str, rule: str, where: str) -> tuple[dict[str, float], str]:
+    """Positive quantities of outputs, and the `source` that is said once for all of them."""
+    found = _quantities({key: value for key, value in table.items() if key != "source"}, name, rule, where)
     return found, str(table.get("source", "the card, no source stated"))
 
 
-def _change(key: str, given: Any, where: str) -> ParameterChange:
+def _parameter(key: str, given: Any, where: str) -> CardParameter:
     if not isinstance(given, dict):
         raise InputError(f"card {where}: [parameters.{key}] must be a table")
     known_keys(given, PARAMETER_KEYS, where, f"key of [parameters.{key}]")
@@ -268,7 +246,7 @@ def _change(key: str, given: Any, where: str) -> ParameterChange:
     if bounds is not None and not (isinstance(bounds, list) and len(bounds) == 2):
         raise InputError(f"card {where}: [parameters.{key}] bounds must be [lower, upper]")
     label = f"{where}: [parameters.{key}]"
-    return ParameterChange(
+    return CardParameter(
         start=None if "start" not in given else number(given["start"], label),
         bounds=None if bounds is None else (number(bounds[0], label), number(bounds[1], label)),
         prior=None if "prior" not in given else _prior(given["prior"], label),
@@ -289,14 +267,6 @@ def _prior(given: Any, label: str) -> Prior:
         raise InputError(f"card {label}: {error}") from None
 
 
-def _gp_inputs(table: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    known_keys(table, ("inputs",), where, "key of [gp]")
-    inputs = table.get("inputs", ["alpha", "elevator", "q", "airspeed"])
-    if not (isinstance(inputs, list) and inputs and all(isinstance(name, str) for name in inputs)):
-        raise InputError(f"card {where}: [gp] inputs must be a list of signal names")
-    return tuple(inputs)
-
-
 # --- The SI unit of whatever a card names.
 
 
@@ -305,8 +275,6 @@ def channel_units(card: Card) -> dict[str, str]:
     known = {
         name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS
     }
-    for channel in card.channels:
-        standard = STANDARD_CHANNELS.get(channel.name)
-        known[channel.name] = standard.unit if standard else si_unit(channel.unit, f"channel {channel.name}")
+    known |= {channel.name: channel.si for channel in card.channels}
     known = {name: table.si for name, table in card.tables.items()} | known
     return {ONE: "1", "thrust": "N"} | {name: known[next(iter(parts))] for name, parts in card.sums.items()} | known

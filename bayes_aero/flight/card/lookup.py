@@ -14,15 +14,13 @@ from bayes_aero.flight.card.toml_tables import known_keys, like
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.units import from_si, instant, si_unit, to_si
 
-__all__ = ["Axis", "Lookup", "parse_tables"]
-
 MOST_AXES, MOST_VALUES = 3, 10_000
 SLACK = 1e-9  # of the axis, for the rounding of a conversion
 _EXAMPLE = 'e.g. from = { n1_left = { unit = "%", points = [30, 60, 100] } }'
 
 
 @dataclass(frozen=True)
-class Axis:
+class TableAxis:
     """A channel that a table is entered with: its unit on the card, its points in SI, increasing."""
 
     channel: str
@@ -30,24 +28,24 @@ class Axis:
     si: str
     points: tuple[float, ...]
 
-    def shown(self, value: float) -> str:
-        """A value in the unit of the card."""
-        return f"{float(from_si(value, self.unit, self.channel, self.si)):.6g} {self.unit}".removesuffix(" 1")
+    def shown(self, *values: float) -> str:
+        """Values in the unit of the card: "30 to 100 %"."""
+        filed = (float(from_si(value, self.unit, self.channel, self.si)) for value in values)
+        return f"{' to '.join(f'{x:.6g}' for x in filed)} {self.unit}".removesuffix(" 1")
 
     @property
     def range(self) -> str:
         """From where to where the table goes."""
-        low, high = (float(from_si(x, self.unit, self.channel, self.si)) for x in (self.points[0], self.points[-1]))
-        return f"{low:.6g} to {high:.6g} {self.unit}".removesuffix(" 1")
+        return self.shown(self.points[0], self.points[-1])
 
 
 @dataclass(frozen=True)
-class Lookup:
+class LookupTable:
     """A table: `values` in `si`, one dimension for each axis; linear between the points, refused beyond them."""
 
     channel: str
     si: str
-    axes: tuple[Axis, ...]
+    axes: tuple[TableAxis, ...]
     values: tuple[Any, ...]
 
     @property
@@ -81,7 +79,7 @@ class Lookup:
 
 def parse_tables(
     tables: Mapping[str, Any], channels: tuple[Channel, ...], formed: Mapping[str, Any], where: str
-) -> dict[str, Lookup]:
+) -> dict[str, LookupTable]:
     """[tables.NAME]; `formed` are channels that the card states otherwise, by [constants] or [derived]."""
     mapped = {channel.name: channel for channel in channels}
     found = {}
@@ -97,40 +95,36 @@ def parse_tables(
             raise InputError(f"{here}: the card states {name} elsewhere, too; keep one of them")
         if not (isinstance(given["from"], dict) and 1 <= len(given["from"]) <= MOST_AXES):
             raise InputError(f"{here} from must name one to {MOST_AXES} channels, {_EXAMPLE}")
-        axes = tuple(_axis(key, entry, mapped, formed, where, here) for key, entry in given["from"].items())
-        standard = STANDARD_CHANNELS.get(name)
-        unit = str(given["unit"])
+        axes = tuple(
+            _parse_axis(key, entry, mapped, formed, where, f"{here} from {key}") for key, entry in given["from"].items()
+        )
+        values = _numbers(given["values"], f"{here} values")
+        shape = tuple(len(axis.points) for axis in axes)
+        if values.shape != shape:
+            wanted = " lists of ".join(str(n) for n in shape)
+            per = "; ".join(f"{len(axis.points)} points of {axis.channel}" for axis in axes)
+            raise InputError(f"{here} values must be {wanted} numbers ({per}), the first channel outermost")
+        unit, standard = str(given["unit"]), STANDARD_CHANNELS.get(name)
         si = standard.unit if standard else si_unit(unit, here)
-        found[name] = Lookup(name, si, axes, _nested(to_si(_grid(given["values"], axes, here), unit, name, si)))
+        found[name] = LookupTable(name, si, axes, _nested(to_si(values, unit, name, si)))
     return found
 
 
-def _axis(
+def _parse_axis(
     name: str, given: Any, mapped: Mapping[str, Channel], formed: Mapping[str, Any], where: str, here: str
-) -> Axis:
-    if not isinstance(given, dict):
-        raise InputError(f"{here} from {name} must have unit and points, {_EXAMPLE}")
-    known_keys(given, ("unit", "points"), where, f"key of from {name}")
-    if "unit" not in given or "points" not in given:
-        raise InputError(f"{here} from {name} must have unit and points, {_EXAMPLE}")
+) -> TableAxis:
+    if isinstance(given, dict):
+        known_keys(given, ("unit", "points"), where, f"key of from {name}")
+    if not isinstance(given, dict) or "unit" not in given or "points" not in given:
+        raise InputError(f"{here} must have unit and points, {_EXAMPLE}")
     if name not in mapped and name not in formed:
-        raise InputError(f"{here} from {name}: [channels] does not map it{like(name, {*mapped, *formed})}")
-    standard, unit = STANDARD_CHANNELS.get(name), str(given["unit"])
-    si = standard.unit if standard else si_unit(mapped[name].unit, f"channel {name}")
-    points = to_si(_numbers(given["points"], f"{here} from {name}: points"), unit, name, si)
+        raise InputError(f"{here}: [channels] does not map it{like(name, {*mapped, *formed})}")
+    unit = str(given["unit"])
+    si = mapped[name].si if name in mapped else STANDARD_CHANNELS[name].unit
+    points = to_si(_numbers(given["points"], f"{here}: points"), unit, name, si)
     if points.ndim != 1 or len(points) < 2 or not (np.diff(points) > 0.0).all():
-        raise InputError(f"{here} from {name}: points must be two numbers or more, and increase")
-    return Axis(name, unit, si, tuple(float(x) for x in points))
-
-
-def _grid(given: Any, axes: tuple[Axis, ...], here: str) -> np.ndarray:
-    values = _numbers(given, f"{here} values")
-    shape = tuple(len(axis.points) for axis in axes)
-    if values.shape != shape:
-        wanted = " lists of ".join(str(n) for n in shape)
-        per = "; ".join(f"{len(axis.points)} points of {axis.channel}" for axis in axes)
-        raise InputError(f"{here} values must be {wanted} numbers ({per}), the first channel outermost")
-    return values
+        raise InputError(f"{here}: points must be two numbers or more, and increase")
+    return TableAxis(name, unit, si, tuple(float(x) for x in points))
 
 
 def _numbers(given: Any, what: str) -> np.ndarray:

@@ -18,9 +18,9 @@ from bayes_aero.flight.aircraft import (
     Aircraft,
     Envelope,
 )
-from bayes_aero.flight.card.toml_tables import known_keys, like, numbers, section
+from bayes_aero.flight.card.toml_tables import known_keys, like, numbers, section, strings
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.units import quantity_to_si, si_unit
+from bayes_aero.units import quantity_to_si
 
 ROUNDED = 0.02  # moments of inertia are given to two or three digits
 POSITIONS = ("reference_point", "accelerometer", "engine")
@@ -31,12 +31,7 @@ POSITIVE = (
 
 
 def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
-    """Constants in SI; the aspect ratio is span squared over wing area where it is not stated.
-
-    Args:
-        table: the section as the card has it.
-        where: which card, for messages.
-    """
+    """Constants in SI; the aspect ratio is span squared over wing area where it is not stated."""
     known_keys(table, tuple(AIRCRAFT_KEYS), where, "key of [aircraft]")
     if "span" in table and "half_span" in table:
         raise InputError(
@@ -52,13 +47,13 @@ def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
             raise InputError(
                 f'card {where}: [aircraft] has no {key}; add it with its unit, e.g. {key} = "... {unit}"{other}'
             )
-        given = table[key]
+        given, label = table[key], f"card {where}: [aircraft] {key}"
         if key in POSITIONS:
             if not (isinstance(given, list) and len(given) == 3):
-                raise InputError(f"card {where}: [aircraft] {key} must be three lengths, [x, y, z]")
-            values[key] = tuple(quantity_to_si(part, unit, f"card {where}: [aircraft] {key}") for part in given)
+                raise InputError(f"{label} must be three lengths, [x, y, z]")
+            values[key] = tuple(quantity_to_si(part, unit, label) for part in given)
         else:
-            values[key] = quantity_to_si(given, unit, f"card {where}: [aircraft] {key}")
+            values[key] = quantity_to_si(given, unit, label)
     for key in POSITIVE:
         if key in values and not values[key] > 0.0:
             raise InputError(
@@ -72,15 +67,7 @@ def parse_aircraft(table: Mapping[str, Any], where: str) -> Aircraft:
 
 def refuse_no_body(aircraft: Aircraft, where: str) -> None:
     """Refuse moments of inertia that no mass distribution has: each principal one is at most the sum of the others.
-
-    Args:
-        aircraft: constants in SI.
-        where: which card, for messages.
-
-    Raises:
-        InputError: no body has these moments.
-    Source: Goldstein, *Classical Mechanics*, 2nd ed. 1980, ch. 5.
-    """
+    Source: Goldstein, *Classical Mechanics*, 2nd ed. 1980, ch. 5."""
     given = {name: float(getattr(aircraft, name)) for name in ("Ix", "Iy", "Iz", "Ixy", "Ixz", "Iyz")}
     Ix, Iy, Iz, Ixy, Ixz, Iyz = given.values()
     principal = np.linalg.eigvalsh([[Ix, -Ixy, -Ixz], [-Ixy, Iy, -Iyz], [-Ixz, -Iyz, Iz]])
@@ -111,30 +98,23 @@ RULES: dict[str, dict[str, tuple[str, ...]]] = {
 
 def parse_channel(key: str, given: Any, where: str) -> Channel:
     """One entry of [channels]."""
+    here = f"card {where}: channel {key}"
     if not isinstance(given, dict):
-        raise InputError(f'card {where}: channel {key} must be a table, e.g. {{ column = 13, unit = "deg" }}')
+        raise InputError(f'{here} must be a table, e.g. {{ column = 13, unit = "deg" }}')
     known_keys(given, ("column", "label", "unit", "required", "sign"), where, f"key of channel {key}")
     if "unit" not in given:
-        raise InputError(f"card {where}: channel {key} has no unit; state the unit that the file is in")
-    column = given.get("column")
+        raise InputError(f"{here} has no unit; state the unit that the file is in")
+    column, label, sign = given.get("column"), given.get("label"), given.get("sign", 1)
     if column is not None and (isinstance(column, bool) or not isinstance(column, int) or column < 1):
-        raise InputError(f"card {where}: channel {key} has column {column!r}; columns are counted from 1")
+        raise InputError(f"{here} has column {column!r}; columns are counted from 1")
     if column is not None and column > MOST_COLUMNS:
-        raise InputError(f"card {where}: channel {key} has column {column}; no file has more than {MOST_COLUMNS}")
+        raise InputError(f"{here} has column {column}; no file has more than {MOST_COLUMNS}")
     if column is None and "label" not in given:
-        raise InputError(f"card {where}: channel {key} has neither column nor label; say where it stands in a file")
-    label = given.get("label")
-    sign = given.get("sign", 1)
+        raise InputError(f"{here} has neither column nor label; say where it stands in a file")
     if isinstance(sign, bool) or sign not in (1, -1):
-        raise InputError(f"card {where}: channel {key} has sign {sign!r}; write -1 if the file counts the other way")
-    return Channel(
-        name=key,
-        unit=str(given["unit"]),
-        label=None if label is None else str(label),
-        column=column,
-        required=bool(given.get("required", True)),
-        sign=int(sign),
-    )
+        raise InputError(f"{here} has sign {sign!r}; write -1 if the file counts the other way")
+    label, required = None if label is None else str(label), bool(given.get("required", True))
+    return Channel(key, str(given["unit"]), label, column, required, int(sign))
 
 
 def parse_sums(
@@ -154,8 +134,8 @@ def parse_sums(
             raise InputError(f"card {where}: [sums] {key} must be a list of channel names, or a table with factors")
         if not all(isinstance(part, str) for part in given):
             raise InputError(f"card {where}: [sums] {key} must hold names of channels")
-        counted = {part: float(given.count(part)) for part in given} if isinstance(given, list) else None
-        parts = numbers(given, f"{where}: [sums] {key}") if counted is None else counted
+        counted = {part: given.count(part) for part in given} if isinstance(given, list) else given
+        parts = numbers(counted, f"{where}: [sums] {key}")
         missing = [part for part in parts if part not in names]
         if missing:
             hint = like(missing[0], names)
@@ -166,10 +146,9 @@ def parse_sums(
 
 def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
     """A quantity in the SI unit of a channel that the program knows."""
-    unit = STANDARD_CHANNELS[key].unit if key in STANDARD_CHANNELS else None
-    if unit is None:
+    if key not in STANDARD_CHANNELS:
         raise InputError(f"card {where}: [{label}] {key} is not a channel of the program")
-    return quantity_to_si(value, unit, f"card {where}: [{label}] {key}")
+    return quantity_to_si(value, STANDARD_CHANNELS[key].unit, f"card {where}: [{label}] {key}")
 
 
 def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], where: str) -> dict[str, float]:
@@ -183,9 +162,8 @@ def parse_constants(table: Mapping[str, Any], channels: tuple[Channel, ...], whe
             raise InputError(
                 f"card {where}: {key} is a required channel and in [constants]; drop one, or set required = false"
             )
-        if key in STANDARD_CHANNELS and not (
-            STANDARD_CHANNELS[key].plausible[0] <= value <= STANDARD_CHANNELS[key].plausible[1]
-        ):
+        low, high = STANDARD_CHANNELS[key].plausible
+        if not low <= value <= high:
             raise InputError(f"card {where}: [constants] {key} is {table[key]!r}, beyond any flight; check its unit")
     return constants
 
@@ -253,8 +231,8 @@ def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str)
     """Check [fly]; that its names are outputs and states is checked when a record is flown."""
     known_keys(table, ("outputs", "initial_state", "held"), where, "key of [fly]")
     outputs = table.get("outputs")
-    if outputs is not None and not (isinstance(outputs, list) and outputs and all(isinstance(x, str) for x in outputs)):
-        raise InputError(f'card {where}: [fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
+    if outputs is not None:
+        outputs = strings(outputs, f'card {where}: [fly] outputs must be a list of channels, e.g. ["alpha", "q"]')
     held = table.get("held", [])
     if not (isinstance(held, list) and all(x in HOLDABLE for x in held)):
         raise InputError(f"card {where}: [fly] held must be a list of states, of {', '.join(HOLDABLE)}")
@@ -268,9 +246,7 @@ def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str)
     for name, value in given.items():
         if name not in mapped:
             raise InputError(f"card {where}: [fly] initial_state has {name}, which [channels] does not map")
-        standard = STANDARD_CHANNELS.get(name)
-        unit = standard.unit if standard else si_unit(mapped[name].unit, f"channel {name}")
-        initial[name] = quantity_to_si(value, unit, f"card {where}: [fly] initial_state {name}")
+        initial[name] = quantity_to_si(value, mapped[name].si, f"card {where}: [fly] initial_state {name}")
     return FlyCard(None if outputs is None else tuple(dict.fromkeys(outputs)), initial, tuple(dict.fromkeys(held)))
 
 
@@ -278,11 +254,10 @@ def parse_fly(table: Mapping[str, Any], channels: Sequence[Channel], where: str)
 # Every row is a table {parameter = what it multiplies}: a channel, "1" for the constant, or a table of channels with
 # numbers, `Lda = { aileron_left = 0.5, aileron_right = -0.5 }`. Nothing is parsed but names and numbers.
 
-ONE = "1"
-"""Stands for the constant among the channels."""
+ONE = "1"  # stands for the constant among the channels
 
 
-class Term(NamedTuple):
+class LinearTerm(NamedTuple):
     """parameter x factor x channel, in SI and radians."""
 
     parameter: str
@@ -293,21 +268,19 @@ class Term(NamedTuple):
 @dataclass(frozen=True)
 class LinearCard:
     """Rows of a linear system: the rate of each state, and outputs; that of a state is what the record shows beyond it.
-
     `delays`: the parameter, s, by which an output is recorded late. `by_manoeuvre`: constants that differ between
-    manoeuvres.
-    """
+    manoeuvres."""
 
     states: tuple[str, ...]
-    rates: tuple[tuple[Term, ...], ...]
+    rates: tuple[tuple[LinearTerm, ...], ...]
     outputs: tuple[str, ...] = ()
-    readings: tuple[tuple[Term, ...], ...] = ()
+    readings: tuple[tuple[LinearTerm, ...], ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     delays: tuple[tuple[str, str], ...] = ()
     by_manoeuvre: tuple[str, ...] = ()
 
     @property
-    def rows(self) -> tuple[tuple[str, tuple[Term, ...]], ...]:
+    def rows(self) -> tuple[tuple[str, tuple[LinearTerm, ...]], ...]:
         """Name and terms of every row, rates first."""
         return (*zip(self.states, self.rates, strict=True), *zip(self.outputs, self.readings, strict=True))
 
@@ -329,20 +302,19 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
     if not isinstance(table, dict):
         raise InputError(f"card {where}: linear must be a section, [linear]")
     known_keys(table, ("states", "rates", "outputs", "fixed", "delays", "by_manoeuvre"), where, "key of [linear]")
-    states = table.get("states")
-    if not (isinstance(states, list) and states and all(isinstance(name, str) for name in states)):
-        raise InputError(f'card {where}: [linear] states must be a list of channels, e.g. ["alpha", "q"]')
+    said = f'card {where}: [linear] states must be a list of channels, e.g. ["alpha", "q"]'
+    states = strings(table.get("states"), said)
     if len(set(states)) < len(states):
         raise InputError(f"card {where}: [linear] states names a state twice")
     _mapped(states, channels, f"{where}: [linear] states")
     rates, outputs = section(table, "rates", where), section(table, "outputs", where)
-    known_keys(rates, tuple(states), where, "state of [linear.rates]")
+    known_keys(rates, states, where, "state of [linear.rates]")
     for name in states:
         if name not in rates:
             raise InputError(f"card {where}: [linear.rates.{name}] is missing; every state needs its rate")
     _mapped(outputs, channels, f"{where}: [linear.outputs]")
     found = LinearCard(
-        states=tuple(states),
+        states=states,
         rates=tuple(_row(rates[name], channels, f"{where}: [linear.rates.{name}]") for name in states),
         outputs=tuple(outputs),
         readings=tuple(_row(row, channels, f"{where}: [linear.outputs.{name}]") for name, row in outputs.items()),
@@ -354,8 +326,13 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
                 f"card {where}: [linear.outputs.{name}] is a state, which is an output already; it may only have a "
                 'bias, by = "1"'
             )
-    own, fixed = _by_manoeuvre(table.get("by_manoeuvre", []), found, where), dict(found.fixed)
-    found = replace(found, delays=_delays(section(table, "delays", where), found, where), by_manoeuvre=own)
+    delays, fixed = section(table, "delays", where), dict(found.fixed)
+    known_keys(delays, (*found.states, *found.outputs), where, "output of [linear.delays]")
+    for output, parameter in delays.items():
+        if not isinstance(parameter, str) or parameter in found.parameters:
+            raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
+    own = _by_manoeuvre(table.get("by_manoeuvre", []), found, where)
+    found = replace(found, delays=tuple(delays.items()), by_manoeuvre=own)
     if both := [name for name in own if name in fixed]:
         raise InputError(
             f"card {where}: [linear] {both[0]} is fixed and differs between manoeuvres; drop one of the two"
@@ -369,9 +346,8 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
 
 
 def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:
-    if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
-        raise InputError(f'card {where}: [linear] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]')
-    for name in given:
+    said = f'card {where}: [linear] by_manoeuvre must be a list of constants, e.g. ["L0", "N0"]'
+    for name in strings(given, said, empty=True):
         terms = [term for _, row in found.rows for term in row if term.parameter == name]
         if not terms or any(term.channel != ONE for term in terms):
             raise InputError(
@@ -381,32 +357,19 @@ def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(given))
 
 
-def _delays(table: Mapping[str, Any], found: LinearCard, where: str) -> tuple[tuple[str, str], ...]:
-    known_keys(table, (*found.states, *found.outputs), where, "output of [linear.delays]")
-    for output, parameter in table.items():
-        if not isinstance(parameter, str) or parameter in found.parameters:
-            raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
-    return tuple(table.items())
-
-
-def _row(table: Any, channels: Collection[str], where: str) -> tuple[Term, ...]:
+def _row(table: Any, channels: Collection[str], where: str) -> tuple[LinearTerm, ...]:
     if not (isinstance(table, dict) and table):
         raise InputError(f'card {where} must be a table of parameters and what they multiply, e.g. Zalpha = "alpha"')
-    terms = [
-        Term(parameter, channel, factor)
-        for parameter, given in table.items()
-        for channel, factor in _multiplied(given, f"{where} {parameter}").items()
-    ]
+    terms = []
+    for parameter, given in table.items():
+        here, multiplied = f"{where} {parameter}", {given: 1.0} if isinstance(given, str) else given
+        if not (isinstance(multiplied, dict) and multiplied):
+            raise InputError(
+                f'card {here} is {given!r}; write the channel it multiplies, e.g. "alpha", or "1" for a constant'
+            )
+        terms += [LinearTerm(parameter, channel, factor) for channel, factor in numbers(multiplied, here).items()]
     _mapped([term.channel for term in terms if term.channel != ONE], channels, where)
     return tuple(terms)
-
-
-def _multiplied(given: Any, where: str) -> Mapping[str, float]:
-    if isinstance(given, str):
-        return {given: 1.0}
-    if isinstance(given, dict) and given:
-        return numbers(given, where)
-    raise InputError(f'card {where} is {given!r}; write the channel it multiplies, e.g. "alpha", or "1" for a constant')
 
 
 def _mapped(names: Collection[str], channels: Collection[str], where: str) -> None:

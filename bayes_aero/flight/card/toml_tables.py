@@ -11,11 +11,7 @@ from typing import Any
 
 from bayes_aero.errors import InputError
 
-__all__ = ["is_file", "parse_table", "read_table"]
-
-MOST_BYTES = 1 << 18
-"""A card has some 5 kB, a study that lists 3000 records 200."""
-
+MOST_BYTES = 1 << 18  # a card has some 5 kB, a study that lists 3000 records 200
 MOST_DEPTH, MOST_NAME, LARGEST = 12, 200, 2**63
 # tomllib's time grows with the square of the parts of a dotted key. A part is matched from its beginning only.
 _DOTTED = re.compile(r"""(?:(?<![\w-])[\w-]+|"[^"\n]{0,200}"|'[^'\n]{0,200}')[ \t]*\.[ \t]*""")
@@ -44,13 +40,33 @@ def parse_table(raw: bytes, where: str, what: str = "card") -> dict[str, Any]:
         raise InputError(f"{where}: it has more than {MOST_BYTES} bytes; is it a {what} at all?")
     try:
         text = raw.decode("utf-8")
-        _refuse_long_keys(text)
+        for number, line in enumerate(text.split("\n"), 1):
+            run, end = 0, -1
+            for part in _DOTTED.finditer(line) if line.count(".") > MOST_DOTS else ():
+                run = run + 1 if part.start() == end else 1
+                end = part.end()
+                if run > MOST_DOTS:
+                    raise ValueError(f"a name of more than {MOST_DOTS} parts, line {number}")
         table = tomllib.loads(text)
     except RecursionError:
         raise InputError(f"{where}: not valid TOML (nested too deeply); mend it") from None
     except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, and Python's bound on the digits of a number
         raise InputError(f"{where}: not valid TOML ({error}); mend that line") from None
-    _refuse_monsters(table, where)
+    # Numbers, names and nesting that no card needs, and that would trip whatever looks at them later.
+    left: list[tuple[Any, int]] = [(table, 0)]
+    while left:
+        value, depth = left.pop()
+        if depth > MOST_DEPTH:
+            raise InputError(f"{where}: it is nested deeper than {MOST_DEPTH}; mend it")
+        if isinstance(value, dict):
+            for key in value:
+                if len(key) > MOST_NAME or not key.isprintable():
+                    raise InputError(f"{where}: {key[:40]!r} is no name for an entry; mend it")
+            left += [(inner, depth + 1) for inner in value.values()]
+        elif isinstance(value, list):
+            left += [(inner, depth + 1) for inner in value]
+        elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
+            raise InputError(f"{where}: a whole number has more than 18 digits; correct it")
     return table
 
 
@@ -60,36 +76,6 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def _refuse_long_keys(text: str) -> None:
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".") <= MOST_DOTS:
-            continue
-        run, end = 0, -1
-        for part in _DOTTED.finditer(line):
-            run = run + 1 if part.start() == end else 1
-            end = part.end()
-            if run > MOST_DOTS:
-                raise ValueError(f"a name of more than {MOST_DOTS} parts, line {number}")
-
-
-def _refuse_monsters(table: dict[str, Any], where: str) -> None:
-    """Numbers, names and nesting that no card needs, and that would trip whatever looks at them later."""
-    left: list[tuple[Any, int]] = [(table, 0)]
-    while left:
-        value, depth = left.pop()
-        if depth > MOST_DEPTH:
-            raise InputError(f"{where}: it is nested deeper than {MOST_DEPTH}; mend it")
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                if len(key) > MOST_NAME or not key.isprintable():
-                    raise InputError(f"{where}: {key[:40]!r} is no name for an entry; mend it")
-                left.append((inner, depth + 1))
-        elif isinstance(value, list):
-            left += [(inner, depth + 1) for inner in value]
-        elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
-            raise InputError(f"{where}: a whole number has more than 18 digits; correct it")
 
 
 # --- Checks that every section of a card needs; each failure is one sentence that names the card.
@@ -118,8 +104,7 @@ def like(name: str, known: Iterable[str]) -> str:
     return f"; is {close[0]!r} there meant?" if close else ""
 
 
-UNFILLED = "TODO"
-"""Stands on a starter card where the user has something to fill in."""
+UNFILLED = "TODO"  # stands on a starter card where the user has something to fill in
 
 
 def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
@@ -138,6 +123,13 @@ def refuse_unfilled(table: Mapping[str, Any], where: str) -> None:
             f"card {where}: {first} is still {UNFILLED}{also}; fill in what is missing, the comment beside it says "
             "what it is"
         )
+
+
+def strings(value: Any, sentence: str, *, empty: bool = False) -> tuple[str, ...]:
+    """A list of names, not `empty` unless it may be; else `sentence` is raised."""
+    if not (isinstance(value, list) and (value or empty) and all(isinstance(name, str) for name in value)):
+        raise InputError(sentence)
+    return tuple(value)
 
 
 def number(value: Any, where: str) -> float:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.air import air_data, derivatives, in_flight, on_ground
+from bayes_aero.flight.health.air import across, air_data, derivatives, in_flight, on_ground
 from bayes_aero.flight.health.channel import dropouts, frozen, held, idle, quantised, saturated, wrapped
-from bayes_aero.flight.health.channels_agree import across
 from bayes_aero.flight.health.controls import control_responses, feedback
-from bayes_aero.flight.health.finding import HealthFinding, dropped_channels, read_remarks, short
+from bayes_aero.flight.health.finding import HealthFinding, decided, short
 from bayes_aero.flight.health.refuted import refuted
 from bayes_aero.flight.health.same_record import same_records
 from bayes_aero.flight.health.signals import different_rates
@@ -17,28 +16,24 @@ from bayes_aero.flight.record import FlightRecord
 
 __all__ = ["HealthFinding", "channel_health"]
 
-_CHECKS: tuple[Callable[[FlightRecord, Card], list[HealthFinding]], ...] = (
-    air_data, across, derivatives, dropouts, frozen, held, saturated, quantised, wrapped,
-    short, idle, dropped_channels, read_remarks,
+_CHECKS: tuple[Callable[[FlightRecord, Card], Iterable[HealthFinding]], ...] = (
+    air_data, across, derivatives, dropouts, frozen, held, saturated, quantised, wrapped, short, idle, decided,
 )  # fmt: skip
 
 
 def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
-    """Everything that is wrong with records by themselves; grave findings first.
+    """Everything that is wrong with records by themselves, one finding a fault; grave findings first.
 
     Args:
         records: as read, in SI.
         card: what the channels are said to be.
-
-    Returns:
-        One finding a fault; empty for sound records.
     """
-    said = []
+    said: list[HealthFinding] = []
     for record in records:
         flown = in_flight(record, card)
         misread, read = refuted(flown, card)
         others = [finding for check in _CHECKS for finding in check(flown, card)]
-        found = _once([*misread, *others, *control_responses(read, card)])
+        found = _without_consequences([*misread, *others, *control_responses(read, card)])
         if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in found):
             said += on_ground(record, card)
         said += found
@@ -46,12 +41,9 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
     return tuple(sorted(said, key=lambda finding: not finding.grave))
 
 
-def _once(said: list[HealthFinding]) -> list[HealthFinding]:
-    """Each fault of a channel once, without what follows from another one.
-
-    A dropout looks like a flat stretch, too, at an end of the channel's range; a density or airspeed in another unit
-    makes level flight impossible as well.
-    """
+def _without_consequences(said: list[HealthFinding]) -> list[HealthFinding]:
+    """Each fault of a channel once, without what follows from another one. A dropout looks like a flat stretch, too, at
+    an end of the channel's range; a density or airspeed in another unit makes level flight impossible as well."""
     dropped = {finding.channel for finding in said if finding.fault == "dropout"}
     said = [f for f in said if not (f.fault in ("frozen", "saturated", "quantised") and f.channel in dropped)]
     units, first = [f for f in said if f.fault == "unit"], {}

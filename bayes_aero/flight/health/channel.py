@@ -7,7 +7,7 @@ from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved
-from bayes_aero.flight.health.finding import HealthFinding, as_filed, declared, found, shown, span
+from bayes_aero.flight.health.finding import Findings, as_filed, declared, found, shown, span
 from bayes_aero.flight.health.readings import RELATIONS, dead_heading, view_of
 from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, quantum_of, runs_of, still_runs
 from bayes_aero.flight.record import FlightRecord
@@ -21,26 +21,23 @@ TRIED = 20  # constants, the most frequent first
 USUAL = 0.9  # quantile of the steps that is called usual
 
 
-def dropouts(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def dropouts(record: FlightRecord, card: Card) -> Findings:
     """A finding for each channel with samples at a constant that its neighbours refute."""
-    said = []
     for name, x in record.channels.items():
         if held_period(x):  # each of its steps would be one
             continue
         at, value = dropped(x, record.dt, control=name in CONTROLS)
         if not at.any():
             continue
-        filed = float(as_filed(card, name, value))
+        filed, unit = float(as_filed(card, name, value)), declared(card, name).unit
         index = np.flatnonzero(at)
-        unit = declared(card, name).unit
         times = ", ".join(f"{record.time[i]:.6g}" for i in index[:3]) + (" ..." if len(index) > 3 else "")
         sentence = (
             f"{name} drops to {filed:.6g} {'' if unit == '1' else unit + ' '}in {len(index)} of {record.n} samples "
             f"(t = {times} s), far from the samples around them: a dropout of the sensor or the recorder; cut these "
             "samples out or interpolate across them in the file"
         )
-        said.append(found(record, name, "dropout", sentence, at=(int(index[0]), int(index[-1]))))
-    return said
+        yield found(record, name, "dropout", sentence, at=(int(index[0]), int(index[-1])))
 
 
 def dropped(x: np.ndarray, dt: float, *, control: bool = False) -> tuple[np.ndarray, float]:
@@ -58,14 +55,14 @@ def dropped(x: np.ndarray, dt: float, *, control: bool = False) -> tuple[np.ndar
     repeated = dict(zip(levels, counts, strict=True))
     often = [level for level in suspect if repeated[level] > 1 or level == 0.0]
     for level in sorted(often, key=lambda level: -repeated[level])[:TRIED]:
-        at = _at(x, level, floor, dt, control=control)
+        at = _dropped_at(x, level, floor, dt, control=control)
         if at.sum() > best.sum() and (level == 0.0 or sum(1 for _ in runs_of(at)) > 1 or at.sum() > 3):
             best, value = at, float(level)
     continuous = np.mean(counts[levels != value] == 1) > CONTINUOUS
     return (x == value) & (best.any() & continuous) | best, value
 
 
-def _at(x: np.ndarray, level: float, floor: float, dt: float, *, control: bool) -> np.ndarray:
+def _dropped_at(x: np.ndarray, level: float, floor: float, dt: float, *, control: bool) -> np.ndarray:
     """Samples at a level that lie `floor`, and several usual steps, from the line between their neighbours."""
     at = x == level
     kept = np.flatnonzero(~at)
@@ -73,23 +70,18 @@ def _at(x: np.ndarray, level: float, floor: float, dt: float, *, control: bool) 
         return np.zeros(len(x), bool)
     line = np.interp(np.arange(len(x)), kept, x[kept])
     local = np.abs(np.diff(x[kept]))
-    pace = np.interp(np.arange(len(x)), kept[1:], _pace(local))
+    pace = np.interp(np.arange(len(x)), kept[1:], median_filter(local, 11, mode="nearest"))
     enough = np.maximum(floor, OFF * np.maximum(pace, 0.25 * np.quantile(local, USUAL)))
     found = np.zeros(len(x), bool)
     for first, last in runs_of(at):
         beside = [i for i in (first - 1, last + 1) if 0 <= i < len(x)]
         leaves = all(abs(x[i] - level) > enough[i] for i in beside)
-        returns = len(beside) < 2 or abs(x[beside[0]] - x[beside[1]]) <= max(
-            enough[first], 3.0 * (last - first + 2) * pace[first]
-        )
-        short = last - first + 1 <= max(1, STEP / dt) if control else True
+        between = max(enough[first], 3.0 * (last - first + 2) * pace[first])
+        returns = len(beside) < 2 or abs(x[beside[0]] - x[beside[1]]) <= between
+        short = not control or last - first + 1 <= max(1, STEP / dt)
         if leaves and returns and short and np.abs(line[first : last + 1] - level).min() > enough[first]:
             found[first : last + 1] = True
     return found
-
-
-def _pace(steps: np.ndarray, width: int = 11) -> np.ndarray:
-    return median_filter(steps, width, mode="nearest")
 
 
 # --- A channel that stands still for longer than its noise allows, while the aircraft moves.
@@ -106,15 +98,25 @@ ALONG = 50.0  # m of altitude in which the radio altitude cannot stand still
 RATES = {"q": ("theta", 0.015), "p": ("phi", 0.03), "r": ("psi", 0.03)}
 
 
-def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def frozen(record: FlightRecord, card: Card) -> Findings:
     """A finding for each channel with a stretch in which it does not move though it must."""
-    said = []
     view = view_of(record, card)
     for name, x in record.channels.items():
         if name == "psi" and all(map(record.has, ("theta", "phi", "q", "r"))) and dead_heading(view):
-            said.append(found(record, name, "frozen", _dead_heading(card, x), at=(0, record.n - 1), grave=False))
+            sentence = (
+                f"psi stays at {shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft: the "
+                "heading is dead, and the flight path is reconstructed without it; correct its column or label on the "
+                "card, or take it off"
+            )
+            yield found(record, name, "frozen", sentence, at=(0, record.n - 1), grave=False)
         if np.ptp(x) == 0.0:
-            said += _dead(record, card, name)
+            if _must_move(record, name):
+                sentence = (
+                    f"{name} stands at {shown(card, name, x[0])} throughout: no signal was recorded; correct "
+                    "its column or label on the card, or take it off the card"
+                )
+                grave = name not in ("radio_altitude", "calibrated_airspeed")
+                yield found(record, name, "frozen", sentence, at=(0, record.n - 1), grave=grave)
             continue
         if name in CONTROLS:
             stretches = _frozen_control(record, name, x)
@@ -128,34 +130,17 @@ def frozen(record: FlightRecord, card: Card) -> list[HealthFinding]:
             f"{name} is frozen at {shown(card, name, x[first])} {span(record, first, last)} ({last - first + 1} equal "
             f"samples{more}), longer than its noise and the other channels allow; cut this part out of the record"
         )
-        said.append(found(record, name, "frozen", sentence, at=(first, last)))
-    return said
+        yield found(record, name, "frozen", sentence, at=(first, last))
 
 
-def _dead_heading(card: Card, x: np.ndarray) -> str:
-    return (
-        f"psi stays at {shown(card, 'psi', float(np.median(x)))} while the rates turn the aircraft: the heading is "
-        "dead, and the flight path is reconstructed without it; correct its column or label on the card, or take it off"
-    )
-
-
-def _dead(record: FlightRecord, card: Card, name: str) -> list[HealthFinding]:
-    """A channel without any signal, which matters where flight must move it."""
+def _must_move(record: FlightRecord, name: str) -> bool:
+    """Whether flight must move a channel that stands still throughout."""
     if name == "radio_altitude":
-        if not (record.has("altitude") and np.ptp(record["altitude"]) > ALONG):
-            return []
-    elif name in CONTROLS:
+        return bool(record.has("altitude") and np.ptp(record["altitude"]) > ALONG)
+    if name in CONTROLS:
         surfaces = [n for n in TURNS["elevator"] if record.has(n)]
-        if name not in surfaces[:1] or not answers_no_input(record):
-            return []
-    elif name not in ("ax", "az", "q", "theta", "airspeed", "calibrated_airspeed") or record.n * record.dt < 5.0:
-        return []
-    grave = name not in ("radio_altitude", "calibrated_airspeed")
-    sentence = (
-        f"{name} stands at {shown(card, name, record[name][0])} throughout: no signal was recorded; correct its column "
-        "or label on the card, or take it off the card"
-    )
-    return [found(record, name, "frozen", sentence, at=(0, record.n - 1), grave=grave)]
+        return name in surfaces[:1] and answers_no_input(record)
+    return name in ("ax", "az", "q", "theta", "airspeed", "calibrated_airspeed") and record.n * record.dt >= 5.0
 
 
 def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
@@ -165,15 +150,19 @@ def _cut_off(x: np.ndarray, run: tuple[int, int]) -> bool:
 
 
 def _frozen_control(record: FlightRecord, name: str, x: np.ndarray) -> list[tuple[int, int]]:
-    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved.
-
-    A surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal
-    samples say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there.
-    """
+    """Runs in which a deflection that scatters elsewhere does not, or that the aircraft answers as if it moved. A
+    surface may rest, at a stop or where the pilot holds it, a flap in a detent, a lever where it was set: equal samples
+    say nothing of a clean or coarsely rounded signal, unless a surface about pitch, roll or yaw moved there."""
     runs = [run for run in still_runs(x) if (run[1] - run[0]) * record.dt >= SHORTEST]
     moving = np.delete(x, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]).astype(int))
     share = float(np.mean(np.diff(moving) == 0.0)) if len(moving) > SHORTEST / record.dt else 1.0
-    least = SURE * _longest_by_chance(share, len(x)) if share < FROZEN_CONTINUOUS and _scatters(moving) else np.inf
+    least = np.inf
+    if share < FROZEN_CONTINUOUS:
+        # Noise above the last digit, not motion: its differences grow with their order, those of third and sixth order
+        # of white noise by the root of 924/20, those of motion shrink.
+        third, sixth = (float(np.median(np.abs(np.diff(moving, order)))) for order in (3, 6))
+        if noise_of(moving) > ROUNDING * quantum(moving) and sixth > 3.0 * third:
+            least = SURE * _longest_by_chance(share, len(x))
     return [
         run
         for run in runs
@@ -187,13 +176,6 @@ def _longest_by_chance(share: float, n: int) -> float:
     return max(float(np.log(n)) / -float(np.log(max(share, 1e-3))), 1.0) if share < 1.0 else np.inf
 
 
-def _scatters(x: np.ndarray) -> bool:
-    """Whether what is new at each sample is noise above the last digit, not motion: its differences grow with their
-    order, those of third and sixth order of white noise by the root of 924/20, those of motion shrink."""
-    third, sixth = (float(np.median(np.abs(np.diff(x, order)))) for order in (3, 6))
-    return noise_of(x) > ROUNDING * quantum(x) and sixth > 3.0 * third
-
-
 def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.ndarray, run: tuple[int, int]) -> bool:
     first, last = run
     length = last - first + 1
@@ -203,30 +185,22 @@ def _frozen(record: FlightRecord, view: dict[str, np.ndarray], name: str, x: np.
     share = float((equal.sum() - (length - 1)) / max(len(equal) - (length - 1), 1))
     if length < SURE * _longest_by_chance(share, len(x)):
         return False
-    moved = _moved(record, view, name, run)
-    if moved is not None:
+    moved = None
+    if name in RATES and record.has(RATES[name][0]):
+        angle, enough = RATES[name]
+        turned = record[angle][first : last + 1]
+        line = np.linspace(turned[0], turned[-1], len(turned))
+        moved = np.inf if float(np.ptp(turned - line)) > enough else None
+    elif name in RELATIONS and all(need in view for need in RELATIONS[name].needs):
+        rate = RELATIONS[name].rate(view)
+        bias = np.median(rate - np.gradient(view[name], view["time"])) if name in ("alpha", "beta") else 0.0
+        moved = float(np.ptp(np.cumsum(rate[first : last + 1] - bias) * record.dt))
+    if moved is not None:  # by so much as the other channels say
         return moved > max(4.0 * level_step(x), 5.0 * noise_of(x), MOVED.get(name, 0.0))
     noise = noise_of(np.delete(x, np.s_[first : last + 1]))
     scatters = noise > max(NOISELESS * float(np.ptp(x)), ROUNDING * quantum(x))
     often = FROZEN_CONTINUOUS if name in MOTION else SELDOM
     return share < often and scatters and _others_move(record, name, run)
-
-
-def _moved(record: FlightRecord, view: dict[str, np.ndarray], name: str, run: tuple[int, int]) -> float | None:
-    """By how much the other channels say the channel moved in the run; None where they cannot tell."""
-    part = slice(run[0], run[1] + 1)
-    if name in RATES and record.has(RATES[name][0]):
-        angle, least = RATES[name]
-        turned = record[angle][part]
-        line = np.linspace(turned[0], turned[-1], len(turned))
-        return np.inf if float(np.ptp(turned - line)) > least else None
-    relation = RELATIONS.get(name)
-    if relation is None or any(need not in view for need in relation.needs):
-        return None
-    rate = relation.rate(view)
-    bias = np.median(rate - np.gradient(view[name], view["time"])) if name in ("alpha", "beta") else 0.0
-    path = np.cumsum(rate[part] - bias) * record.dt
-    return float(np.ptp(path))
 
 
 def _others_move(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
@@ -255,7 +229,7 @@ FAST = frozenset(
 """Channels that move within tenths of a second."""
 
 
-def held(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - the checks have one signature
+def held(record: FlightRecord, _card: Card) -> Findings:
     """A finding for each channel, or all that share a rate, whose true sampling rate is lower than the record's."""
     slow: dict[tuple[str, float], list[str]] = {}
     for name, x in record.channels.items():
@@ -263,7 +237,6 @@ def held(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG0
             if period:
                 slow.setdefault((how, round(period, 1)), []).append(name)
                 break
-    said = []
     for (how, period), names in slow.items():
         rate, delay = 1.0 / (period * record.dt), 0.5 * (period - 1.0) * record.dt
         fast = [n for n in names if n in FAST]
@@ -279,8 +252,7 @@ def held(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG0
             f"{1.0 / record.dt:.4g} Hz{late}; {mend}"
         )
         channel = fast[0] if fast else names[0]
-        said.append(found(record, channel, "held", sentence, at=(0, record.n - 1), grave=bool(fast)))
-    return said
+        yield found(record, channel, "held", sentence, at=(0, record.n - 1), grave=bool(fast))
 
 
 def held_period(x: np.ndarray) -> float:
@@ -302,22 +274,16 @@ def held_period(x: np.ndarray) -> float:
 
 
 def interpolated_period(x: np.ndarray) -> float:
-    """Samples between the corners of a signal that is made of straight lines; zero if it is not.
-
-    Corners a whole number of samples apart are found under coarse rounding, others where they are far apart and clear.
-    """
+    """Samples between the corners of a signal that is made of straight lines; zero if it is not. Corners a whole number
+    of samples apart are found under coarse rounding, others where they are far apart and clear."""
     bends = np.abs(np.diff(x, 2))
     if len(bends) < 4 * FEWEST or not bends.any():
         return 0.0
     period, step = float(_between_knots(x)), quantum(x)
     large = float(np.sort(bends)[-CORNERS])
-    if not period and large > CLEAR * step and len(still_runs(x)) <= 0.1 * len(x):
-        period = _between_corners(bends > max(STRAIGHT * large, ROUNDED * step))
-    return period
-
-
-def _between_corners(bent: np.ndarray) -> float:
-    """Samples between corners that follow each other evenly; zero where they do not."""
+    if period or large <= CLEAR * step or len(still_runs(x)) > 0.1 * len(x):
+        return period
+    bent = bends > max(STRAIGHT * large, ROUNDED * step)
     corners = [first for first, _ in runs_of(bent)]
     if len(corners) <= CORNERS or bent.sum() > 2.1 * len(corners):  # two samples, where a corner falls between them
         return 0.0
@@ -332,12 +298,10 @@ def _between_corners(bent: np.ndarray) -> float:
 
 def _between_knots(x: np.ndarray) -> int:
     """The largest whole period of straight lines between every so many of (n,) values; zero where there is none.
-
     Rounding moves no sample by more than a step from the line between two others. So the samples lie within a step of
     the lines between knots. They lie further from lines between the samples halfway. By chance `ENDS` lines are all of
     the second kind once in 2 to the power of `ENDS`. A smooth signal departs from both kinds or from neither. Knots
-    between samples are not sought: under coarse rounding such a signal is not found.
-    """
+    between samples are not sought: under coarse rounding such a signal is not found."""
     best, step = 0, quantum(x)
     for period in range(2, min(SLOWEST, len(x) // FEWEST) + 1):
         lag = period // 2
@@ -373,11 +337,11 @@ CALM = {
 LONGEST = 30.0  # s that a manoeuvre may begin or end with
 
 
-def idle(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - the checks have one signature
+def idle(record: FlightRecord, _card: Card) -> Findings:
     """A finding for the longest part without motion, if it is longer than any entry into a manoeuvre."""
     have = [name for name in CALM if record.has(name)]
     if len(have) < 3 or record.n * record.dt < LONGEST + WINDOW:
-        return []
+        return
     samples = max(3, round(WINDOW / record.dt))
     calm = np.ones(record.n, bool)
     for name in have:
@@ -387,13 +351,13 @@ def idle(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG0
     runs = [(max(a, 0), min(b, record.n - 1)) for a, b in runs]
     runs = [(a, b) for a, b in runs if (b - a) * record.dt >= LONGEST]
     if not runs:
-        return []
+        return
     first, last = max(runs, key=lambda run: run[1] - run[0])
     sentence = (
         f"no manoeuvre is flown {span(record, first, last)} ({', '.join(have[:3])} and "
         "all else hardly move): this part only adds noise; cut it out, or keep it for the estimates of biases"
     )
-    return [found(record, "record", "idle", sentence, at=(first, last), grave=False)]
+    yield found(record, "record", "idle", sentence, at=(first, last), grave=False)
 
 
 # --- A channel recorded in steps that are too coarse for what is asked of it.
@@ -409,9 +373,8 @@ LEVELS = 8  # levels that the motion must cross, at least
 CHANGES = 40  # a rounded channel changes its value often; an input in steps, a 3-2-1-1 without noise, some ten times
 
 
-def quantised(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def quantised(record: FlightRecord, card: Card) -> Findings:
     """A finding for each channel whose step is too coarse in itself or for the motion that is flown."""
-    said = []
     for name, coarsest in COARSEST.items():
         if not record.has(name) or np.count_nonzero(np.diff(record[name])) < CHANGES:
             continue
@@ -426,8 +389,7 @@ def quantised(record: FlightRecord, card: Card) -> list[HealthFinding]:
             f"{moved / step:.0f} of them: its rounding error of {shown(card, name, step / np.sqrt(12.0), size=True)} "
             "is not random noise; record it with more digits, or do not rely on results that use it"
         )
-        said.append(found(record, name, "quantised", sentence, at=(0, record.n - 1)))
-    return said
+        yield found(record, name, "quantised", sentence, at=(0, record.n - 1))
 
 
 # --- A channel that is cut off at the end of its range.
@@ -443,9 +405,8 @@ MORE = 5.0  # recording steps, or deviations of the noise, that the signal would
 SATURATED_MOST = 0.5  # share of the record at the limit at most: a channel that stands there is no cut-off peak
 
 
-def saturated(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def saturated(record: FlightRecord, card: Card) -> Findings:
     """A finding for each measured channel with a flat top or bottom that the signal runs into."""
-    said = []
     for name in SENSED:
         x = record.channels.get(name)
         if x is None or np.ptp(x) == 0.0:
@@ -461,8 +422,7 @@ def saturated(record: FlightRecord, card: Card) -> list[HealthFinding]:
                 f"stand there, the longest stretch {span(record, first, last)}; the sensor or its converter is "
                 "saturated, so cut these parts out or use a sensor of larger range"
             )
-            said.append(found(record, name, "saturated", sentence, at=(first, last)))
-    return said
+            yield found(record, name, "saturated", sentence, at=(first, last))
 
 
 def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
@@ -474,34 +434,24 @@ def _flat(x: np.ndarray, extreme: float) -> tuple[int, int] | None:
     first, last = max(runs, key=lambda run: run[1] - run[0])
     if last - first + 1 < SATURATED_LONGEST:
         return None
-    if int(at.sum()) <= 1.2 * (last - first + 1) and _jumps_away(x, first, last):  # frozen there by chance
+    usual = max(float(np.quantile(np.abs(np.diff(x)), 0.9)), abs(x[first] - x[first - 1]))
+    jumps_away = abs(x[last + 1] - x[last]) > 2.0 * usual  # by a step that it does not make on the way in
+    if int(at.sum()) <= 1.2 * (last - first + 1) and jumps_away:  # frozen there by chance
         return None
     if noise_of(x) < SATURATED_NOISELESS * np.ptp(x):  # a simulation without noise has exact rests
         return None
     others = np.diff(x)[~(at[1:] & at[:-1])]
     if np.mean(others == 0.0) < SCATTERS and noise_of(x) > SATURATED_SURE * quantum(x):
         return first, last  # a signal that moves by many of its steps from sample to sample rests nowhere by chance
-    step = max(level_step(x), quantum_of(x), quantum(x), noise_of(x))
-    return (first, last) if _beyond(x, first, last) > MORE * step else None
-
-
-def _jumps_away(x: np.ndarray, first: int, last: int) -> bool:
-    """Whether the signal leaves its only run at the extreme by a step that it does not make on the way in."""
-    usual = max(float(np.quantile(np.abs(np.diff(x)), 0.9)), abs(x[first] - x[first - 1]))
-    return bool(abs(x[last + 1] - x[last]) > 2.0 * usual)
-
-
-def _beyond(x: np.ndarray, first: int, last: int) -> float:
-    """How far the signal would have gone on beyond the run: half its length at the slope on both sides.
-
-    A slope read over less than half the run would be that of one step of a rounded peak, which stays below four steps.
-    """
+    # It would have gone on beyond the run by half its length at the slope on both sides. A slope read over less than
+    # half the run would be that of one step of a rounded peak, which stays below four steps.
     length = last - first + 1
     beside = min(length, max(NEAR, length // 2))
     before, after = max(first - beside, 0), min(last + beside, len(x) - 1)
     into = abs(x[first] - x[before]) / max(first - before, 1)
     out = abs(x[after] - x[last]) / max(after - last, 1)
-    return 0.5 * length * min(into, out)
+    step = max(level_step(x), quantum_of(x), quantum(x), noise_of(x))
+    return (first, last) if 0.5 * length * min(into, out) > MORE * step else None
 
 
 # --- Angles that jump where they pass the end of their range.
@@ -511,9 +461,8 @@ WRAPPED_ALIKE = 0.1  # of the jump
 WORDS = {"psi": "heading", "phi": "bank angle", "longitude": "longitude"}
 
 
-def wrapped(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - the checks have one signature
+def wrapped(record: FlightRecord, _card: Card) -> Findings:
     """A finding for each angle with a jump of a full or half turn within a few samples."""
-    said = []
     for name, word in WORDS.items():
         if not record.has(name):
             continue
@@ -525,8 +474,7 @@ def wrapped(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: A
             f"{name}: the {word} jumps by {turn:.0f} deg {len(at)} times (t = {times} s), where it passes the end "
             "of its range; unwrap it in the file, or its rate is wrong there"
         )
-        said.append(found(record, name, "wrapped", sentence, at=(int(at[0]), int(at[-1]) + 1), grave=name == "phi"))
-    return said
+        yield found(record, name, "wrapped", sentence, at=(int(at[0]), int(at[-1]) + 1), grave=name == "phi")
 
 
 def jumps(x: np.ndarray) -> tuple[np.ndarray, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from scipy.optimize import fminbound
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.health.finding import HealthFinding, declared, found
+from bayes_aero.flight.health.finding import Findings, declared, found
 from bayes_aero.flight.health.signals import CONTROLS, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
 
@@ -43,8 +43,7 @@ OUTPUTS = ("alpha", "beta", "p", "q", "r", "phi", "theta", "airspeed")
 OTHERS = (("beta", "p", "r", "phi", "airspeed"), ("alpha", "q", "theta", "airspeed"))
 """What a law of the elevator, and one of ailerons or rudder, do not integrate."""
 ANGLE_OF = {"q": "theta", "p": "phi", "r": "psi"}
-MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)
-"""s, of an actuator or a filter between outputs and surface."""
+MAX_LAG, DELAYS = 0.5, (0.0, 0.1, 0.2)  # s, of an actuator or a filter between outputs and surface
 OWN, NOTHING = 0.05, 1e-3
 """Share of a surface's motion that must be its own where it is above noise, and at all. Our choice: on recorded
 manoeuvres of three aircraft the surface that is flown has more than 0.02 of its own, 4 times its noise or more."""
@@ -60,8 +59,7 @@ EDGE, RATE, BETWEEN = 0.05, 0.05, 0.25
 its motion that it must make between the limits."""
 
 
-@dataclass(frozen=True)
-class _Control:
+class _Control(NamedTuple):
     """A surface, what else moves the rate that it turns, and the words for its positive direction and the answer."""
 
     surface: str
@@ -88,24 +86,29 @@ LATERAL = (
 )  # fmt: skip
 
 
-def control_responses(record: FlightRecord, card: Card) -> list[HealthFinding]:
-    """Findings where an angular acceleration answers a positive deflection the wrong way.
-
-    Aileron and rudder are looked at for cards of the lateral axis alone: others leave their sign to the user.
-    """
-    controls = (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ()))
-    return [finding for control in controls for finding in _answers(control, record, card)]
+def control_responses(record: FlightRecord, card: Card) -> Findings:
+    """Findings where an angular acceleration answers a positive deflection the wrong way. Aileron and rudder are looked
+    at for cards of the lateral axis alone: others leave their sign to the user."""
+    for control in (ELEVATOR, *(LATERAL if Axis.LATERAL in card.axes else ())):
+        fitted, surface = _fitted(control, record), control.surface
+        if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
+            continue
+        if record.has(surface):
+            sign = -declared(card, surface).sign
+            mend = f"so if the file counts {control.otherwise} write sign = {sign} at {surface} on the card"
+        else:
+            mend = f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
+        sentence = f"{surface}: {control.answer} with it ({fitted.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
+        yield found(record, surface, "sign", sentence, at=(0, record.n - 1))
 
 
 def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bool:
-    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there.
-
-    The angular acceleration is fitted to the surface, the others about that axis and the motion where the surface
-    moves. In the run it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was
-    recorded, in flight that is less than the fitted range beyond it. A surface about the pitch axis is also told as
-    one without any signal is, in the run alone. An aileron or a rudder is not told where less than about 8 s are left
-    in which it moves: gusts roll and yaw an aircraft, too.
-    """
+    """Whether the aircraft turns in a run of samples as if a surface moved that stands still there. The angular
+    acceleration is fitted to the surface, the others about that axis and the motion where the surface moves. In the run
+    it must miss what only a deflection of `UNSEEN` makes, and more than where the surface was recorded, in flight that
+    is less than the fitted range beyond it. A surface about the pitch axis is also told as one without any signal is,
+    in the run alone. An aileron or a rudder is not told where less than about 8 s are left in which it moves: gusts
+    roll and yaw an aircraft, too."""
     control = next((c for c in (ELEVATOR, *LATERAL) if name in TURNS[c.surface]), None)
     if control is None or (run[1] - run[0]) * record.dt < LONGEST_REST:
         return False
@@ -129,11 +132,8 @@ def answers_unmoved(record: FlightRecord, name: str, run: tuple[int, int]) -> bo
 
 def answers_no_input(record: FlightRecord) -> bool:
     """Whether the aircraft pitches as neither motion nor a surface that moves explains. A rudder or an aileron may well
-    be left alone.
-
-    A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch is fitted
-    by itself. Products of p and r turn the nose by inertia.
-    """
+    be left alone. A manoeuvre may be a small part of the record, and a stall is not linear over the whole: each stretch
+    is fitted by itself. Products of p and r turn the nose by inertia."""
     stretch = round(4.0 * SLOW / record.dt)
     if not all(map(record.has, ELEVATOR.beside)) or record.n < stretch:
         return False
@@ -153,18 +153,15 @@ def answers_no_input(record: FlightRecord) -> bool:
     return False
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Angular acceleration over a surface and the motion: regressors, what is left, rad/s2, and the samples that it was
-    fitted to; response to the surface, 1/s2 a rad, what is usually left, and the covariance of the fit over its square.
-    """
+class _Fit(NamedTuple):
+    """Angular acceleration over a surface and the motion."""
 
-    rows: np.ndarray
-    left: np.ndarray
-    used: np.ndarray
-    response: float
-    usual: float
-    spread: np.ndarray
+    rows: np.ndarray  # regressors
+    left: np.ndarray  # what they miss, rad/s2
+    used: np.ndarray  # samples that it was fitted to
+    response: float  # to the surface, 1/s2 a rad
+    usual: float  # what is usually left
+    spread: np.ndarray  # covariance of the fit over the square of that
 
     @property
     def error(self) -> float:
@@ -209,29 +206,19 @@ def _fitted(control: _Control, record: FlightRecord, outside: tuple[str, int, in
     return _Fit(rows, left, used, float(fit[0]), float(np.sqrt(np.mean(left[used] ** 2) / free)), spread)
 
 
-def _answers(control: _Control, record: FlightRecord, card: Card) -> list[HealthFinding]:
-    fitted = _fitted(control, record)
-    if fitted is None or fitted.response < max(SURE * fitted.error, RESPONSE):
-        return []
-    mend = _mend(control, record, card)
-    sentence = (
-        f"{control.surface}: {control.answer} with it ({fitted.response:+.2g} 1/s^2 a rad); {control.rule}, {mend}"
-    )
-    return [found(record, control.surface, "sign", sentence, at=(0, record.n - 1))]
-
-
-def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]:
-    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move.
-
-    Then the law of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface
-    only trims, is no better. A pilot's input beside the feedback in one of the records separates the two.
-
-    Source: L. Ljung, System Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft).
-    """
-    said = []
-    for surface in _surfaces(card):
+def feedback(records: Sequence[FlightRecord], card: Card) -> Findings:
+    """Findings for surfaces that follow the outputs, to within noise, in every record in which they move. Then the law
+    of the feedback fits the record as well as the aircraft does. A slow manoeuvre, in which the surface only trims, is
+    no better. A pilot's input beside the feedback in one of the records separates the two. Source: L. Ljung, System
+    Identification, 2nd ed. 1999, sec. 13.4; Jategaonkar 2015, ch. 9 (unstable aircraft)."""
+    if card.linear is not None:
+        surfaces = [name for name in card.linear.inputs if name in CONTROLS]
+    else:
+        controls = ((Axis.LONGITUDINAL, ELEVATOR), *((Axis.LATERAL, control) for control in LATERAL))
+        surfaces = [control.surface for axis, control in controls if axis in card.axes]
+    for surface in surfaces:
         flown = [r for r in records if (u := _deflection(surface, r)) is not None and np.ptp(u) > 0.0]
-        moved = [(record, law) for record in flown if (law := _law(surface, record, card)) is not None]
+        moved = [(record, law) for record in flown if (law := law_of(surface, record, card)) is not None]
         # A record that cannot be judged may hold the pilot's input.
         if not moved or len(moved) < len(flown) or not all(names for _, (names, _) in moved):
             continue
@@ -242,25 +229,14 @@ def feedback(records: Sequence[FlightRecord], card: Card) -> list[HealthFinding]
                 f"the pilot (a doublet, a multisine) to the {surface} beside the feedback, join a record that has one, "
                 "or fix the derivatives on the card that are known"
             )
-            said.append(found(record, surface, "feedback", sentence, at=(0, record.n - 1)))
-    return said
+            yield found(record, surface, "feedback", sentence, at=(0, record.n - 1))
 
 
-def _surfaces(card: Card) -> list[str]:
-    """Surfaces by which the card's model moves the aircraft."""
-    if card.linear is not None:
-        return [name for name in card.linear.inputs if name in CONTROLS]
-    controls = ((Axis.LONGITUDINAL, ELEVATOR), *((Axis.LATERAL, control) for control in LATERAL))
-    return [control.surface for axis, control in controls if axis in card.axes]
-
-
-def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
-    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own.
-
-    Integrals of the outputs are tried where the outputs themselves do not make the motion and the record is long
-    enough; then both between limits of the surface. None where the surface drifts or decays at most, or the record is
-    too short to tell.
-    """
+def law_of(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str] | None:
+    """The outputs that a surface follows and how much of its motion is left; no outputs where it has its own. Integrals
+    of the outputs are tried where the outputs themselves do not make the motion and the record is long enough; then
+    both between limits of the surface. None where the surface drifts or decays at most, or the record is too short to
+    tell."""
     u = _deflection(surface, record)
     recorded = [n for n in dict.fromkeys((*OUTPUTS, *(card.linear.states if card.linear else ()))) if record.has(n)]
     moved = [n for n in recorded if np.ptp(record[n]) > 0.0 and not noise_alone(record[n])]
@@ -282,7 +258,7 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str
     if not len(moving) or np.ptp(moving) <= STILL * np.ptp(u):
         return None  # too short, or it moves at an end of the record alone
     judged = False
-    for limits in (None, _limits(u, record.dt)):
+    for limits in (None, _Limits.of(u, record.dt)):
         free = np.ones(record.n, bool) if limits is None else limits.free
         room = free.sum() * record.dt / SMOOTH / PER_COLUMN - 2.0
         if len(outputs) > room or np.std(moving[free[inside]]) < BETWEEN * np.std(moving):
@@ -305,8 +281,7 @@ def _law(surface: str, record: FlightRecord, card: Card) -> tuple[list[str], str
     return ([], "") if judged else None
 
 
-@dataclass(frozen=True)
-class _Limits:
+class _Limits(NamedTuple):
     """Least and largest deflection, rad, largest rate, rad/s, and the samples that are well within them."""
 
     low: float
@@ -314,28 +289,25 @@ class _Limits:
     rate: float
     free: np.ndarray
 
+    @classmethod
+    def of(cls, u: Float[np.ndarray, " n"], dt: float) -> _Limits:
+        """The limits that a surface has if its extremes are limits."""
+        half = max(1, round(RATE / dt))
+        padded = np.pad(u, half, mode="edge")
+        rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
+        (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
+        edge = EDGE * (high - low)
+        within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
+        return cls(float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9)
 
-def _limits(u: Float[np.ndarray, " n"], dt: float) -> _Limits:
-    """The limits that a surface has if its extremes are limits."""
-    half = max(1, round(RATE / dt))
-    padded = np.pad(u, half, mode="edge")
-    rate = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * dt)
-    (low, high), fast = np.quantile(u, [0.01, 0.99]), float(np.quantile(np.abs(rate), 0.98))
-    edge = EDGE * (high - low)
-    within = (u > low + edge) & (u < high - edge) & (np.abs(rate) < (1.0 - 2.0 * EDGE) * fast)
-    return _Limits(float(low), float(high), fast, _mean(within.astype(float), SMOOTH / dt) > 1.0 - 1e-9)
 
+class _Followed(NamedTuple):
+    """A law of a surface."""
 
-@dataclass(frozen=True)
-class _Followed:
-    """A law of a surface: the motion that each regressor makes over the surface's, standard deviations; the share of
-    the surface's motion (a variance) that the law misses between limits, and whether that is no more than noise; the
-    share of the fast motion at limits that the law with these limits misses."""
-
-    made: np.ndarray
-    share: float
-    within: bool
-    at_limits: float
+    made: np.ndarray  # the motion that each regressor makes over the surface's, standard deviations
+    share: float  # of the surface's motion (a variance) that the law misses between limits
+    within: bool  # whether that is no more than noise
+    at_limits: float  # share of the fast motion at limits that the law with these limits misses
 
 
 def _followed(
@@ -369,7 +341,12 @@ def _followed(
     at_limits = 0.0
     if limits is not None and not free.all():
         asked = np.concatenate([np.full(delay, u[0]), (weights @ rows)[: len(u) - delay]])
-        whole = _mean(_limited(asked, u[0], lag, dt, limits), window)[inside]
+        # from the surface's first position, it follows what is asked for behind the lag, within the limits
+        share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, [u[0]]
+        for goal in asked:
+            to = followed[-1] + min(max((goal - followed[-1]) * share, -step), step)
+            followed.append(min(max(to, limits.low), limits.high))
+        whole = _mean(np.array(followed[1:]), window)[inside]
         fast = [(x - _mean(x, SLOW / dt))[~free] for x in (target, target - whole)]
         at_limits = float(np.mean(fast[1] ** 2) / np.mean(fast[0] ** 2))
     made = made * columns.std(axis=1) / float(np.std(target))
@@ -385,10 +362,8 @@ def _inside(u: np.ndarray, dt: float) -> slice:
 def _late(
     x: Float[np.ndarray, "k n"], u: Float[np.ndarray, " n"], free: np.ndarray, lag: float, dt: float
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"]]:
-    """Signals behind a lag of first order, and what the surface's own position adds behind it.
-
-    The lag begins at the surface's position: at the first sample, and after each sample at a limit.
-    """
+    """Signals behind a lag of first order, and what the surface's own position adds behind it. The lag begins at the
+    surface's position: at the first sample, and after each sample at a limit."""
     pole = np.exp(-dt / lag) if lag > 1e-3 * dt else 0.0
     held = ~free | (np.arange(len(u)) == 0)
     # y - pole y(one earlier) = (1 - pole) x as a banded system: `scipy.signal` is slow to load, and `check` needs this.
@@ -396,22 +371,6 @@ def _late(
     driven = np.concatenate([np.where(held, 0.0, (1.0 - pole) * x), [np.where(held, u, 0.0)]])
     *late, own = solve_banded((1, 0), bands, driven.T).T
     return np.array(late), own
-
-
-def _limited(asked: np.ndarray, u: float, lag: float, dt: float, limits: _Limits) -> np.ndarray:
-    """The position of a surface that starts at `u` and follows what is asked for behind a lag, within limits."""
-    share, step, followed = 1.0 if lag <= 1e-3 * dt else 1.0 - np.exp(-dt / lag), limits.rate * dt, []
-    for goal in asked:
-        u = min(max(u + min(max((goal - u) * share, -step), step), limits.low), limits.high)
-        followed.append(u)
-    return np.array(followed)
-
-
-def _mend(control: _Control, record: FlightRecord, card: Card) -> str:
-    if not record.has(control.surface):
-        return f"so {' and '.join(PAIR)} are swapped, or the file counts trailing edge up; correct them on the card"
-    sign = -declared(card, control.surface).sign
-    return f"so if the file counts {control.otherwise} write sign = {sign} at {control.surface} on the card"
 
 
 def _deflection(surface: str, record: FlightRecord) -> Float[np.ndarray, " n"] | None:

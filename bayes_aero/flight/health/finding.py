@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.record import GRAVITY, FlightRecord
-from bayes_aero.units import from_si, instant
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.units import instant, same_unit, to_si
 
 
 @dataclass(frozen=True)
 class HealthFinding:
-    """One fault of one channel.
-
-    Attributes:
-        record: name of the record.
-        channel: name of the channel; "record" where all of them are meant.
-        fault: short key of the kind of fault, e.g. "frozen".
-        begin: first time that is concerned, s, as in the record; None where it is the whole record.
-        end: last such time, s.
-        sentence: channel, when, what it looks like, how to mend it.
-        grave: whether results that rest on the channel cannot be trusted.
-    """
+    """One fault of one channel."""
 
     record: str
-    channel: str
-    fault: str
-    begin: float | None
-    end: float | None
-    sentence: str
-    grave: bool
+    channel: str  # "record" where all of them are meant
+    fault: str  # short key of the kind of fault, e.g. "frozen"
+    begin: float | None  # first time that is concerned, s, as in the record; None where it is the whole record
+    end: float | None  # last such time, s
+    sentence: str  # channel, when, what it looks like, how to mend it
+    grave: bool  # whether results that rest on the channel cannot be trusted
+
+
+Findings = Iterator[HealthFinding]
 
 
 def only_following(health: Iterable[HealthFinding]) -> tuple[str, ...]:
@@ -65,11 +57,18 @@ def declared(card: Card, name: str) -> Channel:
     return Channel(name, standard.unit if standard else "1")
 
 
+def other_units(card: Card, name: str, units: Iterable[str]) -> Iterator[tuple[str, float]]:
+    """Of these units those that the card does not state, and the factor by which SI values would be larger in them."""
+    channel = declared(card, name)
+    for unit in units:
+        if same_unit(unit, channel.unit) is False:
+            yield unit, float(to_si(1.0, unit, name, channel.si) / to_si(1.0, channel.unit, name, channel.si))
+
+
 def as_filed(card: Card, name: str, values: np.ndarray | float) -> np.ndarray:
     """SI values of a channel in the unit and with the sign of the file, rounded to six digits to undo conversion."""
     channel = declared(card, name)
-    standard = STANDARD_CHANNELS.get(name)
-    raw = from_si(channel.sign * np.asarray(values, float), channel.unit, name, standard.unit if standard else None)
+    raw = channel.filed(np.asarray(values, float))
     with np.errstate(all="ignore"):
         digits = 10.0 ** (5.0 - np.floor(np.log10(np.where(raw == 0.0, 1.0, np.abs(raw)))))
         return np.where(np.abs(raw) < 1e-9, 0.0, np.round(raw * digits) / digits)
@@ -87,39 +86,15 @@ def span(record: FlightRecord, first: int, last: int) -> str:
     return f"from {instant(record.time[first])} to {instant(record.time[last])} s"
 
 
-# --- The standard atmosphere in numbers, for what recorded air data are held against.
-
-GAS, GAMMA = 287.05287, 1.4  # J/(kg K) and ratio of the specific heats, of dry air
-_T0, _P0, _LAPSE, _TOP, _HIGHEST = 288.15, 101325.0, 0.0065, 11_000.0, 25_000.0
+# --- What was decided when the record was read.
 
 
-def standard_air(altitude: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Density (kg/m3) and speed of sound (m/s) at geopotential altitude (m), -1 to 25 km.
-
-    Source: ISO 2533:1975, troposphere and isothermal layer (to 20 km; the 5 km above are colder by 5 K than taken).
-    """
-    h = np.clip(altitude, -1000.0, _HIGHEST)
-    T = _T0 - _LAPSE * np.minimum(h, _TOP)
-    pressure = _P0 * (T / _T0) ** (GRAVITY / (_LAPSE * GAS))
-    pressure = pressure * np.exp(-GRAVITY * np.maximum(h - _TOP, 0.0) / (GAS * T))
-    return pressure / (GAS * T), np.sqrt(GAMMA * GAS * T)
-
-
-# --- What was decided when the record was read: optional channels that were left out, text that could mean two
-# things.
-
-
-def dropped_channels(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - one signature
-    """A finding for each channel that the card does not require and that no sound record could have."""
-    return [
-        found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
-        for name, why in record.dropped.items()
-    ]
-
-
-def read_remarks(record: FlightRecord, card: Card) -> list[HealthFinding]:  # noqa: ARG001 - one signature
-    """A finding for each sentence on how the file was understood."""
-    return [found(record, "record", "read", remark, grave=False) for remark in record.remarks]
+def decided(record: FlightRecord, _card: Card) -> Findings:
+    """Optional channels that no sound record could have and that were left out; text that could mean two things."""
+    for name, why in record.dropped.items():
+        yield found(record, name, "left_out", f"{why}; it is not required and was left out", grave=False)
+    for remark in record.remarks:
+        yield found(record, "record", "read", remark, grave=False)
 
 
 # --- Records too short for the filters and for the motion of the aircraft.
@@ -130,7 +105,7 @@ CHORDS = 120.0  # lengths travelled: two short periods, or a separation and, at 
 LEAST = 5.0  # s, where the card states no chord
 
 
-def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
+def short(record: FlightRecord, card: Card) -> Findings:
     """A finding if the record is shorter than a manoeuvre must be to be identified by itself."""
     lasts = float(record.time[-1] - record.time[0])
     chord = float(card.aircraft.chord)
@@ -140,7 +115,7 @@ def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
     motion = min(motion, LEAST) if card.linear is not None else motion
     needed = max(motion, ends)
     if lasts >= needed:
-        return []
+        return
     why = (
         f"{CHORDS:.0f} chords of flight, in which an aircraft has answered a control and a stall has come and gone"
         if motion >= ends
@@ -151,4 +126,4 @@ def short(record: FlightRecord, card: Card) -> list[HealthFinding]:
         f"the record is too short: {has:g} s, and {least:g} s are needed ({why}); estimates can be off by "
         "several standard errors, so give the whole manoeuvre with some seconds of trimmed flight before it"
     )
-    return [found(record, "record", "short", sentence, at=(0, record.n - 1))]
+    yield found(record, "record", "short", sentence, at=(0, record.n - 1))

@@ -8,22 +8,18 @@ from itertools import permutations, product
 
 import numpy as np
 
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import declared
+from bayes_aero.flight.health.finding import declared, other_units
 from bayes_aero.flight.health.signals import channels_of
-from bayes_aero.flight.record import GRAVITY, FlightRecord
-from bayes_aero.units import same_unit, to_si
+from bayes_aero.flight.record import FlightRecord
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE),
-    **dict.fromkeys(("p", "q", "r"), _RATE),
-    **dict.fromkeys(("ax", "ay", "az"), _FORCE),
-    "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
-    "altitude": ("m", "ft"),
-    "time": ("s", "ms", "us", "ns", "min"),
-}
+    **dict.fromkeys(("phi", "theta", "psi", "alpha", "beta"), _ANGLE), **dict.fromkeys(("p", "q", "r"), _RATE),
+    **dict.fromkeys(("ax", "ay", "az"), _FORCE), "airspeed": ("m/s", "kt", "km/h", "ft/s", "mph"),
+    "altitude": ("m", "ft"), "time": ("s", "ms", "us", "ns", "min"),
+}  # fmt: skip
 GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("phi", "theta", "psi"), ("alpha", "beta"))
 """Channels of one instrument, which share their unit."""
 SIGNS = ("p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "ax", "ay", "az", "altitude")
@@ -103,11 +99,8 @@ def orders(kind: str, recorded: frozenset[str]) -> Iterator[dict[str, str]]:
 
 
 def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
-    """The axes of both instruments or one that explain most of the moves, and how many channels remain.
-
-    Returns:
-        Words, and the number of channels that are to be read otherwise than the axes say.
-    """
+    """The axes of both instruments or one that explain most of the moves, in words, and how many channels are to be
+    read otherwise than these axes say."""
     have = {kind: tuple(n for n in names if n in recorded) for kind, names in INSTRUMENTS.items()}
     kinds = tuple(kind for kind, names in have.items() if names)
     angles = {n for n in moves if n in (*ATTITUDE, *FLOW)}
@@ -123,10 +116,8 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
 
 
 def moved(card: Card, recorded: frozenset[str], moves: Moves) -> Reading:
-    """The record with channels taken for each other, or counting the other way.
-
-    Axes are named where they say what as many wrong signs could not, or only with more of them.
-    """
+    """The record with channels taken for each other, or counting the other way. Axes are named where they say what as
+    many wrong signs could not, or only with more of them."""
     turned = ", ".join(name for name, (source, _) in moves.items() if source == name)
     exchanged = ", ".join(f"{name} is {source}" for name, (source, _) in moves.items() if source != name)
     axes, rest = axes_of(moves, recorded)
@@ -163,8 +154,15 @@ def readings(view: View, card: Card, recorded: frozenset[str]) -> Iterator[Readi
     for group in [(name,) for name in UNITS] + [tuple(n for n in group if n in recorded) for group in GROUPS]:
         if group and set(group) <= recorded:
             yield from _units(group, card, view)
-    yield from _gravity(card, recorded)
-    yield from _kinds(view, recorded)
+    if "theta" in recorded:
+        yield from _gravity(card, recorded)
+    ratio = thinness(view, recorded)
+    if "airspeed" in recorded and ratio is not None and float(np.median(ratio)) < THIN:
+        times = float(1.0 / np.median(ratio))
+        looks = f"is calibrated (or indicated) airspeed: true airspeed is {times:.3g} times as large at this density"
+        mend = "divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
+        calibrated = Reading(("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio})
+        yield replace(calibrated, factor=times)
 
 
 def scaled(names: tuple[str, ...], factor: float, fault: str, looks: str, mend: str) -> Reading:
@@ -178,28 +176,17 @@ def _units(group: tuple[str, ...], card: Card, view: View) -> Iterator[Reading]:
         return
     if "az" in group and abs(np.log(max(float(np.median(np.abs(view["az"]))), 1e-9) / GRAVITY)) < ONE_G:
         return  # the unit explains the load factor of flight, and no other one does
-    for unit in UNITS[group[0]]:
-        factors = [_factor(name, unit, of[name]) for name in group]
-        if not all(factors) or abs(np.log(factors[0])) < 0.1:  # type: ignore[arg-type]
+    for unit, factor in other_units(card, group[0], UNITS[group[0]]):
+        if abs(np.log(factor)) < 0.1:
             continue
         are = "is" if len(group) == 1 else "are"
         looks = f"{are} in {unit} and not in {of[group[0]]}, as the card says"
         mend = f'set unit = "{unit}" for {"it" if len(group) == 1 else "them"} on the card'
-        yield replace(scaled(group, factors[0], "unit", looks, mend), factor=factors[0])  # type: ignore[arg-type]
-
-
-def _factor(name: str, unit: str, declared_unit: str) -> float | None:
-    """What the numbers inside must be multiplied by if the file is in `unit`; None where that is no news."""
-    if same_unit(unit, declared_unit) is not False:
-        return None
-    standard = STANDARD_CHANNELS[name].unit
-    return float(to_si(1.0, unit, name, standard) / to_si(1.0, declared_unit, name, standard))
+        yield replace(scaled(group, factor, "unit", looks, mend), factor=factor)
 
 
 def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
     """Accelerations that inertial units give out: without gravity, one, some or all; the load factor less one."""
-    if "theta" not in recorded:
-        return
     have = tuple(n for n in ("ax", "ay", "az") if n in recorded)
     back = {
         "ax": ("ax + g sin(theta)", lambda v: GRAVITY * np.sin(v["theta"])),
@@ -212,9 +199,8 @@ def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
 
     for names in dict.fromkeys([*((n,) for n in have), have]):
         for factor, unit in ((1.0, ""), (GRAVITY, ", and in multiples of g")):
-            looks = (
-                f"{'has' if len(names) == 1 else 'have'} no part of gravity (acceleration, not specific force{unit})"
-            )
+            has = "has" if len(names) == 1 else "have"
+            looks = f"{has} no part of gravity (acceleration, not specific force{unit})"
             mend = f"write {', '.join(back[n][0] for n in names)} into the file"
             yield Reading(names, "gravity", looks, mend, put_back(names, factor))
     if "az" in have:
@@ -226,11 +212,6 @@ def _gravity(card: Card, recorded: frozenset[str]) -> Iterator[Reading]:
 def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) -> Reading:
     """az as a load factor from which the one of level flight was taken; the others in g with it, or not."""
     others = tuple(n for n in names if n != "az")
-
-    def applied(v: View) -> dict[str, np.ndarray]:
-        rest = {n: factor * v[n] for n in others}
-        return {**rest, "az": sign * factor * v["az"] - GRAVITY}
-
     unit = "in multiples of g" if factor != 1.0 else f"in {declared(card, 'az').unit}"
     turned = "positive upward" if sign < 0.0 else "positive downward"
     also = f" ({' and '.join(others)} in multiples of g, too)" if factor != 1.0 and others else ""
@@ -238,22 +219,10 @@ def _less_one(names: tuple[str, ...], sign: float, factor: float, card: Card) ->
         f"is about zero in level flight, where gravity makes it -1 g: a load factor minus one, {turned}, {unit}{also}"
     )
     mend = 'add the one back in the file, and set unit = "g" and the sign on the card'
-    return Reading(("az", *others), "gravity", looks, mend, applied, "az")
-
-
-def _kinds(view: View, recorded: frozenset[str]) -> Iterator[Reading]:
-    """Calibrated airspeed where true airspeed is meant."""
-    ratio = thinness(view, recorded)
-    if "airspeed" in recorded and ratio is not None and float(np.median(ratio)) < THIN:
-        looks = (
-            f"is calibrated (or indicated) airspeed: true airspeed is {1.0 / np.median(ratio):.3g} times as large at "
-            "this density"
-        )
-        mend = "divide it by the square root of density over 1.225 kg/m^3 in the file, or map the true airspeed"
-        yield Reading(
-            ("airspeed",), "airspeed_kind", looks, mend, lambda v: {"airspeed": v["airspeed"] / ratio},
-            factor=float(1.0 / np.median(ratio)),
-        )  # fmt: skip
+    return Reading(
+        ("az", *others), "gravity", looks, mend,
+        lambda v: {n: factor * v[n] for n in others} | {"az": sign * factor * v["az"] - GRAVITY}, "az",
+    )  # fmt: skip
 
 
 def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
@@ -293,7 +262,16 @@ class Relation:
 
     def rate(self, view: View) -> np.ndarray:
         """Rate of change of the channel, (n,)."""
-        return _sum(self.terms(view))
+        return np.sum(self.terms(view), axis=0)
+
+    def changes(self, view: View) -> list[np.ndarray]:
+        """The channel and the integral of each term of its rate, less, over what is allowed, without drift."""
+        time = view["time"]
+        each = [view[self.channel], *(-integrated(term, time) for term in self.terms(view))]
+        pieces = 1 if self.piece is None else round((time[-1] - time[0]) / self.piece)
+        pieces = min(max(pieces, 1), len(time) // SHORTEST)
+        parts = ([without_drift(part) for part in np.array_split(x, pieces)] for x in each)
+        return [np.concatenate(part) / self.allowed for part in parts]
 
 
 def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
@@ -303,33 +281,17 @@ def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     return {**filled, **known, "time": record.time}
 
 
-def _sum(terms: tuple[np.ndarray, ...]) -> np.ndarray:
-    return np.sum(terms, axis=0)
-
-
-def _theta(v: View) -> tuple[np.ndarray, ...]:
-    return v["q"] * np.cos(v["phi"]), -v["r"] * np.sin(v["phi"])
-
-
 def _turning(v: View) -> tuple[np.ndarray, ...]:
     return v["q"] * np.sin(v["phi"]), v["r"] * np.cos(v["phi"])
 
 
-def _phi(v: View) -> tuple[np.ndarray, ...]:
-    return v["p"], *(np.tan(v["theta"]) * turning for turning in _turning(v))
-
-
-def _psi(v: View) -> tuple[np.ndarray, ...]:
-    return tuple(turning / np.cos(v["theta"]) for turning in _turning(v))
-
-
 def dead_heading(v: View) -> bool:
     """Whether the heading stands still while the rates turn the aircraft; `time`, phi, theta, q, r and psi are read."""
-    turn = integrated(_sum(_psi(v)), v["time"])
+    turn = integrated(RELATIONS["psi"].rate(v), v["time"])
     return bool(np.ptp(turn) > TURN and np.ptp(v["psi"]) < FOLLOWS * np.ptp(turn))
 
 
-def _altitude(v: View) -> tuple[np.ndarray, ...]:
+def climb(v: View) -> tuple[np.ndarray, ...]:
     a, b, theta, phi, V = v["alpha"], v["beta"], v["theta"], v["phi"], v["airspeed"]
     return (
         V * np.cos(a) * np.cos(b) * np.sin(theta),
@@ -338,34 +300,27 @@ def _altitude(v: View) -> tuple[np.ndarray, ...]:
     )
 
 
-def _forces(v: View) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Specific force and gravity along each body axis, m/s2, each (n,)."""
-    cos = np.cos(v["theta"])
-    return (
-        (v["ax"], -GRAVITY * np.sin(v["theta"])),
-        (v["ay"], GRAVITY * cos * np.sin(v["phi"])),
-        (v["az"], GRAVITY * cos * np.cos(v["phi"])),
-    )
-
-
 def _along(v: View, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Specific force and gravity along a direction with these components on the body axes."""
-    return tuple(part * c for force, c in zip(_forces(v), (x, y, z), strict=True) for part in force)
+    """Specific force and gravity, m/s2, along a direction with these components on the body axes."""
+    sin, cos = np.sin(v["theta"]), np.cos(v["theta"])
+    down = (-GRAVITY * sin, GRAVITY * cos * np.sin(v["phi"]), GRAVITY * cos * np.cos(v["phi"]))
+    forces = zip((v["ax"], v["ay"], v["az"]), down, (x, y, z), strict=True)
+    return tuple(part * c for force, gravity, c in forces for part in (force, gravity))
 
 
-def _airspeed(v: View) -> tuple[np.ndarray, ...]:
+def acceleration(v: View) -> tuple[np.ndarray, ...]:
     a, b = v["alpha"], v["beta"]
     return _along(v, np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b))
 
 
-def _alpha(v: View) -> tuple[np.ndarray, ...]:
+def alpha_rate(v: View) -> tuple[np.ndarray, ...]:
     a, b = v["alpha"], v["beta"]
     V = v["airspeed"] * np.cos(b)
     turned = (v["q"], -np.tan(b) * v["p"] * np.cos(a), -np.tan(b) * v["r"] * np.sin(a))
     return *turned, *_along(v, -np.sin(a) / V, 0.0 * a, np.cos(a) / V)
 
 
-def _beta(v: View) -> tuple[np.ndarray, ...]:
+def beta_rate(v: View) -> tuple[np.ndarray, ...]:
     a, b, V = v["alpha"], v["beta"], v["airspeed"]
     across = _along(v, -np.cos(a) * np.sin(b) / V, np.cos(b) / V, -np.sin(a) * np.sin(b) / V)
     return v["p"] * np.sin(a), -v["r"] * np.cos(a), *across
@@ -375,34 +330,40 @@ _AIR = ("airspeed", "alpha", "theta", "ax", "az")
 RELATIONS: dict[str, Relation] = {
     r.channel: r
     for r in (
-        Relation("theta", ("theta", "q"), _theta, np.deg2rad(1.0)),
-        Relation("phi", ("phi", "p", "q", "theta"), _phi, np.deg2rad(2.0)),
-        Relation("psi", ("psi", "q", "r", "theta"), _psi, np.deg2rad(3.0)),
-        Relation("altitude", ("altitude", "airspeed", "theta", "alpha"), _altitude, 6.0),
-        Relation("airspeed", _AIR, _airspeed, 2.0),
-        Relation("alpha", (*_AIR, "q"), _alpha, np.deg2rad(1.0), 10.0),
-        Relation("beta", ("beta", "r", "ay", "phi", *_AIR), _beta, np.deg2rad(1.5), 10.0),
+        Relation(
+            "theta", ("theta", "q"), lambda v: (v["q"] * np.cos(v["phi"]), -v["r"] * np.sin(v["phi"])), np.deg2rad(1.0)
+        ),
+        Relation(
+            "phi", ("phi", "p", "q", "theta"), lambda v: (v["p"], *(np.tan(v["theta"]) * x for x in _turning(v))),
+            np.deg2rad(2.0),
+        ),
+        Relation(
+            "psi", ("psi", "q", "r", "theta"), lambda v: tuple(x / np.cos(v["theta"]) for x in _turning(v)),
+            np.deg2rad(3.0),
+        ),
+        Relation("altitude", ("altitude", "airspeed", "theta", "alpha"), climb, 6.0),
+        Relation("airspeed", _AIR, acceleration, 2.0),
+        Relation("alpha", (*_AIR, "q"), alpha_rate, np.deg2rad(1.0), 10.0),
+        Relation("beta", ("beta", "r", "ay", "phi", *_AIR), beta_rate, np.deg2rad(1.5), 10.0),
     )
-}
+}  # fmt: skip
 SHORTEST = 25  # samples of a piece
 TURN, FOLLOWS = np.deg2rad(3.0), 0.2
 """rad that the rates must turn the aircraft by, and the share of it within which a heading stands still."""
-LEVEL = 1.5
-"""m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2."""
-SIDE = 0.9
-"""The same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle."""
+LEVEL = 1.5  # m/s2 that the mean normal acceleration may be off: a bias of .5 deg/s at 100 m/s and one of .6 m/s2
+SIDE = 0.9  # the same of the mean lateral acceleration: .3 deg/s at 100 m/s and .4 m/s2, or 2.5 deg of the bank angle
 SIDESLIP = 0.1  # rad that sideslip may have changed by where it was not recorded
 MEANS = {"level": LEVEL, "side": SIDE}
 _MEAN_NEEDS = {"level": RELATIONS["alpha"].needs, "side": ("ay", "r", "phi", *RELATIONS["airspeed"].needs)}
-SCALE = 0.3
-"""Error of scale that a sensor in the right unit may have; our choice."""
+SCALE = 0.3  # error of scale that a sensor in the right unit may have; our choice
 
 
 def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, float]:
     """How far each relation (or those of `names`) is from what is allowed: 1 is the limit. Relations that lack a
     channel are left out."""
     off = {name: terms.sum(0) for name, terms in terms_of(view, recorded, names).items()}
-    return {name: _size(x) if np.isfinite(x).all() else np.inf for name, x in off.items()}
+    sizes = {name: float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2))) for name, x in off.items()}
+    return {name: sizes[name] if np.isfinite(x).all() else np.inf for name, x in off.items()}
 
 
 def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, np.ndarray]:
@@ -411,24 +372,10 @@ def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None 
     with np.errstate(all="ignore"):
         for name, needs in {**{name: r.needs for name, r in RELATIONS.items()}, **_MEAN_NEEDS}.items():
             if set(needs) <= recorded and (names is None or name in names):
-                terms = _mean_terms(name, view, recorded) if name in _MEAN_NEEDS else _changes(view, RELATIONS[name])
+                mean = name in _MEAN_NEEDS
+                terms = _mean_terms(name, view, recorded) if mean else RELATIONS[name].changes(view)
                 found[name] = np.stack(terms)
     return found
-
-
-def _size(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.minimum(np.abs(x), 1e9) ** 2)))
-
-
-def _changes(view: View, relation: Relation) -> list[np.ndarray]:
-    """A channel and the integral of each term of its rate, less, over what is allowed, without drift."""
-    time = view["time"]
-    each = [view[relation.channel], *(-integrated(term, time) for term in relation.terms(view))]
-    pieces = 1 if relation.piece is None else round((time[-1] - time[0]) / relation.piece)
-    pieces = min(max(pieces, 1), len(time) // SHORTEST)
-    return [
-        np.concatenate([_without_drift(part) for part in np.array_split(x, pieces)]) / relation.allowed for x in each
-    ]
 
 
 def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:
@@ -436,16 +383,12 @@ def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndar
     V, channel = view["airspeed"], "alpha" if name == "level" else "beta"
     terms = [np.mean(V * term) for term in RELATIONS[channel].terms(view)]
     if channel in recorded:
-        terms.append(-np.mean(V) * _turned(view, channel))
+        x, time = view[channel], view["time"]
+        turned = float(np.median(x[-9:]) - np.median(x[:9])) / float(time[-1] - time[0])
+        terms.append(-np.mean(V) * turned)
     elif np.mean(V) * SIDESLIP >= SIDE / 3.0 * float(view["time"][-1] - view["time"][0]):
         return [np.zeros(1)]
     return [np.atleast_1d(term) / MEANS[name] for term in terms]
-
-
-def _turned(view: View, name: str) -> float:
-    """Mean rate of change of a channel."""
-    x, time = view[name], view["time"]
-    return float(np.median(x[-9:]) - np.median(x[:9])) / float(time[-1] - time[0])
 
 
 def side_bias(view: View, recorded: frozenset[str]) -> float:
@@ -458,7 +401,7 @@ def integrated(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[:-1] + rate[1:]))])
 
 
-def _without_drift(x: np.ndarray) -> np.ndarray:
+def without_drift(x: np.ndarray) -> np.ndarray:
     """Less its best straight line: an unknown initial value, and a bias of the rate or steady vertical wind."""
     t = np.linspace(-1.0, 1.0, len(x))
     return x - x.mean() - t * float(t @ x) / float(t @ t)

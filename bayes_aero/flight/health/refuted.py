@@ -9,10 +9,11 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import fminbound
 
+from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.health.air import OFF
-from bayes_aero.flight.health.finding import HealthFinding, found
+from bayes_aero.flight.health.finding import Findings, HealthFinding, found
 from bayes_aero.flight.health.readings import (
     AGREES,
     ATTITUDE,
@@ -35,7 +36,7 @@ from bayes_aero.flight.health.readings import (
     terms_of,
     view_of,
 )
-from bayes_aero.flight.record import GRAVITY, FlightRecord
+from bayes_aero.flight.record import FlightRecord
 
 MENDED = 0.4  # of its misfit a relation may keep under the reading that is said to be right
 WORSE = 1.3  # times its misfit another relation may have there, if it is above the limit then
@@ -46,8 +47,7 @@ FEW, SLOW = 500, 0.1  # samples and s between them that tell one sign from anoth
 ALIKE = 2.0  # logarithms of misfits within which ways to read the record may be as good as the best
 FAULT, AXES = 0.25, 2  # of these logarithms that a fault costs, and faults that axes cost
 TOLD = 0.2  # by which the best must be ahead of the next
-SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})
-"""Relations that ask for a factor of the airspeed."""
+SPEED = frozenset({"airspeed", "altitude", "alpha", "beta"})  # relations that ask for a factor of the airspeed
 SPEED_ERROR = 0.02  # standard deviation of the scale of an airspeed in the right unit; assumed
 PIECE, FEWEST = 5.0, 4  # s, and number, of the pieces that tell its standard error
 WIDEST, STEP, SURE = 1.6, 0.02, 3.0  # logarithms of its range and of a difference; standard errors that it must be off
@@ -57,17 +57,18 @@ NOUNS = {
     "theta": "pitch attitude", "phi": "bank angle", "psi": "heading", "altitude": "altitude",
     "airspeed": "airspeed", "alpha": "angle of attack", "beta": "sideslip", "level": "normal acceleration",
 }  # fmt: skip
+Misfits = dict[str, float]
 
 
 def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], FlightRecord]:
-    """What must be read in another way for the record to be one flight.
-
-    Returns:
-        A finding for each such channel or frame, one for each mean acceleration that stays unexplained; and the record
-        as it is to be read.
-    """
+    """What must be read in another way for the record to be one flight: a finding for each such channel or frame, one
+    for each mean acceleration that stays unexplained; and the record as it is to be read."""
     raw = view_of(record, card)
-    view = {name: _calm(name, x) for name, x in raw.items()}
+    view = dict(raw)  # without isolated spikes, dropouts and the jumps of an angle, which other checks report
+    for name in set(raw) - {"time"}:
+        steps = np.diff(raw[name], prepend=raw[name][0])
+        turned = raw[name][0] + np.cumsum(np.where(np.abs(steps) > JUMP, 0.0, steps))
+        view[name] = median_filter(turned if name in ("psi", "phi") else raw[name], 5, mode="nearest")
     recorded = frozenset(record.channels) | {"time"} | frozenset(card.constants)
     if record.n < 50:
         return [], record
@@ -89,22 +90,20 @@ def refuted(record: FlightRecord, card: Card) -> tuple[list[HealthFinding], Flig
 
 
 def _chain(
-    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: dict[str, float]
-) -> tuple[list[tuple[Reading, HealthFinding]], dict[str, float]]:
-    """Readings one after the other, the best first, while any mends what is refuted; and what they leave.
-
-    What they mend must be within the limit in the end: otherwise they explain nothing.
-    """
+    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: Misfits
+) -> tuple[list[tuple[Reading, HealthFinding]], Misfits]:
+    """Readings one after the other, the best first, while any mends what is refuted; and what they leave. What they
+    mend must be within the limit in the end: otherwise they explain nothing."""
     said: list[tuple[Reading, list[str], HealthFinding]] = []
     for _ in range(MOST):
         if not any(value > 1.0 for value in before.values()):
             break
         tried = [(r, _after(view, r, recorded)) for r in readings(view, card, recorded)]
-        gains = [
-            (gain if gain <= 0.0 or _own_factor(view, recorded, reading, before, after) else 0.0, reading, after)
-            for reading, after in tried
-            for gain in (_gain(before, after),)
-        ]
+        gains = []
+        for reading, after in tried:
+            gain = _gain(before, after)
+            right = gain <= 0.0 or _own_factor(view, recorded, reading, before, after)
+            gains.append((gain if right else 0.0, reading, after))
         if not any(gain > 0.0 and "airspeed" in reading.channels for gain, reading, _ in gains):
             other = [(r, _after(view, r, recorded)) for r in _factors(view, recorded)]
             gains += [(_gain(before, after), reading, after) for reading, after in other]
@@ -123,7 +122,7 @@ def _chain(
     return [], before
 
 
-def _after(view: View, reading: Reading, recorded: frozenset[str]) -> dict[str, float]:
+def _after(view: View, reading: Reading, recorded: frozenset[str]) -> Misfits:
     return misfits({**view, **reading.applied(view)}, recorded)
 
 
@@ -142,11 +141,9 @@ def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
 
 
 def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
-    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error.
-
-    The error is that of the scatter between pieces of the record, which are taken as independent. None where the
-    record is too short for them.
-    """
+    """Logarithm of the factor of the airspeed that fits these relations best, and its standard error. The error is that
+    of the scatter between pieces of the record, which are taken as independent. None where the record is too short for
+    them."""
     pieces = np.array_split(np.arange(len(view["time"])), max(FEWEST, round(np.ptp(view["time"]) / PIECE)))
     if not names or "airspeed" not in recorded or len(pieces[-1]) < SHORTEST:
         return None
@@ -164,15 +161,19 @@ def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -
 
 
 def _whole(
-    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: dict[str, float]
-) -> tuple[tuple[Reading, HealthFinding], dict[str, float]] | None:
+    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], before: Misfits
+) -> tuple[tuple[Reading, HealthFinding], Misfits] | None:
     """The signs and axes of all channels at once that alone explain the record, but for errors of scale."""
     have = frozenset(record.channels)
     step = max(1, min(len(view["time"]) // FEW, int(SLOW / np.median(np.diff(view["time"])))))
     few = {name: x[::step] for name, x in view.items()}
     names = [n for n in (*ATTITUDE, *FLOW, *INSTRUMENTS["rates"], *INSTRUMENTS["accelerations"]) if n in have]
     signs = np.array(list(product((1, -1), repeat=len(names))))
-    odd = _odd(few, recorded, names)
+    turned = [terms_of({**few, name: -few[name]}, recorded) for name in names]
+    odd = {  # of each relation, which terms (k, channels) count the other way with a channel
+        relation: np.stack([np.sum(x * other[relation], axis=1) < 0.0 for other in turned], axis=1)
+        for relation, x in terms_of(few, recorded).items()
+    }
     found: list[tuple[float, float, Moves]] = []
     for order in ({**a, **b} for a in orders("rates", have) for b in orders("accelerations", have)):
         other = {**few, **{name: few[source] for name, source in order.items()}}
@@ -182,7 +183,10 @@ def _whole(
             pairs = {n: (order.get(n, n), int(sign)) for n, sign in zip(names, signs[k], strict=True)}
             found.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
     least = min(score for score, _, _ in found)
-    alike = [(score + FAULT * _faults(m, have), worst, m) for score, worst, m in found if score < least + ALIKE]
+    alike = []
+    for score, worst, m in found:
+        faults = min(len(m), AXES + axes_of(m, have)[1])  # axes are as many as two, beside single channels
+        alike += [(score + FAULT * faults, worst, m)] if score < least + ALIKE else []
     total = min(one[0] for one in alike)
     (worst, moves), *tied = sorted(
         ((worst, m) for score, worst, m in alike if score < total + TOLD), key=lambda one: len(one[1])
@@ -196,13 +200,6 @@ def _whole(
     return (reading, _finding(record, reading, others[:2], before, after)), after
 
 
-def _odd(view: View, recorded: frozenset[str], names: list[str]) -> dict[str, np.ndarray]:
-    """Of each relation, which terms (k, channels) count the other way with a channel."""
-    own = terms_of(view, recorded)
-    turned = [terms_of({**view, name: -view[name]}, recorded) for name in names]
-    return {r: np.stack([np.sum(x * other[r], axis=1) < 0.0 for other in turned], axis=1) for r, x in own.items()}
-
-
 def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np.ndarray) -> np.ndarray:
     """Misfit of each relation under each set of signs (sets, channels), over what noise and errors of scale make."""
     found = []
@@ -214,22 +211,9 @@ def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np
     return np.stack(found)
 
 
-def _faults(moves: Moves, recorded: frozenset[str]) -> int:
-    """Faults that it takes at least: axes are as many as two, beside single channels."""
-    return min(len(moves), AXES + axes_of(moves, recorded)[1])
-
-
-def _sum_of_logs(found: dict[str, float]) -> float:
-    return sum(np.log(max(min(value, 1e6), 1e-6)) for value in found.values())
-
-
-def _own_factor(
-    view: View, recorded: frozenset[str], reading: Reading, before: dict[str, float], after: dict[str, float]
-) -> bool:
-    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best.
-
-    A smaller number fits better than a wrong one whatever its unit is.
-    """
+def _own_factor(view: View, recorded: frozenset[str], reading: Reading, before: Misfits, after: Misfits) -> bool:
+    """Whether the factor of a unit agrees with the one that the record itself asks for, which fits best. A smaller
+    number fits better than a wrong one whatever its unit is."""
     if reading.factor == 1.0:
         return True
     names = frozenset(n for n in _mended(before, after) if after[n] != before[n])
@@ -237,27 +221,26 @@ def _own_factor(
     if speed is not None:
         return bool(abs(speed[0] + np.log(reading.factor)) < 2.0 * np.hypot(SPEED_ERROR, speed[1]))
     unit = reading.applied(view)
-    beside = ({**view, **{n: np.exp(k) * x for n, x in unit.items()}} for k in BESIDE)
-    return bool(abs(BESIDE[np.argmin([_sum_of_logs(misfits(v, recorded, names)) for v in beside])]) < AGREES)
+    left = []
+    for k in BESIDE:
+        off = misfits({**view, **{n: np.exp(k) * x for n, x in unit.items()}}, recorded, names)
+        left.append(sum(np.log(max(min(value, 1e6), 1e-6)) for value in off.values()))
+    return bool(abs(BESIDE[np.argmin(left)]) < AGREES)
 
 
-def _mended(before: dict[str, float], after: dict[str, float]) -> list[str]:
+def _mended(before: Misfits, after: Misfits) -> list[str]:
     """Relations that a reading mends; a mean of the lateral acceleration is a bias before it is anything else."""
     return [n for n, a in before.items() if n != "side" and a > 1.0 and after[n] < MENDED * a]
 
 
-def _bias(
-    record: FlightRecord, card: Card, view: View, recorded: frozenset[str], left: dict[str, float]
-) -> list[HealthFinding]:
-    """The mean lateral acceleration that no other reading of a channel explains, unless the card states it.
-
-    Bank and turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival.
-    """
+def _bias(record: FlightRecord, card: Card, view: View, recorded: frozenset[str], left: Misfits) -> Findings:
+    """The mean lateral acceleration that no other reading of a channel explains, unless the card states it. Bank and
+    turn, on which it rests, must not be in doubt. A factor of the airspeed may be a rival."""
     if left.get("side", 0.0) <= 1.0 or max(left.get(name, 0.0) for name in ("phi", "psi")) > 1.0:
-        return []
+        return
     terms = terms_of(view, recorded, frozenset({"side"}))["side"]
     if "accel_y_bias" in card.effects or abs(terms.sum()) < np.sqrt(1.0 + SCALE**2 * np.sum(terms**2)):
-        return []  # stated there, or no more than errors of scale make in turns
+        return  # stated there, or no more than errors of scale make in turns
     off = side_bias(view, recorded)
     tilt = np.degrees(np.arcsin(min(abs(off) / GRAVITY, 1.0)))
     mean = float(np.mean(view["ay"]))
@@ -266,44 +249,25 @@ def _bias(
         f"{mean - off:+.2g} m/s^2, and {mean:+.2g} were recorded. It is a bias of the accelerometer, or its "
         f"tilt of {tilt:.2g} deg about the x axis (or as much bias of the bank angle)"
     )
-    speed = _speed_instead(view, recorded, left)
-    rival = (
-        ""
-        if speed is None
-        else (
-            f"; or airspeed is {speed:.3g} times what bank and turn make of it: this record cannot tell the two apart. "
-            "Compare the airspeed with another source"
-        )
+    # The factor of the airspeed that explains it, too, if no other relation refutes that: what turns grows with the
+    # airspeed, what forces make does not.
+    turn = side_bias({**view, "airspeed": 2.0 * view["airspeed"]}, recorded) - off
+    k = float(turn / (turn - off)) if turn != off else 0.0
+    rival = "airspeed" in recorded and np.exp(-WIDEST) < k < np.exp(WIDEST)
+    if rival:
+        after = misfits({**view, "airspeed": view["airspeed"] / k}, recorded)
+        rival = not any(after[n] > max(1.0, WORSE * a) for n, a in left.items())
+    mend = (
+        f"; or airspeed is {k:.3g} times what bank and turn make of it: this record cannot tell the two apart. Compare "
+        "the airspeed with another source"
+        if rival
+        else "; take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"
     )
-    mend = "; take it out in the file, or add the effect accel_y_bias with its value under fixed on the card"
     grave = Axis.LATERAL in card.axes
-    return [
-        found(record, "ay", "mean" if rival else "bias", sentence + (rival or mend), at=(0, record.n - 1), grave=grave)
-    ]
+    yield found(record, "ay", "mean" if rival else "bias", sentence + mend, at=(0, record.n - 1), grave=grave)
 
 
-def _speed_instead(view: View, recorded: frozenset[str], left: dict[str, float]) -> float | None:
-    """The factor of the airspeed that explains the mean lateral acceleration; None if another relation refutes it."""
-    off, doubled = (side_bias({**view, "airspeed": k * view["airspeed"]}, recorded) for k in (1.0, 2.0))
-    turn = doubled - off  # what turns grows with the airspeed, what forces make does not
-    k = turn / (turn - off) if turn != off else 0.0
-    if "airspeed" not in recorded or not np.exp(-WIDEST) < k < np.exp(WIDEST):
-        return None
-    after = misfits({**view, "airspeed": view["airspeed"] / k}, recorded)
-    return None if any(after[n] > max(1.0, WORSE * a) for n, a in left.items()) else float(k)
-
-
-def _calm(name: str, x: np.ndarray) -> np.ndarray:
-    """Without isolated spikes, dropouts and the jumps of an angle, which other checks report."""
-    if name == "time":
-        return x
-    if name in ("psi", "phi"):
-        steps = np.diff(x, prepend=x[0])
-        x = x[0] + np.cumsum(np.where(np.abs(steps) > JUMP, 0.0, steps))
-    return median_filter(x, 5, mode="nearest")
-
-
-def _gain(before: dict[str, float], after: dict[str, float]) -> float:
+def _gain(before: Misfits, after: Misfits) -> float:
     """Logarithm of the misfit that is mended, over all relations; zero where none is, or another is spoiled."""
     mended = _mended(before, after)
     spoiled = [n for n, a in before.items() if after[n] > 1.0 and after[n] > WORSE * a]
@@ -330,24 +294,18 @@ def _rivals(one: Reading, other: Reading) -> bool:
 
 
 def _finding(
-    record: FlightRecord, best: Reading, tied: list[Reading], before: dict[str, float], after: dict[str, float]
+    record: FlightRecord, best: Reading, tied: list[Reading], before: Misfits, after: Misfits
 ) -> HealthFinding:
     relation = max(_mended(before, after), key=lambda n: min(before[n], 1e6) / max(after[n], 0.05))
     other = "".join(f", or {r.names} {r.looks}" for r in tied)
     mend = ", or ".join([best.mend, *(r.mend for r in tied if _rivals(r, best))])
-    sentence = f"{best.names} {best.looks}{other}: {_evidence(relation, before, after)}; {mend}"
-    return found(record, best.channels[0], best.fault, sentence, at=(0, record.n - 1))
-
-
-def _evidence(relation: str, before: dict[str, float], after: dict[str, float]) -> str:
     if relation in MEANS:
-        size, left, unit = MEANS[relation] * before[relation], MEANS[relation] * after[relation], "m/s^2 in the mean"
+        scale, unit = MEANS[relation], "m/s^2 in the mean"
     else:
-        angle = relation not in ("altitude", "airspeed")
-        scale = RELATIONS[relation].allowed * (np.degrees(1.0) if angle else 1.0)
-        unit = "deg" if angle else {"altitude": "m", "airspeed": "m/s"}[relation]
-        size, left = scale * before[relation], scale * after[relation]
-    return (
-        f"the {NOUNS[relation]} differs by {size:.3g} {unit} from what the other channels imply, and by {left:.2g} "
-        "once that is corrected"
+        unit = {"altitude": "m", "airspeed": "m/s"}.get(relation, "deg")
+        scale = RELATIONS[relation].allowed * (np.degrees(1.0) if unit == "deg" else 1.0)
+    sentence = (
+        f"{best.names} {best.looks}{other}: the {NOUNS[relation]} differs by {scale * before[relation]:.3g} {unit} "
+        f"from what the other channels imply, and by {scale * after[relation]:.2g} once that is corrected; {mend}"
     )
+    return found(record, best.channels[0], best.fault, sentence, at=(0, record.n - 1))

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from bayes_aero.flight.health.finding import HealthFinding, found
+from bayes_aero.flight.health.finding import Findings, found
 from bayes_aero.flight.health.signals import quantum
 from bayes_aero.flight.record import FlightRecord
 
@@ -22,23 +22,19 @@ SLOWER = 20  # times, at most, that one of the records may be the slower
 COARSEST = 0.1  # of a channel's range: the largest digit to which it may be rounded and still tell
 
 
-def same_records(records: Sequence[FlightRecord]) -> list[HealthFinding]:
+def same_records(records: Sequence[FlightRecord]) -> Findings:
     """A finding for each pair of records that share samples."""
-    said = []
     for j, two in enumerate(records):
         for one in records[:j]:
             if (shared := repeats_of(one, two)) is not None:
                 words, at = shared
                 words += ", so the flight counts twice and every interval is too narrow; give the flight once"
-                said.append(found(two, "record", "same_record", words, at=at))
-    return said
+                yield found(two, "record", "same_record", words, at=at)
 
 
 def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, int]] | None:
-    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing.
-
-    Another name, order of channels, origin of time, number of digits or a whole part of the rate make no new record.
-    """
+    """What the record `two` repeats of `one`, in words, and its first and last such sample; None if nothing. Another
+    name, order of channels, origin of time, number of digits or a whole part of the rate make no new record."""
     slow = max(one.dt, two.dt)
     every = [round(slow / record.dt) for record in (one, two)]
     if max(every) > SLOWER or any(abs(k * r.dt - slow) > 1e-3 * slow for k, r in zip(every, (one, two), strict=True)):
@@ -52,14 +48,9 @@ def repeats_of(one: FlightRecord, two: FlightRecord) -> tuple[str, tuple[int, in
         if (shared := _shared(x, y)) is not None:
             first, count = shared
             lengths = len(x[names[0]]), len(y[names[0]])
-            whole = count >= min(lengths) - 2
-            part = (
-                "is the same record as"
-                if whole and lengths[0] == lengths[1]
-                else "is part of the same record as"
-                if whole
-                else "shares a part with the record"
-            )
+            part = "shares a part with the record"
+            if count >= min(lengths) - 2:
+                part = f"is {'' if lengths[0] == lengths[1] else 'part of '}the same record as"
             ends = (begin[1] + every[1] * first, begin[1] + every[1] * (first + count - 1))
             return f"{part} {one.name}: {count} samples ({count * slow:.4g} s) are the same samples", ends
     return None
@@ -72,13 +63,13 @@ def _shared(one: Mapping[str, np.ndarray], two: Mapping[str, np.ndarray]) -> tup
         if lag is None:
             continue
         begin, end = max(0, -lag), min(len(two[lead]), len(one[lead]) - lag)  # samples of `two` that `one` has, too
-        alike = sum(_alike(one[n][begin + lag : end + lag], two[n][begin:end]) for n in one)
+        alike = sum(alike_samples(one[n][begin + lag : end + lag], two[n][begin:end]) for n in one)
         if alike >= max(CHANNELS, len(one) - OTHERWISE):
             return begin, end - begin
     return None
 
 
-def _alike(x: np.ndarray, y: np.ndarray) -> bool:
+def alike_samples(x: np.ndarray, y: np.ndarray) -> bool:
     """Whether two channels step alike, noise included, or differ by no more than their last digits."""
     dx, dy = np.diff(x), np.diff(y)
     power = np.sqrt(float(dx @ dx) * float(dy @ dy))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.finding import HealthFinding, found
+from bayes_aero.flight.health.finding import Findings, found
 from bayes_aero.flight.record import FlightRecord
 
 CONTROLS = frozenset(
@@ -30,11 +30,9 @@ def channels_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
 
 def noise_of(*parts: np.ndarray) -> float:
     """Standard deviation of the noise of (n,) samples that is new at each, outliers left out; zero below 8 samples.
-
     Steps, spikes and passages of buffet do not count; a channel that mostly stands still has none. Source: third
     differences of white noise have 20 times its variance; 1.4826 times the median of their size is their standard
-    deviation. Several `parts` follow each other with gaps.
-    """
+    deviation. Several `parts` follow each other with gaps."""
     if sum(map(len, parts)) < 8:
         return 0.0
     third = np.concatenate([np.diff(x, 3) for x in parts])
@@ -42,22 +40,16 @@ def noise_of(*parts: np.ndarray) -> float:
 
 
 def noise_alone(x: np.ndarray, *parts: np.ndarray) -> bool:
-    """Whether more than half of what (n,) samples scatter about the mean of their manoeuvre is white noise.
-
-    Args:
-        x: all samples.
-        parts: the same, manoeuvre by manoeuvre; left out, they are one.
-    """
+    """Whether more than half of what (n,) samples scatter about the mean of their manoeuvre is white noise. `parts` are
+    the same samples, manoeuvre by manoeuvre; left out, they are one."""
     parts = parts or (x,)
     return bool(noise_of(*parts) ** 2 > NOISY * float(sum(len(p) * np.var(p) for p in parts)) / len(x))
 
 
 def quantum_of(x: np.ndarray) -> float:
-    """The step in which (n,) samples are recorded; zero if they are continuous.
-
-    Channels computed from a quantised one (airspeed from a pressure) move a little between its steps: steps below a
-    tenth of the large ones are not counted where they are many.
-    """
+    """The step in which (n,) samples are recorded; zero if they are continuous. Channels computed from a quantised one
+    (airspeed from a pressure) move a little between its steps: steps below a tenth of the large ones are not counted
+    where they are many."""
     steps = np.abs(np.diff(x))
     if not np.any(steps > 0.0):
         return 0.0
@@ -102,18 +94,16 @@ def still_runs(x: np.ndarray) -> list[tuple[int, int]]:
 ALIKE = 0.01  # relative difference of rates that is none
 
 
-def different_rates(records: Sequence[FlightRecord]) -> list[HealthFinding]:
+def different_rates(records: Sequence[FlightRecord]) -> Findings:
     """A finding for the first record whose rate is not that of the others, with all rates."""
-    if len(records) < 2:
-        return []
     rates = np.array([1.0 / record.dt for record in records])
-    off = np.flatnonzero(np.abs(np.log(rates / rates[0])) > ALIKE)
+    off = np.flatnonzero(np.abs(np.log(rates / rates[:1])) > ALIKE)
     if not len(off):
-        return []
+        return
     listed = ", ".join(f"{r.name} {rate:.4g} Hz" for r, rate in zip(records, rates, strict=True))
     sentence = (
         f"the records have different sampling rates ({listed}): filters span samples, so derivatives and noise differ "
         f"between them; identify brings them to the lowest rate by default, elsewhere resample "
         f"(--resample {1.0 / rates.min():.4g})"
     )
-    return [found(records[int(off[0])], "time", "rates", sentence)]
+    yield found(records[int(off[0])], "time", "rates", sentence)

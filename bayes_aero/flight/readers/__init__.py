@@ -6,11 +6,9 @@ import pkgutil
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
-from bayes_aero.flight.readers.base import Opened
+from bayes_aero.flight.readers.base import OpenedFile
 
-__all__ = ["READERS"]
-
-Opens = Callable[[bytes], Opened]
+Opens = Callable[[bytes], OpenedFile]
 
 
 def _discover() -> dict[str, Opens]:
@@ -22,5 +20,4 @@ def _discover() -> dict[str, Opens]:
     return dict(sorted(found.items()))
 
 
-READERS: Mapping[str, Opens] = _discover()
-"""What opens a file, by its suffix."""
+READERS: Mapping[str, Opens] = _discover()  # what opens a file, by its suffix

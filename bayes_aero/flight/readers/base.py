@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 
-MAX_VALUES = 20_000_000
-"""Most samples that one channel may have; held against the file's header before memory is taken."""
-
+MAX_VALUES = 20_000_000  # most samples that one channel may have; held against the file's header before memory is taken
 MOST_VALUES_IN_ALL = 100_000_000
 """Most samples of all channels together: 0.8 GB. A compressed file of some kB can claim any number."""
 
@@ -26,7 +24,7 @@ MOST_HEADINGS = 20_000
 
 
 @dataclass(frozen=True)
-class Column:
+class FileColumn:
     """One channel as in the file: (n,) values in the file's unit, NaN where it has none, and the unit it states."""
 
     values: np.ndarray
@@ -35,58 +33,41 @@ class Column:
 
 @dataclass(frozen=True)
 class Heading:
-    """One column of a file before its values are read.
+    """One column of a file before its values are read."""
+
+    names: tuple[str, ...] = ()  # as in the file; none without a header, several with more than one row of names
+    column: int | None = None  # its number on a card, counted from 1; None where it goes by its name alone
+    unit: str | None = None  # that the file states beside the name
+    formed: bool = False  # the name was formed by the reader, "data(:,3)": a card's number counts beside any label
+
+
+@dataclass(frozen=True)
+class OpenedFile:
+    """A file whose columns are known and whose values are still to be read. All columns have the same length.
 
     Attributes:
-        names: what the file calls it; empty without a header, several where there is more than one row of names.
-        column: its number on a card, counted from 1; None where it goes by its name alone.
-        unit: the unit that the file states beside the name.
-        formed: the name was formed by the reader, "data(:,3)", so that a card's number counts beside any label.
+        headings: all columns, in the file's order.
+        read: gives the values of some headings, each under the name of the channel that it was taken for. A column of
+            several rates has NaN at the samples that it lacks. Raises InputError, in words of the channel, where its
+            values are no numbers.
+        kind: what a column is called there: "column", "variable".
+        remarks: how the file was understood, where it could be read in more than one way; one sentence each. Reading
+            may add to them.
     """
 
-    names: tuple[str, ...] = ()
-    column: int | None = None
-    unit: str | None = None
-    formed: bool = False
+    headings: Sequence[Heading]
+    read: Callable[[Mapping[str, Heading]], dict[str, FileColumn]]
+    kind: str = "variable"
+    remarks: list[str] = field(default_factory=list)
 
 
-@runtime_checkable
-class Opened(Protocol):
-    """A file whose columns are known and whose values are still to be read. All columns have the same length."""
-
-    @property
-    def kind(self) -> str:
-        """What a column is called there: "column", "variable"."""
-        ...
-
-    @property
-    def headings(self) -> Sequence[Heading]:
-        """All columns, in the file's order."""
-        ...
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """How the file was understood, where it could be read in more than one way; one sentence each."""
-        ...
-
-    def read(self, wanted: Mapping[str, Heading]) -> dict[str, Column]:
-        """The values of some headings, each under the name of the channel that it was taken for.
-
-        A column of several rates has NaN at the samples that it lacks.
-
-        Raises:
-            InputError: in words of the channel, where its values are no numbers.
-        """
-        ...
-
-
-def located(channels: Sequence[Channel], opened: Opened) -> dict[str, Heading]:
+def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Heading]:
     """The heading of each channel, see `candidates`. A required one must be there, and none may be twice."""
     if len(opened.headings) > MOST_HEADINGS:
         raise InputError(
             f"it has {len(opened.headings)} {opened.kind}s, more than {MOST_HEADINGS}; is it a flight record?"
         )
-    look = Lookup(opened.headings)
+    look = HeadingIndex(opened.headings)
     found = {}
     for channel in channels:
         there = look.candidates(channel)
@@ -102,7 +83,7 @@ def located(channels: Sequence[Channel], opened: Opened) -> dict[str, Heading]:
     return found
 
 
-class Lookup:
+class HeadingIndex:
     """Headings by name and by number."""
 
     def __init__(self, headings: Sequence[Heading]) -> None:
@@ -113,10 +94,8 @@ class Lookup:
         self.by_column = {heading.column: heading for heading in headings if heading.column is not None}
 
     def candidates(self, channel: Channel) -> list[Heading]:
-        """The headings of a channel's name; without one the column of its number.
-
-        A label on the card that names no column of a file with names is a mistake, whatever number stands beside it.
-        """
+        """The headings of a channel's name; without one the column of its number. A label on the card that names no
+        column of a file with names is a mistake, whatever number stands beside it."""
         numbered = None if channel.column is None else self.by_column.get(channel.column)
         usable = numbered is not None and (channel.label is None or not numbered.names or numbered.formed)
         return self.by_name.get(channel.heading) or ([numbered] if usable and numbered is not None else [])
@@ -184,28 +163,15 @@ PACKING = (
 
 _ONE = np.ones(1)
 _NEVER_WRITTEN = {
-    "i2": -32767,
-    "i4": -2147483647,
-    "i8": -9223372036854775806,
-    "f4": 2.0**122 * 1.875,
-    "f8": 2.0**122 * 1.875,
-}
+    "i2": -32767, "i4": -2147483647, "i8": -9223372036854775806, "f4": 2.0**122 * 1.875, "f8": 2.0**122 * 1.875,
+}  # fmt: skip
 """What the NetCDF library stores where nothing was written (netcdf.h: NC_FILL_SHORT and so on)."""
 
 
 def unpacked(raw: np.ndarray, attributes: Mapping[str, Any], name: str) -> np.ndarray:
-    """The numbers that a NetCDF variable stands for, float64; NaN where it is missing or outside its valid range.
-
-    Args:
-        raw: (n,) numbers as stored.
-        attributes: of the variable; those of `PACKING` count.
-        name: of the channel.
-
-    Raises:
-        InputError: it holds flags, or its packing is no numbers.
-
-    Source: CF conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A.
-    """
+    """The numbers that (n,) stored ones stand for by the variable's `attributes`, of which those of `PACKING` count.
+    NaN where they are missing or outside the valid range; flags and packing that is no numbers are refused. Source: CF
+    conventions 1.11, sections 2.5.1 and 8.1; NetCDF User's Guide, appendix A."""
     if any(key.startswith("flag_") for key in PACKING if key in attributes):
         raise InputError(
             f"channel {name} holds flags (it has flag_meanings), no measured quantity; name another variable on the "
@@ -255,11 +221,8 @@ def stated_unit(units: Any) -> str | None:
 
 @contextmanager
 def foreign(kind: str) -> Iterator[None]:
-    """Turn whatever a foreign parser throws at a damaged file into one sentence.
-
-    Such parsers raise anything from KeyError to zlib.error and RecursionError, so this border catches them
-    all.
-    """
+    """Turn whatever a foreign parser throws at a damaged file into one sentence. Such parsers raise anything from
+    KeyError to zlib.error and RecursionError, so this border catches them all."""
     try:
         yield
     except InputError:
@@ -306,14 +269,16 @@ def is_value(cell: str) -> bool:
     return _VALUE.fullmatch(cell) is not None or (_CLOCK.fullmatch(cell) is not None and cell.count(".") < 3)
 
 
+def value_share(cells: Sequence[str]) -> float:
+    """Values among the cells that are not blank; zero where all are."""
+    told = [cell for cell in cells if not is_blank(cell)]
+    return sum(map(is_value, told)) / len(told) if told else 0.0
+
+
 def marks_of(cells: Iterable[str]) -> Marks:
-    """Tell decimal commas from commas between thousands, over all cells that are wanted of a file.
-
-    "0,040" and "1,5" can only be decimals; "4,562" beside "0.9" can only be thousands.
-
-    Raises:
-        InputError: where the file contradicts itself, or leaves open which of the two it means.
-    """
+    """Tell decimal commas from commas between thousands, over all cells that are wanted of a file. "0,040" and "1,5"
+    can only be decimals; "4,562" beside "0.9" can only be thousands. Raises InputError: where the file contradicts
+    itself, or leaves open which of the two it means."""
     decimal_comma = decimal_point = either_comma = either_point = ""
     grouped = False
     for cell in cells:
@@ -354,11 +319,7 @@ def marks_of(cells: Iterable[str]) -> Marks:
 
 
 def number_of(cell: str, marks: Marks) -> float:
-    """The number in a cell, NaN for a blank.
-
-    Raises:
-        ValueError: the cell holds something else.
-    """
+    """The number in a cell, NaN for a blank. Raises ValueError: the cell holds something else."""
     if is_blank(cell):
         return math.nan
     if "_" in cell:
@@ -368,13 +329,6 @@ def number_of(cell: str, marks: Marks) -> float:
     if marks.decimal == ",":
         plain = plain.replace(",", ".")
     return float(_FORTRAN.sub("e", plain))
-
-
-def thousands(cells: Sequence[str], marks: Marks) -> str:
-    """The first cell with a thousands separator; empty if there is none."""
-    if not marks.thousands:
-        return ""
-    return next((cell for cell in cells if marks.thousands in cell), "")
 
 
 # --- Clock times and dates to seconds since the first sample.
@@ -389,24 +343,14 @@ _WEIGHTS = {2: (60.0, 1.0), 3: (3600.0, 60.0, 1.0), 4: (DAY, 3600.0, 60.0, 1.0)}
 
 def looks_like_clock(cell: str) -> bool:
     """Whether a cell is a clock time (10:23:45.12, 127:10:23:45, 23:45.1) or a date with one."""
-    return (
-        _TIME.fullmatch(cell) is not None or _DATED.fullmatch(cell) is not None or _OF_DAY.fullmatch(cell) is not None
-    )
+    return any(pattern.fullmatch(cell) for pattern in (_TIME, _DATED, _OF_DAY))
 
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
-    """(n,) seconds since the first cell; a clock that passes midnight goes on.
-
-    Raises:
-        InputError: a cell is no time.
-    """
-    if all(_TIME.fullmatch(cell) for cell in cells):
-        return _clock(cells)
-    return _dates(cells)
-
-
-def _clock(cells: Sequence[str]) -> np.ndarray:
-    """h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it."""
+    """(n,) seconds since the first cell; a clock that passes midnight goes on. Raises InputError: a cell is no time."""
+    if not all(_TIME.fullmatch(cell) for cell in cells):
+        return _dates(cells)
+    # h:m:s, m:s, or day:h:m:s as range clocks (IRIG) write it
     parts = [cell.replace(",", ".").split(":") for cell in cells]
     if len({len(part) for part in parts}) > 1:
         raise InputError("clock times of different forms stand in one column; write time in seconds")

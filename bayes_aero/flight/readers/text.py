@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -14,9 +14,9 @@ import numpy as np
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import ALIASES, split_heading
 from bayes_aero.flight.readers.base import (
-    Column,
+    FileColumn,
     Heading,
-    Marks,
+    OpenedFile,
     foreign,
     is_blank,
     is_value,
@@ -24,7 +24,7 @@ from bayes_aero.flight.readers.base import (
     marks_of,
     number_of,
     seconds,
-    thousands,
+    value_share,
 )
 from bayes_aero.units import spellings
 
@@ -32,82 +32,69 @@ MOST_LINES, LONGEST_LINE = 5_000_000, 200_000
 """Far beyond any record; each line costs some hundred bytes of memory beside its own."""
 
 
-def open_text(data: bytes) -> TextTable:
-    """A text file of any layout that `layout` finds."""
+def open_text(data: bytes) -> OpenedFile:
+    """A text file of any layout that `laid_out` finds."""
     lines = _lines(data)
-    return TextTable(laid_out(lines, separator_of(lines)))
+    return text_table(laid_out(lines, separator_of(lines)))
 
 
 READS = dict.fromkeys((".asc", ".txt", ".dat", ".csv", ".tsv"), open_text)
 
 
-@dataclass
-class TextTable:
+def text_table(layout: Layout, remarks: Iterable[str] = ()) -> OpenedFile:
     """A laid-out table whose cells are still text."""
+    said = [*remarks, *layout.remarks]
+    return OpenedFile(layout.headings, lambda wanted: read_cells(layout, wanted, said), "column", said)
 
-    layout: Layout
-    kind: str = "column"
-    remarks: list[str] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.remarks.extend(self.layout.remarks)
-
-    @property
-    def headings(self) -> Sequence[Heading]:
-        """One a column."""
-        return self.layout.headings
-
-    def read(self, wanted: Mapping[str, Heading]) -> dict[str, Column]:
-        """See `Opened.read`. Blank cells come back as NaN, clock times and dates in seconds from the first sample."""
-        indices = [heading.column - 1 for heading in wanted.values() if heading.column is not None]
-        rows = [line for _, line in self.layout.body]
-        separator = self.layout.separator
-        if not indices:
-            return {}
-        if separator == "," or not any("," in row for row in rows):  # plain numbers: NumPy's own parser
-            try:
-                values = np.loadtxt(
-                    rows, delimiter=separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64
-                )
-                return {name: Column(values[:, k], h.unit) for k, (name, h) in enumerate(wanted.items())}
-            except (ValueError, IndexError):
-                pass  # blanks, clock times, other marks than a decimal point, or text: cell by cell
-        split = [row.split(separator) for row in rows]
-        cells = {name: [row[i].strip() for row in split] for name, i in zip(wanted, indices, strict=True)}
-        return self._converted(cells, wanted)
-
-    def _converted(self, cells: Mapping[str, list[str]], wanted: Mapping[str, Heading]) -> dict[str, Column]:
-        clocks = {name for name, column in cells.items() if looks_like_clock(_first(column))}
-        plain = {name: column for name, column in cells.items() if name not in clocks}
-        marks = marks_of(cell for column in plain.values() for cell in column)
-        columns = {}
-        for name, column in cells.items():
-            heading = wanted[name]
-            if name in clocks:
-                columns[name] = Column(self._seconds(name, column, heading), "s")
-                continue
-            columns[name] = Column(_numbers(self.layout.body, name, column, heading, marks), heading.unit)
-            grouped = thousands(column, marks)
-            if grouped:
-                self._remark(f"channel {name}: {marks.thousands!r} as in {grouped!r} is read as a thousands separator")
-        return columns
-
-    def _seconds(self, name: str, column: Sequence[str], heading: Heading) -> np.ndarray:
-        told = [k for k, cell in enumerate(column) if not is_blank(cell)]
-        for k in told:
-            if not looks_like_clock(column[k]):
-                raise InputError(_no_number(self.layout.body, name, column[k], k, heading, "a clock time"))
-        values = np.full(len(column), np.nan)
+def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]) -> dict[str, FileColumn]:
+    """See `OpenedFile.read`. Blank cells come back as NaN, clock times and dates in seconds from the first sample."""
+    indices = [heading.column - 1 for heading in wanted.values() if heading.column is not None]
+    rows = [line for _, line in layout.body]
+    if not indices:
+        return {}
+    if layout.separator == "," or not any("," in row for row in rows):  # plain numbers: NumPy's own parser
         try:
-            values[told] = seconds([column[k] for k in told])
+            values = np.loadtxt(
+                rows, delimiter=layout.separator, usecols=indices, ndmin=2, comments=None, dtype=np.float64
+            )
+            return {name: FileColumn(values[:, k], h.unit) for k, (name, h) in enumerate(wanted.items())}
+        except (ValueError, IndexError):
+            pass  # blanks, clock times, other marks than a decimal point, or text: cell by cell
+    split = [row.split(layout.separator) for row in rows]
+    cells = {name: [row[i].strip() for row in split] for name, i in zip(wanted, indices, strict=True)}
+    firsts = {name: next((cell for cell in column if not is_blank(cell)), "") for name, column in cells.items()}
+    clocks = {name for name, first in firsts.items() if looks_like_clock(first)}
+    marks = marks_of(cell for name, column in cells.items() if name not in clocks for cell in column)
+    columns = {}
+    for name, column in cells.items():
+        heading, what, remark, sample = wanted[name], "a number", "", 0
+        try:
+            if name in clocks:
+                remark, what = f"channel {name}: the clock time {firsts[name]} is t = 0", "a clock time"
+                told = [k for k, cell in enumerate(column) if not is_blank(cell)]
+                for sample in told:
+                    if not looks_like_clock(column[sample]):
+                        raise ValueError
+                columns[name] = FileColumn(np.full(len(column), np.nan), "s")
+                columns[name].values[told] = seconds([column[k] for k in told])
+            else:
+                columns[name] = FileColumn(np.empty(len(column)), heading.unit)
+                for sample, cell in enumerate(column):
+                    columns[name].values[sample] = number_of(cell, marks)
+                grouped = next((cell for cell in column if marks.thousands and marks.thousands in cell), "")
+                if grouped:
+                    remark = f"channel {name}: {marks.thousands!r} as in {grouped!r} is read as a thousands separator"
         except InputError as reason:
             raise InputError(f"channel {name} holds {reason}") from reason
-        self._remark(f"channel {name}: the clock time {column[told[0]]} is t = 0")
-        return values
-
-    def _remark(self, sentence: str) -> None:
-        if sentence not in self.remarks:
-            self.remarks.append(sentence)
+        except ValueError:
+            raise InputError(
+                f"channel {name} has the text {column[sample][:30]!r} where {what} should be, in line "
+                f"{layout.body[sample][0]}, column {heading.column} (sample {sample}, counted from 0); correct or "
+                "delete that line"
+            ) from None
+        remarks += [remark] if remark and remark not in remarks else []
+    return columns
 
 
 def _lines(data: bytes) -> Lines:
@@ -137,27 +124,6 @@ def _lines(data: bytes) -> Lines:
     return lines
 
 
-def _first(column: Sequence[str]) -> str:
-    return next((cell for cell in column if not is_blank(cell)), "")
-
-
-def _numbers(body: Lines, name: str, column: Sequence[str], heading: Heading, marks: Marks) -> np.ndarray:
-    values = np.empty(len(column))
-    for sample, cell in enumerate(column):
-        try:
-            values[sample] = number_of(cell, marks)
-        except ValueError:
-            raise InputError(_no_number(body, name, cell, sample, heading, "a number")) from None
-    return values
-
-
-def _no_number(body: Lines, name: str, cell: str, sample: int, heading: Heading, what: str) -> str:
-    return (
-        f"channel {name} has the text {cell[:30]!r} where {what} should be, in line {body[sample][0]}, column "
-        f"{heading.column} (sample {sample}, counted from 0); correct or delete that line"
-    )
-
-
 # --- Where a text table keeps its header, its units and its samples, and what stands between its cells.
 # Loggers write a preamble above the header, one or two rows of names, a row of units, or none of these. The samples
 # are what repeats: they are looked for first, in the lower part of the file, and the header is what stands above
@@ -166,9 +132,7 @@ def _no_number(body: Lines, name: str, cell: str, sample: int, heading: Heading,
 
 T = TypeVar("T")
 
-CELL = "\x1f"
-"""Between the cells of lines that were quoted: ASCII's own separator, which no text holds."""
-
+CELL = "\x1f"  # between the cells of lines that were quoted: ASCII's own separator, which no text holds
 SEPARATORS = (";", "\t", "|", CELL, ",", None)  # None: blanks; of two that fit alike the first is taken
 LOOKED_AT = 40  # lines, spread over the lower part of the file
 MOST_HEADER_ROWS = 4
@@ -176,30 +140,17 @@ UNIT_SHARE = 1.0 / 3.0  # of the cells of a row below the names that are known u
 _SEP_LINE = re.compile(r'"?sep=.?"?[;,\t]*', re.IGNORECASE)
 _COMMENT = "#%"
 
-Lines = list[tuple[int, str]]
-"""Lines of a file, each with its number, counted from 1."""
+Lines = list[tuple[int, str]]  # lines of a file, each with its number, counted from 1
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A text table: one heading a column, and its samples as lines of cells.
-
-    Attributes:
-        headings: of all columns.
-        body: the samples.
-        separator: between cells of `body`; None for blanks.
-        remarks: what was skipped, one sentence each.
-    """
+    """A text table: headings of all columns, its samples, the separator of their cells (None: blanks), remarks."""
 
     headings: tuple[Heading, ...]
     body: Lines
     separator: str | None
     remarks: tuple[str, ...] = ()
-
-    @property
-    def named(self) -> bool:
-        """Whether there is a header."""
-        return any(heading.names for heading in self.headings)
 
 
 def separator_of(lines: Lines) -> str | None:
@@ -223,11 +174,8 @@ def separator_of(lines: Lines) -> str | None:
 
 
 def split(line: str, separator: str | None, number: int | None = None) -> list[str]:
-    """The cells of a line without the blanks around them; `number` is the line's, for errors.
-
-    Raises:
-        InputError: a quote is not closed.
-    """
+    """The cells of a line without the blanks around them; `number` is the line's, for errors. Raises InputError: a
+    quote is not closed."""
     if separator is None:
         return line.split()
     if '"' not in line:
@@ -244,11 +192,7 @@ def split(line: str, separator: str | None, number: int | None = None) -> list[s
 
 
 def laid_out(lines: Lines, separator: str | None) -> Layout:
-    """Find header, units and samples.
-
-    Raises:
-        InputError: no samples, or lines of different length among them.
-    """
+    """Find header, units and samples. Raises InputError: no samples, or lines of different length among them."""
     lines = [(at, line) for at, line in lines if not _SEP_LINE.fullmatch(line)]
     while lines and not lines[-1][1].strip(" \t,;|\x1f"):
         lines = lines[:-1]  # rows of separators at the end
@@ -256,19 +200,38 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
         raise InputError("it holds no data, only blank lines or separators; write the record again")
     rows = _lower_part([split(line, separator) for _, line in lines if line[0] not in _COMMENT])
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    valued = [k for k in range(width) if _holds_values([row[k] for row in rows if len(row) == width])]
-    first = next((i for i, (_, line) in enumerate(lines) if _is_sample(line, separator, valued, width)), None)
-    if first is None:
-        return _without_numbers(lines, separator)
-    _refuse_damaged(lines[:first], separator, width)
-    header, begin = _header(lines, first, separator, width)
+    valued = [k for k in range(width) if value_share([row[k] for row in rows if len(row) == width]) > 0.5]
+
+    def is_sample(line: str) -> bool:  # as many cells as the samples, and values where they have values
+        cells = split(line, separator) if line and line[0] not in _COMMENT else []
+        return len(cells) == width and value_share([cells[k] for k in valued]) >= 0.5
+
+    first = next((i for i, (_, line) in enumerate(lines) if is_sample(line)), None)
+    if first is None:  # a header alone, or a table of text: the first line names the columns
+        number, line = lines[0]
+        if len(lines) == 1:
+            raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
+        header = split(line, separator, number)
+        _refuse_ragged(lines[1:], separator, len(header))
+        headings = tuple(Heading((name,) if name else (), k, None) for k, name in enumerate(header, 1))
+        return Layout(headings, lines[1:], separator)
+    for number, line in reversed(lines[:first]):  # what stands just above the first whole sample may be a damaged one
+        if line[0] in _COMMENT:
+            continue
+        cells = split(line, separator)
+        told = [cell for cell in cells if not is_blank(cell)]
+        if len(told) >= max(0.5 * width, 2) and value_share(told) > 0.5:
+            raise InputError(_ragged(number, 0, len(cells), width))
+        break
+    rows, begin = _header(lines, first, separator, width)
     body = [(at, line) for at, line in lines[first:] if line[0] not in _COMMENT]
     if separator is not None and any('"' in line for _, line in body):
         body, separator = [(at, CELL.join(split(line, separator, at))) for at, line in body], CELL
     _refuse_ragged(body, separator, width)
-    names, units = _names_and_units(header, width)
+    names, units = _names_and_units(rows, width)
     headings = tuple(Heading(tuple(dict.fromkeys(n for n in names[k] if n)), k + 1, units[k]) for k in range(width))
-    return Layout(headings, body, separator, _preamble(lines, begin))
+    remark = f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped"
+    return Layout(headings, body, separator, (remark,) if any(x[0] not in _COMMENT for _, x in lines[:begin]) else ())
 
 
 def _lower_part(rows: Sequence[T]) -> list[T]:
@@ -276,33 +239,6 @@ def _lower_part(rows: Sequence[T]) -> list[T]:
     n = len(rows)
     picked = np.unique(np.linspace(min(n // 3, n - 1), n - 1, LOOKED_AT).astype(int)) if n else ()
     return [rows[i] for i in picked]
-
-
-def _holds_values(cells: Sequence[str]) -> bool:
-    told = [cell for cell in cells if not is_blank(cell)]
-    return bool(told) and sum(map(is_value, told)) > 0.5 * len(told)
-
-
-def _is_sample(line: str, separator: str | None, valued: Sequence[int], width: int) -> bool:
-    """Whether a line has as many cells as the samples, and values where they have values."""
-    if not line or line[0] in _COMMENT:
-        return False
-    cells = split(line, separator)
-    if len(cells) != width:
-        return False
-    told = [cells[k] for k in valued if not is_blank(cells[k])]
-    return bool(told) and sum(map(is_value, told)) >= 0.5 * len(told)
-
-
-def _without_numbers(lines: Lines, separator: str | None) -> Layout:
-    """A header alone, or a table of text: the first line names the columns."""
-    number, header = lines[0]
-    if len(lines) == 1:
-        raise InputError(f"it has a header (line {number}) but no samples below it; write the record again")
-    names = split(header, separator, number)
-    _refuse_ragged(lines[1:], separator, len(names))
-    headings = tuple(Heading((name,) if name else (), k, None) for k, name in enumerate(names, 1))
-    return Layout(headings, lines[1:], separator)
 
 
 def _header(lines: Lines, first: int, separator: str | None, width: int) -> tuple[list[list[str]], int]:
@@ -325,7 +261,15 @@ def _header(lines: Lines, first: int, separator: str | None, width: int) -> tupl
         cells = _header_cells(line.lstrip("#% \t"), separator, width, number)
         if cells is not None:
             return [cells], i
-    _refuse_short_header(lines[:first], separator, width)
+    # A row of names that does not name every column would shift them all: it is no preamble.
+    for number, line in reversed(lines[:first]) if separator is not None else ():
+        cells = [cell for cell in split(line, separator, number) if cell]
+        enough = line.count(str(separator)) + 1 >= max(width // 2, 3) <= len(cells)
+        if enough and not any(map(is_value, cells)):
+            raise InputError(
+                f"the header in line {number} names {len(cells)} columns, and the samples below it have {width}; "
+                "complete the header"
+            )
     return [], first
 
 
@@ -340,32 +284,6 @@ def _header_cells(line: str, separator: str | None, width: int, number: int) -> 
     if len(cells) != width or not told or sum(map(is_value, told)) > 0.5 * len(told):
         return None
     return cells
-
-
-def _refuse_short_header(above: Lines, separator: str | None, width: int) -> None:
-    """A row of names that does not name every column would shift them all: it is no preamble."""
-    if separator is None:
-        return
-    for number, line in reversed(above):
-        if line.count(separator) + 1 < max(width // 2, 3):
-            continue
-        cells = [cell for cell in split(line, separator, number) if cell]
-        if len(cells) >= max(width // 2, 3) and not any(map(is_value, cells)):
-            raise InputError(
-                f"the header in line {number} names {len(cells)} columns, and the samples below it have {width}; "
-                "complete the header"
-            )
-
-
-def _refuse_damaged(above: Lines, separator: str | None, width: int) -> None:
-    """What stands just above the first whole sample must not be a damaged one."""
-    for number, line in reversed(above):
-        if line[0] in _COMMENT:
-            continue
-        told = [cell for cell in split(line, separator) if not is_blank(cell)]
-        if len(told) < max(0.5 * width, 2) or sum(map(is_value, told)) <= 0.5 * len(told):
-            return
-        raise InputError(_ragged(number, 0, len(split(line, separator)), width))
 
 
 def _refuse_ragged(body: Lines, separator: str | None, width: int) -> None:
@@ -387,23 +305,15 @@ def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[
     names: list[list[str]] = [[] for _ in range(width)]
     units: list[str | None] = [None] * width
     for place, row in enumerate(header):
-        if place > 0 and _are_units(row):
+        told = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
+        known = sum(map(bool, map(spellings, told)))
+        if (
+            place > 0
+            and told
+            and known >= max(UNIT_SHARE * len(told), sum(split_heading(cell)[0] in ALIASES for cell in told))
+        ):
             units = [cell.strip("[]() ") or None for cell in row]
         else:
             for k, cell in enumerate(row):
                 names[k].append(cell)
     return names, units
-
-
-def _are_units(row: Sequence[str]) -> bool:
-    """Whether cells are units rather than a second row of names."""
-    told = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
-    units, names = sum(map(bool, map(spellings, told))), sum(split_heading(cell)[0] in ALIASES for cell in told)
-    return bool(told) and units >= max(UNIT_SHARE * len(told), names)
-
-
-def _preamble(lines: Lines, begin: int) -> tuple[str, ...]:
-    above = [number for number, line in lines[:begin] if line[0] not in _COMMENT]
-    if not above or begin >= len(lines):
-        return ()
-    return (f"line {lines[begin][0]} is taken for the first of the table; what stands above it is skipped",)

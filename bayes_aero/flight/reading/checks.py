@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -14,21 +13,10 @@ from bayes_aero.flight.reading.segments import GAP
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import from_si, instant, number, same_unit, to_si
 
-__all__ = ["JITTER", "MIN_SAMPLES", "check_arrays", "check_record", "failures"]
-
-MIN_SAMPLES = 50
-"""The derivative filter alone spans 17 samples and changes its form over the 9 next to either end."""
-
-JITTER = 0.01
-"""Largest departure of a step from the median step, relative, that still passes for even sampling."""
-
-RATES = (1e-4, 2.0)
-"""Bounds of the sampling interval, s, outside which the unit of time must be wrong."""
-
-ALPHA_MOVES = 1e-6
-"""Smallest range of alpha, rad, that counts as variation at all."""
-
-
+MIN_SAMPLES = 50  # the derivative filter alone spans 17 samples and changes its form over the 9 next to either end
+JITTER = 0.01  # largest departure of a step from the median step, relative, that still passes for even sampling
+RATES = (1e-4, 2.0)  # bounds of the sampling interval, s, outside which the unit of time must be wrong
+ALPHA_MOVES = 1e-6  # smallest range of alpha, rad, that counts as variation at all
 ROUNDED = 0.15
 """Part of the median step from which a common divisor of all steps is taken for the rounding of time stamps."""
 
@@ -36,10 +24,10 @@ SLOWEST, REGULAR, FEWER = 10, 0.9, 0.7
 """Fewest values of a channel with blanks, and the share of them a step apart, from which it has a rate of its own; the
 most samples of the file that it then has."""
 
-SOME = 0.1
-"""Share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded."""
-
-Check = Callable[[FlightRecord], None]
+SOME = 0.1  # share of repeated stamps up to which samples were written twice, and beyond which stamps are rounded
+Card = Mapping[str, Channel]
+Check = Callable[[FlightRecord, Card, bool], str]
+"""A sentence on what is wrong, empty for a sound record: of a record, the card's channels and whether time is even."""
 
 
 def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
@@ -48,70 +36,60 @@ def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[
     With `even=False` gaps and uneven sampling pass: the record is about to be resampled. `channels` are the card's:
     what it says already is not advised.
     """
-    for check in _checks(even, channels):
-        check(record)
+    for reason in failures(record, even=even, channels=channels):
+        raise InputError(reason)
 
 
-def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> list[str]:
+def failures(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> Iterator[str]:
     """Everything that is wrong with a record, one sentence each; `check_record` raises the first."""
-    said = []
-    for check in _checks(even, channels):
-        try:
-            check(record)
-        except InputError as reason:
-            said.append(str(reason))
-            if check in (_length, _monotonic) or not np.isfinite(record.time).all():
-                break  # what follows needs samples and time that increases
-    return said
+    card = {channel.name: channel for channel in channels}
+    for check in CHECKS:
+        if reason := check(record, card, even):
+            yield reason
+            if check in (length, monotonic) or not np.isfinite(record.time).all():
+                return  # what follows needs samples and time that increases
 
 
 def check_arrays(record: FlightRecord, channels: Sequence[Channel]) -> None:
     """Raise InputError if a record made in memory is too short, lacks numbers that the card needs, or its time does
     not increase."""
     used = {c.name: record[c.name] for c in channels if c.required and c.name in record.channels}
-    needed = replace(record, channels=used)
-    for check in (_length, partial(_finite, blanks=False), _monotonic):
-        try:
-            check(needed)
-        except InputError as reason:
-            raise InputError(f"record {record.name}: {reason}") from None
+    for check in (length, finite, monotonic):
+        if reason := check(replace(record, channels=used), {}, True):
+            raise InputError(f"record {record.name}: {reason}")
 
 
-def _checks(even: bool, channels: Sequence[Channel]) -> list[Check]:
-    card = {channel.name: channel for channel in channels}
-    sampled: list[Check] = [_evenly_sampled] if even else []
-    plausible, rate, in_g = (partial(check, card=card) for check in (_plausible, _rate, _in_g))
-    finite = partial(_finite, blanks=not even)
-    return [_length, finite, plausible, _monotonic, rate, *sampled, _positive, in_g, _varies]
+# --- The checks. `even` is false where a record is about to be resampled.
 
 
-def _length(record: FlightRecord) -> None:
-    if record.n < MIN_SAMPLES:
-        raise InputError(
-            f"the record has {record.n} samples; at least {MIN_SAMPLES} are needed (the derivative filter "
-            f"alone takes "
-            f"20): use a longer record"
-        )
+def length(record: FlightRecord, _card: Card, _even: bool) -> str:
+    if record.n >= MIN_SAMPLES:
+        return ""
+    return (
+        f"the record has {record.n} samples; at least {MIN_SAMPLES} are needed (the derivative filter alone takes "
+        "20): use a longer record"
+    )
 
 
-def _finite(record: FlightRecord, blanks: bool) -> None:
-    """`blanks`: missing samples pass, for they are about to be interpolated; those of time do not, nor infinities."""
+def finite(record: FlightRecord, _card: Card, even: bool) -> str:
+    """Missing samples that are about to be interpolated pass; those of time do not, nor infinities."""
     for name in record.names:
         values = record[name]
-        bad = ~np.isfinite(values)
-        missing = np.isnan(values)
-        if not bad.any() or (blanks and name != "time" and not np.isinf(values).any() and not missing.all()):
+        bad, missing = ~np.isfinite(values), np.isnan(values)
+        bridged = not even and name != "time" and not np.isinf(values).any() and not missing.all()
+        if not bad.any() or bridged:
             continue
         first = int(np.argmax(bad))
         if name != "time" and missing[first] and (rates := several_rates(record, name)):
-            raise InputError(rates)
+            return rates
         kind = "empty or not a number (NaN)" if missing[first] else "infinite"
         when = f"sample {first} (counted from 0)" if name == "time" else at(record, first)
-        raise InputError(
+        return (
             f"channel {name} is {kind} at {when}, {int(bad.sum())} of {record.n} samples in all; "
             f"repair or cut out these samples, ask for resampling if they are few (it interpolates), or take the "
             f"channel off the card if it is not needed"
         )
+    return ""
 
 
 def several_rates(record: FlightRecord, name: str) -> str:
@@ -138,16 +116,17 @@ def sampling_step(record: FlightRecord) -> float:
     return float(np.median(np.diff(record.time[fullest]))) if np.count_nonzero(fullest) > 1 else float("nan")
 
 
-def _monotonic(record: FlightRecord) -> None:
-    step = np.diff(record.time)
-    if (step <= 0.0).any():
-        i = int(np.argmax(step <= 0.0)) + 1
-        what = "repeats" if step[i - 1] == 0.0 else "runs backwards from"
-        raise InputError(
-            f"channel time {what} {instant(record.time[i - 1])} s at {at(record, i)}, {int((step <= 0.0).sum())} times "
-            f"in all; time must increase: {_rounding(record) or 'sort the samples, drop the repeated ones, or divide '}"
-            f"{'' if _rounding(record) else 'the record where time starts over (--split)'}"
-        )
+def monotonic(record: FlightRecord, _card: Card, _even: bool) -> str:
+    back = np.diff(record.time) <= 0.0
+    if not back.any():
+        return ""
+    i = int(np.argmax(back)) + 1
+    what = "repeats" if record.time[i] == record.time[i - 1] else "runs backwards from"
+    mend = "sort the samples, drop the repeated ones, or divide the record where time starts over (--split)"
+    return (
+        f"channel time {what} {instant(record.time[i - 1])} s at {at(record, i)}, {int(back.sum())} times in all; time "
+        f"must increase: {_rounding(record) or mend}"
+    )
 
 
 def _rounding(record: FlightRecord) -> str:
@@ -170,84 +149,84 @@ def _rounding(record: FlightRecord) -> str:
     )
 
 
-def _rate(record: FlightRecord, card: Mapping[str, Channel]) -> None:
+def rate(record: FlightRecord, card: Card, _even: bool) -> str:
     median = sampling_step(record)
-    if not RATES[0] <= median <= RATES[1]:
-        raise InputError(
-            f"channel time has a median step of {median:.6g} s from {at(record, 0)}, outside "
-            f"{RATES[0]:g} to {RATES[1]:g} s; {time_hint(median, card.get('time'))}"
-        )
+    if RATES[0] <= median <= RATES[1]:
+        return ""
+    return (
+        f"channel time has a median step of {median:.6g} s from {at(record, 0)}, outside "
+        f"{RATES[0]:g} to {RATES[1]:g} s; {time_hint(median, card.get('time'))}"
+    )
 
 
-def _evenly_sampled(record: FlightRecord) -> None:
+def evenly_sampled(record: FlightRecord, _card: Card, even: bool) -> str:
     step = np.diff(record.time)
-    median = float(np.median(step))
-    rounding = _rounding(record)
-    if (step > GAP * median).any() and not rounding:
-        i = int(np.argmax(step > GAP * median))
-        raise InputError(
+    median, rounding = float(np.median(step)), _rounding(record)
+    gaps, off = step > GAP * median, np.abs(step - median) > JITTER * median
+    if even and gaps.any() and not rounding:
+        i = int(np.argmax(gaps))
+        return (
             f"channel time has a gap of {step[i]:.6g} s after {at(record, i)}, where {median:.6g} s is the "
             f"sampling interval; divide the record there (--split, or FILE@FROM:TO), or ask for resampling if the gap "
             "is short"
         )
-    off = np.abs(step - median) > JITTER * median
-    if off.any():
+    if even and off.any():
         i = int(np.argmax(off))
         mean = float(np.mean(step)) if rounding else median
-        raise InputError(
+        return (
             f"channel time is sampled unevenly: the step after {at(record, i)} is {step[i]:.6g} s, the median step "
             f"{median:.6g} s, {int(off.sum())} steps differ by more than {JITTER:.0%}; "
             f"{rounding or 'write time with more digits'}, or ask for resampling (--resample {mean:.4g})"
         )
+    return ""
 
 
-def _plausible(record: FlightRecord, card: Mapping[str, Channel]) -> None:
-    for name in record.names:
-        known = STANDARD_CHANNELS.get(name)
-        why = None if known is None else implausible(record, known, card.get(name))
-        if why is not None:
-            raise InputError(why)
+def plausible(record: FlightRecord, card: Card, _even: bool) -> str:
+    known = (STANDARD_CHANNELS[name] for name in record.names if name in STANDARD_CHANNELS)
+    return next((why for one in known if (why := implausible(record, one, card.get(one.name)))), "")
 
 
-def _positive(record: FlightRecord) -> None:
+def positive(record: FlightRecord, _card: Card, _even: bool) -> str:
     remedies = {
         "airspeed": "coefficients divide by dynamic pressure: cut the record to the part in flight",
         "density": "coefficients divide by dynamic pressure: repair the channel",
     }
     for name, remedy in remedies.items():
-        if not record.has(name):
-            continue
-        bad = record[name] <= 0.0
+        bad = record[name] <= 0.0 if record.has(name) else np.zeros(1, bool)
         if bad.any():
             i = int(np.argmax(bad))
-            raise InputError(
-                f"channel {name} is {record[name][i]:.6g} {STANDARD_CHANNELS[name].unit} at "
-                f"{at(record, i)}, "
+            return (
+                f"channel {name} is {record[name][i]:.6g} {STANDARD_CHANNELS[name].unit} at {at(record, i)}, "
                 f"{int(bad.sum())} samples not above zero; {remedy}"
             )
+    return ""
 
 
-def _in_g(record: FlightRecord, card: Mapping[str, Channel]) -> None:
-    if not all(record.has(axis) for axis in ("ax", "ay", "az")):
-        return
+def in_g(record: FlightRecord, card: Card, _even: bool) -> str:
+    if not all(record.has(axis) for axis in ("ax", "ay", "az")) or ("az" in card and same_unit(card["az"].unit, "g")):
+        return ""
     load = float(np.median(np.sqrt(record["ax"] ** 2 + record["ay"] ** 2 + record["az"] ** 2)))
-    in_g = "az" in card and same_unit(card["az"].unit, "g")
-    if 0.7 < load < 1.4 and not in_g:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
-        i = int(np.argmax(np.abs(record["az"])))
-        raise InputError(
-            f"channels ax, ay, az have a median magnitude of {number(load)} m/s^2 (az is {number(record['az'][i])} at "
-            f'{at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
-        )
+    if not 0.7 < load < 1.4:  # near 9.8 in m/s2; only a record flown at a tenth of gravity throughout is so
+        return ""
+    i = int(np.argmax(np.abs(record["az"])))
+    return (
+        f"channels ax, ay, az have a median magnitude of {number(load)} m/s^2 (az is {number(record['az'][i])} at "
+        f'{at(record, i)}); looks like multiples of gravity: set unit = "g" for them on the card'
+    )
 
 
-def _varies(record: FlightRecord) -> None:
-    if record.has("alpha") and float(np.ptp(record["alpha"])) < ALPHA_MOVES:
-        raise InputError(
-            f"channel alpha stays at {record['alpha'][0]:.6g} rad from {at(record, 0)} to "
-            f"{at(record, record.n - 1)}; "
-            f"nothing can be identified from a constant angle of attack: check the sensor and the card's "
-            f"column or label"
-        )
+def varies(record: FlightRecord, _card: Card, _even: bool) -> str:
+    if not record.has("alpha") or float(np.ptp(record["alpha"])) >= ALPHA_MOVES:
+        return ""
+    return (
+        f"channel alpha stays at {record['alpha'][0]:.6g} rad from {at(record, 0)} to {at(record, record.n - 1)}; "
+        "nothing can be identified from a constant angle of attack: check the sensor and the card's column or label"
+    )
+
+
+CHECKS: tuple[Check, ...] = (
+    length, finite, plausible, monotonic, rate, evenly_sampled, positive, in_g, varies,
+)  # fmt: skip
 
 
 # --- Values that no sound record has: fill values first, then units; the card's own unit is never advised.
@@ -258,19 +237,11 @@ FILLS = frozenset(float(sign + digits) for digits in (*_DIGITS, *_LIMITS) for si
 """What recorders write where they have no value, in the file's unit."""
 
 UNITS: Mapping[str, tuple[str, ...]] = {
-    "rad": ("deg", "rad"),
-    "rad/s": ("deg/s", "rad/s"),
-    "rad/s^2": ("deg/s^2", "rad/s^2"),
-    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"),
-    "m": ("ft", "m"),
-    "m/s^2": ("g", "ft/s^2", "m/s^2"),
-    "K": ("degC", "K", "degF"),
-    "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"),
-    "1": ("%", "1"),
-    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"),
-    "N": ("lbf", "N", "kN"),
-    "kg": ("lb", "kg", "slug"),
-}
+    "rad": ("deg", "rad"), "rad/s": ("deg/s", "rad/s"), "rad/s^2": ("deg/s^2", "rad/s^2"),
+    "m/s": ("kt", "km/h", "ft/s", "mph", "m/s"), "m": ("ft", "m"), "m/s^2": ("g", "ft/s^2", "m/s^2"),
+    "K": ("degC", "K", "degF"), "Pa": ("hPa", "Pa", "kPa", "inHg", "psi", "lbf/ft^2"), "1": ("%", "1"),
+    "kg/m^3": ("g/m^3", "slug/ft^3", "kg/m^3"), "N": ("lbf", "N", "kN"), "kg": ("lb", "kg", "slug"),
+}  # fmt: skip
 WORDS = {
     "deg": "degrees", "rad": "radians", "deg/s": "degrees per second", "rad/s": "radians per second",
     "deg/s^2": "degrees per second squared", "kt": "knots", "ft": "feet", "m": "metres", "%": "per cent",
@@ -290,20 +261,25 @@ def implausible(record: FlightRecord, known: StandardChannel, channel: Channel |
     outside = (x < lo) | (x > hi)
     if not outside.any():
         return None
-    fill = _fill(record, known, channel, outside)
-    if fill is not None:
-        return fill
+    own = channel or Channel(known.name, known.unit)
+    count, i = int(outside.sum()), int(np.argmax(outside))
+    values, counts = np.unique(x[outside], return_counts=True)
+    fills = [float(f"{float(own.filed(v)):.6g}") for v in values] if len(values) <= FEW else []
+    usual = all(value in FILLS for value in fills)
+    if fills and (usual or (counts.max() >= 2 and outside.mean() <= 0.5)):  # it stands where there was no value
+        named = " and ".join(f"{value:.10g}" for value in fills)
+        unit = "" if own.unit == "1" else f" {own.unit}"
+        return (
+            f"channel {known.name}: {named}{unit} stands at {count} of {record.n} samples, the first at "
+            f"{at(record, i)}: a fill value of the recorder, not a measurement; cut these samples out or interpolate "
+            "across them in the file"
+        )
     if lo == 0.0 and (x < lo).any():  # airspeed and density not above zero: another check reports these
         return None
-    i = int(np.argmax(outside))
-    filed = (
-        ""
-        if channel is None or channel.unit == known.unit
-        else f" ({_filed(x[i], channel, known):.6g} {channel.unit} in the file)"
-    )
+    as_filed = "" if own.unit == known.unit else f" ({float(own.filed(x[i])):.6g} {own.unit} in the file)"
     return (
-        f"channel {known.name} is {x[i]:.6g} {known.unit}{filed} at {at(record, i)}, outside {lo:g} to {hi:g} "
-        f"{known.unit}, {int(outside.sum())} of {record.n} samples in all; {_unit_hint(x, known, channel)}"
+        f"channel {known.name} is {x[i]:.6g} {known.unit}{as_filed} at {at(record, i)}, outside {lo:g} to {hi:g} "
+        f"{known.unit}, {count} of {record.n} samples in all; {_unit_hint(x, known, own.unit)}"
     )
 
 
@@ -312,33 +288,8 @@ def at(record: FlightRecord, index: int | np.integer) -> str:
     return f"sample {int(index)} (counted from 0; t = {instant(record.time[index])} s)"
 
 
-def _filed(value: float, channel: Channel, known: StandardChannel) -> float:
-    return float(channel.sign * from_si(value, channel.unit, known.name, known.unit))
-
-
-def _fill(record: FlightRecord, known: StandardChannel, channel: Channel | None, outside: np.ndarray) -> str | None:
-    """A constant that stands where the recorder had no value."""
-    own = channel or Channel(known.name, known.unit)
-    values, counts = np.unique(record[known.name][outside], return_counts=True)
-    if len(values) > FEW:
-        return None
-    filed = [float(f"{_filed(v, own, known):.6g}") for v in values]
-    usual = all(value in FILLS for value in filed)
-    if not usual and (counts.max() < 2 or outside.mean() > 0.5):
-        return None
-    i = int(np.argmax(outside))
-    named = " and ".join(f"{value:.10g}" for value in filed)
-    unit = "" if own.unit == "1" else f" {own.unit}"
-    return (
-        f"channel {known.name}: {named}{unit} stands at {int(outside.sum())} of {record.n} samples, the first at "
-        f"{at(record, i)}: a fill value of the recorder, not a measurement; cut these samples out or interpolate "
-        "across them in the file"
-    )
-
-
-def _unit_hint(x: np.ndarray, known: StandardChannel, channel: Channel | None) -> str:
-    """Units that would make nearly all values plausible, less the card's own."""
-    own = known.unit if channel is None else channel.unit
+def _unit_hint(x: np.ndarray, known: StandardChannel, own: str) -> str:
+    """Units that would make nearly all values plausible, less the card's `own`."""
     filed = from_si(x, own, known.name, known.unit)
     lo, hi = known.plausible
     fit = []
@@ -369,10 +320,8 @@ def time_hint(median: float, channel: Channel | None) -> str:
 
 
 def without_bad_options(record: FlightRecord, channels: Sequence[Channel], *, blanks: bool = False) -> FlightRecord:
-    """The record without optional channels that are not finite or not plausible; it remembers why.
-
-    `blanks`: missing samples pass, for the record is about to be resampled.
-    """
+    """The record without optional channels that are not finite or not plausible; it remembers why. `blanks`: missing
+    samples pass, for the record is about to be resampled."""
     dropped = {}
     for channel in channels:
         if channel.required or channel.name not in record.channels:

@@ -11,15 +11,14 @@ from scipy.ndimage import binary_closing, binary_dilation, uniform_filter1d
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
 from bayes_aero.flight.health.air import grounded
 from bayes_aero.flight.health.signals import runs_of
-from bayes_aero.flight.readers.base import Column
+from bayes_aero.flight.readers.base import FileColumn
 from bayes_aero.flight.reading.checks import JITTER, failures, without_bad_options
-from bayes_aero.flight.reading.read_record import RawColumn, in_si, read_raw, read_record, without_repeats
+from bayes_aero.flight.reading.read_record import in_si, read_raw, read_record, without_repeats
 from bayes_aero.flight.reading.segments import GAP, SHORTEST, cut, parts_of, samples_of, segment_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.units import instant, si_unit
+from bayes_aero.units import instant
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,16 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
     problems: list[str] = [f"two columns are called {name!r}; rename all but the right one" for name in raw.repeated]
     found, values = {channel: raw.find(channel) for channel in card.channels}, {}
     for channel, column in found.items():
-        if column is not None:
+        if column is not None and column.values is None:
+            problems.append(
+                f"channel {channel.name}: {column.place} holds something else than numbers; repair the file"
+            )
+        elif column is not None and column.values is not None:
             try:
-                values[channel.name] = _converted(channel, column)
+                values[channel.name] = in_si(channel, FileColumn(column.values, column.unit), column.heading)
             except InputError as reason:
                 problems.append(str(reason))
-    looked, own, remarks = None, slice(None), raw.remarks
+    looked, record, own, remarks = None, None, slice(None), raw.remarks
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
         looked = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
@@ -78,14 +81,24 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
             problems += failures(kept, even=resample is None, channels=card.channels)
         except InputError as reason:
             problems.append(str(reason))
-    record, refused = _read(path, card, resample)
-    problems += [refused] if refused and refused not in problems else []
+    try:
+        record = read_record(path, card.channels, resample=resample)
+    except InputError as reason:  # what is said of a column that no channel of the card was found in, too
+        refused = str(reason).removeprefix(f"{os.fspath(path)}: ")
+        problems += [refused] if refused not in problems else []
     time = np.empty(0) if looked is None else looked.time
     step = np.diff(time)
     median = float(np.median(step)) if len(step) else float("nan")
     gap = step > GAP * median
     taken = {column.number for column in found.values() if column is not None}
-    there = [(channel, column) for channel, column in found.items() if column is not None and channel.name in values]
+    reports = []
+    for channel, column in found.items():
+        if column is None or column.values is None or channel.name not in values:
+            continue
+        sound = column.values[own][np.isfinite(column.values[own])]
+        low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
+        where = channel.name, column.place, channel.unit, channel.si, channel.sign
+        reports.append(ChannelReport(*where, low, high, low < high))
     return RecordReport(
         path=os.fspath(path),
         samples=len(time),
@@ -93,7 +106,7 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
         duration=float(time[-1] - time[0]) if len(time) else 0.0,
         gaps=int(np.sum(gap)),
         uneven=int(np.sum((np.abs(step - median) > JITTER * median) & ~gap)),
-        channels=tuple(_report(channel, column, own) for channel, column in there),
+        channels=tuple(reports),
         missing=tuple(channel.name for channel, column in found.items() if column is None and not channel.required),
         unused=tuple(column.place for column in raw.columns if column.number not in taken),
         problems=tuple(problems),
@@ -101,30 +114,6 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
         proposals=proposals(looked, card) if looked is not None and segment.whole and np.isfinite(time).all() else (),
         remarks=remarks,
     )
-
-
-def _read(path: str | os.PathLike[str], card: Card, resample: float | None) -> tuple[FlightRecord | None, str]:
-    """The record, or why it cannot be had: what is said of a column that no channel of the card was found in, too."""
-    try:
-        return read_record(path, card.channels, resample=resample), ""
-    except InputError as reason:
-        return None, str(reason).removeprefix(f"{os.fspath(path)}: ")
-
-
-def _converted(channel: Channel, column: RawColumn) -> np.ndarray:
-    if column.values is None:
-        raise InputError(f"channel {channel.name}: {column.place} holds something else than numbers; repair the file")
-    return in_si(channel, Column(column.values, column.unit), column.heading)
-
-
-def _report(channel: Channel, column: RawColumn, own: slice) -> ChannelReport:
-    """`own`: the samples of the part that is looked at."""
-    values = np.zeros(1) if column.values is None else column.values[own]
-    sound = values[np.isfinite(values)]
-    low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
-    standard = STANDARD_CHANNELS.get(channel.name)
-    si = standard.unit if standard else si_unit(channel.unit)
-    return ChannelReport(channel.name, column.place, channel.unit, si, channel.sign, low, high, low < high)
 
 
 # --- The parts of a file that are worth a record of their own: those in flight, and the manoeuvres in them.
@@ -155,17 +144,19 @@ class Proposal:
 
 
 def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
-    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre.
-
-    Args:
-        record: the whole file, in SI, unchecked: time may have gaps or start over.
-        card: the aircraft, which tells flight from ground.
-    """
+    """Parts to analyse in place of a whole file; none where the file is one flight that is one manoeuvre. The record is
+    the whole file, in SI, unchecked: time may have gaps or start over. The card tells flight from ground."""
     parts = [(a, b) for a, b in parts_of(record.time) if b - a >= SHORTEST]
     forward = bool((np.diff(record.time) > 0.0).all())
     flown: list[tuple[int, int]] = []
     for a, b in parts:
-        flown += _in_flight(_window(record, a, b), card, a)
+        part = _window(record, a, b)
+        if part.has("airspeed") and not np.isfinite(part["airspeed"]).all():
+            flown.append((a, b))
+            continue
+        edges = [0, *(i for first, last in grounded(part, card) for i in (first, last + 1)), part.n]
+        pairs = zip(edges[::2], edges[1::2], strict=True)
+        flown += [(a + first, a + after) for first, after in pairs if after - first >= SHORTEST]
     found = []
     if flown != [(0, record.n)]:
         found += [_proposal(record, a, b, "in flight", forward) for a, b in flown]
@@ -179,16 +170,6 @@ def proposals(record: FlightRecord, card: Card) -> tuple[Proposal, ...]:
 
 def _window(record: FlightRecord, a: int, b: int) -> FlightRecord:
     return FlightRecord(record.name, record.time[a:b], {n: x[a:b] for n, x in record.channels.items()}, "", "")
-
-
-def _in_flight(part: FlightRecord, card: Card, offset: int) -> list[tuple[int, int]]:
-    """First sample and the one after the last of what is flown."""
-    if part.has("airspeed") and not np.isfinite(part["airspeed"]).all():
-        return [(offset, offset + part.n)]
-    ground = grounded(part, card)
-    edges = [0, *(i for a, b in ground for i in (a, b + 1)), part.n]
-    pairs = zip(edges[::2], edges[1::2], strict=True)
-    return [(offset + a, offset + b) for a, b in pairs if b - a >= SHORTEST]
 
 
 def _manoeuvres(part: FlightRecord, offset: int) -> list[tuple[int, int]]:

@@ -23,15 +23,14 @@ from jaxtyping import Bool
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel, split_heading
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.readers.base import Column, Heading, Lookup, Opened, located
+from bayes_aero.flight.readers.base import FileColumn, Heading, HeadingIndex, OpenedFile, located
 from bayes_aero.flight.reading.checks import check_record, without_bad_options
 from bayes_aero.flight.reading.resample import resample_record
 from bayes_aero.flight.reading.segments import cut, expanded, segment_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import canonical, same_kind, same_unit, to_si
 
-MAX_BYTES = 1 << 30
-"""Largest file that is taken for one manoeuvre: 1 GiB."""
+MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 
 
 def read_record(
@@ -63,7 +62,12 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
     """The whole file in SI, unchecked, without samples that were written twice."""
     segment = segment_of(path)
     opens = format_of(segment.file)
-    _refuse_odd_cards(channels)
+    names = [channel.name for channel in channels]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
+    if "time" not in names:
+        raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
     data = bytes_of(segment.file)
     opened = opens(data)
     places = located(channels, opened)
@@ -90,13 +94,7 @@ def _as_filed(path: str | os.PathLike[str], channels: Sequence[Channel]) -> Flig
 
 
 def read_again(read: Mapping[str, Any], file: Path, channels: Sequence[Channel]) -> FlightRecord:
-    """The record that was read before, from `file`, where it is now.
-
-    Args:
-        read: how (`FlightRecord.read`).
-        file: the whole file.
-        channels: what the card maps.
-    """
+    """The record that was `read` before (see `FlightRecord.read`), from the whole `file`, where it is now."""
     part = f"@{read['part']}" if read["part"] else ""
     record = read_record(f"{file}{part}", channels, resample=read["resample"])
     for begin, end in read["windows"]:
@@ -134,17 +132,14 @@ def manoeuvres(
     split: bool = False,
 ) -> list[Path]:
     """The paths of single manoeuvres that `paths` stand for, see `read_records`."""
-    times = {os.fspath(path): _time_of(path, channels) for path in paths} if split else None
-    return expanded(paths, segments or {}, times)
-
-
-def _time_of(path: str | os.PathLike[str], channels: Sequence[Channel]) -> np.ndarray:
-    """(n,) time of the whole file, s."""
     clock = [replace(channel, required=True) if channel.name == "time" else channel for channel in channels]
-    try:
-        return _as_filed(segment_of(path).file, clock).time
-    except InputError as reason:
-        raise InputError(f"{os.fspath(path)}: {reason}") from reason
+    times: dict[str, np.ndarray] = {}
+    for path in paths if split else ():
+        try:
+            times[os.fspath(path)] = _as_filed(segment_of(path).file, clock).time
+        except InputError as reason:
+            raise InputError(f"{os.fspath(path)}: {reason}") from reason
+    return expanded(paths, segments or {}, times if split else None)
 
 
 def present(path: Path) -> None:
@@ -158,7 +153,7 @@ def present(path: Path) -> None:
         raise InputError(f"{path}: {_no_such_file(file)}")
 
 
-def format_of(path: Path) -> Callable[[bytes], Opened]:
+def format_of(path: Path) -> Callable[[bytes], OpenedFile]:
     """What opens a file, told by its suffix."""
     opens = READERS.get(path.suffix.lower())
     if opens is None:
@@ -167,15 +162,6 @@ def format_of(path: Path) -> Callable[[bytes], Opened]:
             f"{given} is not known; flight records end in {', '.join(READERS)}: rename or convert the file"
         )
     return opens
-
-
-def _refuse_odd_cards(channels: Sequence[Channel]) -> None:
-    names = [channel.name for channel in channels]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"channel {name} is mapped twice on the card; keep one of the two")
-    if "time" not in names:
-        raise InputError('channel time is not mapped on the card; add it to [channels] with unit = "s"')
 
 
 def bytes_of(path: Path) -> bytes:
@@ -208,12 +194,9 @@ def _no_such_file(path: Path) -> str:
     return "no such file; " + (f"did you mean {' or '.join(close)}?" if close else "correct the path")
 
 
-def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
-    """A channel's values in SI, (n,), with the card's sign.
-
-    Raises:
-        InputError: the file states another unit than the card.
-    """
+def in_si(channel: Channel, column: FileColumn, heading: Heading) -> np.ndarray:
+    """A channel's values in SI, (n,), with the card's sign. Raises InputError: the file states another unit than the
+    card."""
     unit = unit_in_file(channel, column, heading)
     standard = STANDARD_CHANNELS.get(channel.name)
     if unit is not None and same_unit(unit, channel.unit) is False:
@@ -221,14 +204,12 @@ def in_si(channel: Channel, column: Column, heading: Heading) -> np.ndarray:
             f"channel {channel.name} is in {unit!r} according to the file but in {channel.unit!r} according to the "
             f'card; correct the card: unit = "{canonical(unit, standard.unit if standard else None) or unit}"'
         )
-    return channel.sign * to_si(column.values, channel.unit, channel.name, standard.unit if standard else None)
+    return channel.sign * to_si(column.values, channel.unit, channel.name, channel.si)
 
 
-def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | None:
-    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)").
-
-    What a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro.
-    """
+def unit_in_file(channel: Channel, column: FileColumn, heading: Heading) -> str | None:
+    """The unit that a file states for a channel: in a row of units, an attribute, or its name ("rho (slug/ft3)"). What
+    a name seems to say counts only where the channel can have that unit: the "g" of "q_g" may be a gyro."""
     if column.unit is not None:
         return column.unit
     for name in heading.names:
@@ -241,18 +222,14 @@ def unit_in_file(channel: Channel, column: Column, heading: Heading) -> str | No
 # --- Everything that a file holds, before any card says what it means.
 
 
-MOST = 20_000
-"""Columns beyond this are not looked at."""
-
+MOST = 20_000  # columns beyond this are not looked at
 PATIENCE = 20.0  # seconds
 
 
 @dataclass(frozen=True)
 class RawColumn:
     """One column: its name (None in files without a header), place counted from 1, (n,) values, unit if the file says.
-
-    Values are None where they are no numbers.
-    """
+    Values are None where they are no numbers."""
 
     label: str | None
     number: int
@@ -276,7 +253,7 @@ class RawFile:
 
     def find(self, channel: Channel) -> RawColumn | None:
         """The column that a card's channel names."""
-        there = Lookup([column.heading for column in self.columns]).candidates(channel)
+        there = HeadingIndex([column.heading for column in self.columns]).candidates(channel)
         return next((column for column in self.columns if column.heading in there[:1]), None)
 
 
@@ -293,28 +270,24 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
             for number, heading in headings.items()
             if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
         }
-        found = _read(opened, places)
+        found = _numeric(opened, places)
     except InputError as reason:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
     columns = []
     for number, heading in places.items():
-        column = found.get(number)
-        if column is not None and not heading.names and not np.isfinite(column.values).any():
+        column = found.get(number, FileColumn(np.empty(0)))
+        if number in found and not heading.names and not np.isfinite(column.values).any():
             continue  # what follows a separator too many
         at = heading.column if heading.column is not None else int(number)
-        values, unit = (column.values, column.unit) if column else (None, None)
-        columns.append(
-            RawColumn(heading.names[0] if heading.names and not heading.formed else None, at, values, unit, heading)
-        )
+        label = heading.names[0] if heading.names and not heading.formed else None
+        columns.append(RawColumn(label, at, column.values if number in found else None, column.unit, heading))
     return RawFile(tuple(columns), repeated, tuple(opened.remarks))
 
 
-def _read(opened: Opened, places: Mapping[str, Heading]) -> dict[str, Column]:
-    """All columns at once; where one is no numbers, each half on its own, so that only it is lost.
-
-    When `PATIENCE` is over, whatever has not been read is taken for no numbers.
-    """
-    found: dict[str, Column] = {}
+def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
+    """All columns at once; where one is no numbers, each half on its own, so that only it is lost. When `PATIENCE` is
+    over, whatever has not been read is taken for no numbers."""
+    found: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
     began = time.monotonic()
@@ -342,22 +315,18 @@ def repeats(time: np.ndarray, channels: Iterable[np.ndarray]) -> Bool[np.ndarray
 
 
 def without_repeats(record: FlightRecord) -> FlightRecord:
-    """The record without such samples, which say nothing new, and a remark.
-
-    Samples of one time that differ stay, for nobody knows which of them is right.
-    """
+    """The record without such samples, which say nothing new, and a remark. Samples of one time that differ stay, for
+    nobody knows which of them is right."""
     again = repeats(record.time, record.channels.values())
     if not again.any():
         return record
     count = int(again.sum())
     what = "1 sample repeats" if count == 1 else f"{count} samples repeat"
-    remark = f"{what} the one before in time and in every channel of the card, and {_are(count)} left out"
+    remark = (
+        f"{what} the one before in time and in every channel of the card, and {'is' if count == 1 else 'are'} left out"
+    )
     channels = {name: x[~again] for name, x in record.channels.items()}
     return replace(record, time=record.time[~again], channels=channels, remarks=(*record.remarks, remark))
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"
 
 
 # --- Records brought to one sampling rate, at which filters that span samples span the seconds they were made for.

@@ -11,11 +11,7 @@ from bayes_aero.flight.health.channel import held_period
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
 
-__all__ = ["MAX_GAP", "resample_record"]
-
-MAX_GAP = 5.0
-"""Longest step, in median steps, that is bridged; beyond it interpolation would invent flight data."""
-
+MAX_GAP = 5.0  # longest step, in median steps, that is bridged; beyond it interpolation would invent flight data
 MAX_SAMPLES = 5_000_000
 
 # Angles that jump by a full turn in files; interpolating across the jump would sweep through the whole
@@ -40,7 +36,7 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
-    knots = {name: _samples(name, values) for name, values in record.channels.items()}
+    knots = {name: sampled_at(name, values) for name, values in record.channels.items()}
     steps = [_bridged(record.name, n, record.time[own], max_gap) for n, own in knots.items() if len(own) < record.n]
     if len(steps) < len(knots) or not knots:  # time belongs to the channels that have all samples
         steps.append(_bridged(record.name, "time", record.time, max_gap))
@@ -54,8 +50,7 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     duration = end - begin
     if duration / fine > MAX_SAMPLES:
         raise InputError(
-            f"record {record.name}: resampling {duration:.6g} s to {dt:g} s makes more than {MAX_SAMPLES} "
-            f"samples; "
+            f"record {record.name}: resampling {duration:.6g} s to {dt:g} s makes more than {MAX_SAMPLES} samples; "
             f"give a longer interval (the median step is {median:.6g} s)"
         )
     elapsed = np.arange(math.floor(duration / fine * (1.0 + 1e-12) + 1e-9) + 1) * fine
@@ -80,28 +75,22 @@ def _bridged(record: str, name: str, time: np.ndarray, max_gap: float) -> float:
     median = float(np.median(step))
     long = np.flatnonzero(step > max_gap * median)
     if len(long):
-        i = int(long[0])
+        i, mend = int(long[0]), "cut the record there into two (--split, or FILE@FROM:TO)"
+        if name != "time":
+            begin, end = ["", *map(instant, time[long + 1])], [*map(instant, time[long]), ""]
+            parts = [f"FILE@{a}:{b}" for a, b in zip(begin, end, strict=True)]
+            mend = (
+                f"give {' '.join(parts[:SHOWN])}{' ...' if len(parts) > SHOWN else ''} instead of the file (there is "
+                "none in time, so --split does not help), or take the channel off the card if it is not needed"
+            )
         raise InputError(
             f"record {record}: channel {name} has a gap of {step[i]:.6g} s after t = {instant(time[i])} s, longer than "
-            f"the {max_gap:g} median steps ({max_gap * median:.4g} s) that resampling bridges; "
-            + (
-                "cut the record there into two (--split, or FILE@FROM:TO)"
-                if name == "time"
-                else f"{_between(time, long)} (there is none in time, so --split does not help), or take the channel "
-                "off the card if it is not needed"
-            )
+            f"the {max_gap:g} median steps ({max_gap * median:.4g} s) that resampling bridges; {mend}"
         )
     return median
 
 
-def _between(time: np.ndarray, gaps: np.ndarray) -> str:
-    """The parts without a channel's gaps, to give instead of the file; of many gaps the first parts."""
-    begin, end = ["", *map(instant, time[gaps + 1])], [*map(instant, time[gaps]), ""]
-    parts = [f"FILE@{a}:{b}" for a, b in zip(begin, end, strict=True)]
-    return f"give {' '.join(parts[:SHOWN])}{' ...' if len(parts) > SHOWN else ''} instead of the file"
-
-
-def _samples(name: str, values: np.ndarray) -> np.ndarray:
+def sampled_at(name: str, values: np.ndarray) -> np.ndarray:
     """Where a channel was truly sampled: not where it is missing, nor where a slower sensor's value is only held."""
     there = np.flatnonzero(np.isfinite(values))
     period = 0.0 if name in _STEPWISE or len(there) < len(values) else held_period(values)
@@ -110,12 +99,8 @@ def _samples(name: str, values: np.ndarray) -> np.ndarray:
     changes = np.flatnonzero(np.diff(values)) + 1
     lengths = np.diff(np.r_[changes, len(values)])
     pieces = np.maximum(np.round(lengths / period), 1).astype(int)  # a true value may repeat
-    return np.concatenate(
-        [
-            begin + np.round(np.arange(k) * n / k).astype(int)
-            for begin, n, k in zip(changes, lengths, pieces, strict=True)
-        ]
-    )
+    parts = zip(changes, lengths, pieces, strict=True)
+    return np.concatenate([begin + np.round(np.arange(k) * n / k).astype(int) for begin, n, k in parts])
 
 
 def _told(record: FlightRecord, knots: dict[str, np.ndarray], median: float, dt: float) -> list[str]:

@@ -12,14 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from bayes_aero.errors import InputError
+from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.units import instant
 
-__all__ = ["GAP", "Segment", "cut", "expanded", "parts_of", "samples_of", "segment_of"]
-
-GAP = 1.5
-"""A step longer than this many median steps is a gap: at least one sample is lost."""
-
+GAP = 1.5  # a step longer than this many median steps is a gap: at least one sample is lost
 SHORTEST = 50  # samples of a part that is worth a record
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
 _SPAN = re.compile(rf"(?P<file>.+)@(?:(?P<begin>{_NUMBER})?:(?P<end>{_NUMBER})?|#(?P<part>\d{{1,6}}))")
@@ -27,21 +24,13 @@ _SPAN = re.compile(rf"(?P<file>.+)@(?:(?P<begin>{_NUMBER})?:(?P<end>{_NUMBER})?|
 
 @dataclass(frozen=True)
 class Segment:
-    """A file, and the part of it that is meant.
+    """A file, and the part of it that is meant."""
 
-    Attributes:
-        file: without the part.
-        begin: first time, s; None from the beginning.
-        end: last time, s; None to the end.
-        part: number of the part between gaps, counted from 1, instead of times.
-        words: the part as it was written behind "@"; empty for the whole file.
-    """
-
-    file: Path
-    begin: float | None = None
-    end: float | None = None
-    part: int | None = None
-    words: str = ""
+    file: Path  # without the part
+    begin: float | None = None  # first time, s; None from the beginning
+    end: float | None = None  # last time, s; None to the end
+    part: int | None = None  # number of the part between gaps, counted from 1, instead of times
+    words: str = ""  # the part as it was written behind "@"; empty for the whole file
 
     @property
     def whole(self) -> bool:
@@ -63,7 +52,7 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
     """What a path means; a file whose whole name looks like a segment is that file."""
     text = os.fspath(path)
     match = _SPAN.fullmatch(text)
-    if match is None or _is_file(Path(text)):
+    if match is None or is_file(Path(text)):
         return Segment(Path(text))
     begin, end = (None if match[key] is None else float(match[key]) for key in ("begin", "end"))
     if begin is not None and end is not None and not begin < end:
@@ -75,13 +64,6 @@ def segment_of(path: str | os.PathLike[str]) -> Segment:
     return Segment(Path(match["file"]), begin, end, None if part is None else int(part), words)
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
     """The part of a record, with the file's own time; raises as `samples_of`."""
     if segment.whole:
@@ -91,11 +73,7 @@ def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
 
 
 def samples_of(time: np.ndarray, segment: Segment) -> slice:
-    """Which samples of a file with (n,) time in s a part has.
-
-    Raises:
-        InputError: the file has no sample there.
-    """
+    """Which samples of a file with (n,) time in s a part has. Raises InputError: the file has no sample there."""
     if segment.whole:
         return slice(None)
     if segment.part is not None:
@@ -138,13 +116,8 @@ def parts_of(time: np.ndarray) -> list[tuple[int, int]]:
 def expanded(
     paths: Sequence[str | os.PathLike[str]], stated: Mapping[str, Sequence[str]], times: Mapping[str, np.ndarray] | None
 ) -> list[Path]:
-    """The manoeuvres that records stand for: what a card states of a file of that name, else its parts between gaps.
-
-    Args:
-        paths: as given; one that names its part itself stands for that alone.
-        stated: parts by file name, from `[segments]` of a card.
-        times: (n,) time in s of each whole file, by its path as given, to be split at gaps; None: no file is.
-    """
+    """The manoeuvres that records stand for: what a card has `stated` of a file of that name, else its parts between
+    gaps, if `times` has the (n,) time in s of each whole file by its path. A path with a part stands for that alone."""
     found: list[Path] = []
     for path in paths:
         text = os.fspath(path)
@@ -153,17 +126,14 @@ def expanded(
         if own:
             found += [Path(f"{text}@{part}") for part in own]
         elif segment.whole and times is not None:
-            found += [Path(text) if part is None else Path(f"{text}@{part}") for part in _named(times[text])]
+            time, all_parts = times[text], parts_of(times[text])
+            long = [(k, a, b) for k, (a, b) in enumerate(all_parts, 1) if b - a >= SHORTEST]
+            if len(all_parts) == 1:
+                found.append(Path(text))
+            elif (np.diff(time) <= 0.0).any():
+                found += [Path(f"{text}@#{k}") for k, _, _ in long]
+            else:
+                found += [Path(f"{text}@{time[a]:.15g}:{time[b - 1]:.15g}") for _, a, b in long]
         else:
             found.append(Path(text))
     return found
-
-
-def _named(time: np.ndarray) -> list[str | None]:
-    """The parts of a file as they are written behind "@"; None where it has one only."""
-    parts = [(k, a, b) for k, (a, b) in enumerate(parts_of(time), 1) if b - a >= SHORTEST]
-    if len(parts) < 2 and len(parts_of(time)) == 1:
-        return [None]
-    if (np.diff(time) <= 0.0).any():
-        return [f"#{k}" for k, _, _ in parts]
-    return [f"{time[a]:.15g}:{time[b - 1]:.15g}" for _, a, b in parts]

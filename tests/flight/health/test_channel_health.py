@@ -452,12 +452,12 @@ def test_a_surface_that_is_frozen_for_half_of_the_record_is_told_and_one_that_re
     flown = {name: step * np.round(x / step) for name, x in flown.items()}
     still = put(flown[surface], part, flown[surface][part.start])
     record = moved_by(flown, 5)
-    assert frozen(record, card()) == []
+    assert [*frozen(record, card())] == []
     (finding,) = frozen(changed(record, **{surface: still}), card())
     assert (finding.channel, finding.grave) == (surface, True)
     assert finding.begin == pytest.approx(record.time[part.start], abs=0.5)  # a rounded value may stay a while
     assert finding.end == pytest.approx(record.time[part.stop - 1], abs=0.5)
-    assert frozen(moved_by({**flown, surface: still}, 5), card()) == []
+    assert [*frozen(moved_by({**flown, surface: still}, 5), card())] == []
 
 
 @pytest.mark.parametrize("name", ["thrust", "flap", "throttle", "stabilizer"])
@@ -470,7 +470,7 @@ def test_an_input_that_is_frozen_in_two_parts_of_the_record_is_told_by_its_noise
     parts = np.r_[100 : 100 + half, record.n - half : record.n]
     for noise, expected in ((2e-3, [name]), (0.0, [])):
         x = step * np.round((clean + noise * rng.standard_normal(record.n)) / step)
-        assert frozen(changed(record, **{name: x}), card()) == []
+        assert [*frozen(changed(record, **{name: x}), card())] == []
         x[parts[:half]], x[parts[half:]] = x[parts[0]], x[parts[half]]
         assert [f.channel for f in frozen(changed(record, **{name: x}), card())] == expected
 
@@ -489,7 +489,7 @@ def test_surfaces_that_are_held_for_one_to_four_seconds_are_not_frozen(step):
             x = np.concatenate([x, moved, np.full(round(rng.uniform(1.0, 4.0) / record.dt), value)])
         x = x[: record.n]
         x = np.round(x / step) * step if step else x
-        assert frozen(changed(record, elevator=x), card()) == []
+        assert [*frozen(changed(record, elevator=x), card())] == []
 
 
 @pytest.mark.parametrize("step", [0.05, 0.1, 0.35])
@@ -500,7 +500,7 @@ def test_peaks_of_a_rounded_attitude_are_not_saturated(step, dt):
     for seed in range(4):
         record = flight(seed, dt, 30.0, noise=0.3)
         rounded = {name: np.round(record[name] / step) * step for name in ("phi", "theta", "alpha")}
-        assert saturated(changed(record, **rounded), card()) == []
+        assert [*saturated(changed(record, **rounded), card())] == []
 
 
 def test_headings_that_are_dead_or_wrap():

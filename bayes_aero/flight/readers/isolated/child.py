@@ -1,11 +1,13 @@
 """Run one of the parsers beside it (`*_child.py`) in this process. Run as a script, never imported by the package.
 
-On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside. The
-parent, `apart.py`, gives this process a time limit instead.
+On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
+HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `process.py`, gives this process a time
+limit instead.
 
-In: the file on stdin, the path of the parser in argv[1], the most bytes of the reply in argv[2], the most columns in
-argv[3]. The parser has a function `groups(data)`, which gives a list of groups and a list of remarks; a group is a
-name, (n,) seconds from the file's start, and columns: names, unit or None, and (n,) numbers.
+In: the file on stdin, the path of the parser in argv[1], a request as JSON in argv[2]. The parser has a function
+`answer(data, *request)`, which gives a reply for JSON and the arrays behind it; or a function `groups(data)`, which
+gives a list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and columns: names,
+unit or None, and (n,) numbers; the request is the most bytes of all arrays, and the most columns.
 Out: one line of JSON, then the arrays in its order. Failures: {"error": ...} or {"refused": ...}.
 """
 
@@ -18,15 +20,7 @@ from contextlib import redirect_stdout, suppress
 
 import numpy as np
 
-MEMORY = 8 << 30
-"""Bytes of address space for this process; a damaged header may ask for any amount."""
-
-
-def _limit_memory():
-    with suppress(ImportError, ValueError, OSError):  # not every platform can
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+MEMORY = 8 << 30  # bytes of address space for this process; a damaged header may ask for any amount
 
 
 def _packed(values):
@@ -34,8 +28,8 @@ def _packed(values):
     return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
-def _reply(groups, remarks, most_bytes, most_columns):
-    """The line, and the arrays that follow it."""
+def _described(groups, remarks, most_bytes, most_columns):
+    """The reply on groups, and the arrays that follow it."""
     listed, arrays = [], []
     for name, time, columns in groups:
         described = [[[str(n)[:200] for n in names], unit, _packed(v[:0]).dtype.str] for names, unit, v in columns]
@@ -50,15 +44,20 @@ def _reply(groups, remarks, most_bytes, most_columns):
 
 
 def main():
-    _limit_memory()
+    with suppress(ImportError, ValueError, OSError):  # not every platform can
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     warnings.simplefilter("ignore")
-    most_bytes, most_columns = int(sys.argv[2]), int(sys.argv[3])
     arrays: list = []
     out = sys.stdout.buffer
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # some of them print what they think of the file
         try:
-            groups, remarks = runpy.run_path(sys.argv[1])["groups"](sys.stdin.buffer.read())
-            reply, arrays = _reply(groups, remarks, most_bytes, most_columns)
+            parser, data, request = runpy.run_path(sys.argv[1]), sys.stdin.buffer.read(), json.loads(sys.argv[2])
+            if "answer" in parser:
+                reply, arrays = parser["answer"](data, *request)
+            else:
+                reply, arrays = _described(*parser["groups"](data), *request)
         except Exception as reason:
             reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
     out.write(json.dumps(reply).encode() + b"\n")

@@ -5,17 +5,10 @@ import tempfile
 import numpy as np
 from pymavlink.DFReader import FORMAT_TO_STRUCT, DFReader_binary
 
-HEAD = 3
-"""Bytes before the fields of a message: two marks and its type."""
-
-SPOILT = 600
-"""Bytes without a message that are no sign of damage: a logger writes whole pages."""
-
-DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}
-"""ArduPilot tells kinds of degrees apart."""
-
-NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")
-"""What describes other messages, and the list of settings."""
+HEAD = 3  # bytes before the fields of a message: two marks and its type
+SPOILT = 600  # bytes without a message that are no sign of damage: a logger writes whole pages
+DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}  # ArduPilot tells kinds of degrees apart
+NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what describes other messages, and the list of settings
 
 
 class _Log(DFReader_binary):
@@ -46,7 +39,9 @@ def _messages(raw, offsets, fmt):
     """A structured array of all messages of a type, a field for each character of its format; None where it is odd."""
     if not len(offsets) or len(fmt.columns) != len(fmt.msg_fmts) or len(set(fmt.columns)) != len(fmt.columns):
         return None
-    kinds = np.dtype([(f"f{k}", _dtype(code)) for k, code in enumerate(fmt.msg_fmts)])
+    codes = [FORMAT_TO_STRUCT[code][0] for code in fmt.msg_fmts]
+    codes = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
+    kinds = np.dtype([(f"f{k}", code) for k, code in enumerate(codes)])
     if kinds.itemsize + HEAD != fmt.len or kinds.itemsize == 0:
         return None
     starts = np.asarray(offsets, np.int64) + HEAD
@@ -57,11 +52,6 @@ def _messages(raw, offsets, fmt):
     return windows[starts].view(kinds).reshape(-1)
 
 
-def _dtype(code):
-    kind = FORMAT_TO_STRUCT[code][0]
-    return np.dtype(f"S{kind[:-1]}" if kind.endswith("s") else f"<{kind}")
-
-
 def _instances(fmt, messages):
     at = fmt.columns.index("TimeUS")
     time = messages[f"f{at}"]
@@ -70,29 +60,19 @@ def _instances(fmt, messages):
     chosen = {"": slice(None)}
     if fmt.instance_field is not None:
         numbers = messages[f"f{fmt.columns.index(fmt.instance_field)}"]
-        chosen = {_label(number): numbers == number for number in np.unique(numbers)}
+        texts = {n: n.decode("latin-1") if isinstance(n, bytes) else n for n in np.unique(numbers)}
+        chosen = {f"[{text}]": numbers == number for number, text in texts.items()}
     found = []
     for label, rows in chosen.items():
         names = (fmt.name + label, fmt.name) if len(chosen) == 1 and label else (fmt.name + label,)
         columns = []
         for k, field in enumerate(fmt.columns):
             values = messages[f"f{k}"]
-            if k != at and field != fmt.instance_field and values.dtype.kind in "iuf":
-                columns.append(([f"{name}.{field}" for name in names], _unit(fmt, k), _scaled(fmt, k, values[rows])))
+            if k == at or field == fmt.instance_field or values.dtype.kind not in "iuf":
+                continue
+            unit, factor = fmt.units[k] if fmt.units else "", fmt.msg_mults[k]
+            # By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double.
+            scaled = values[rows] if factor is None else values[rows] / round(1.0 / factor)
+            columns.append(([f"{name}.{field}" for name in names], DEGREES.get(unit, unit) or None, scaled))
         found.append((names[0], time[rows].astype(np.int64), columns))
     return found
-
-
-def _label(number):
-    return f"[{number.decode('latin-1') if isinstance(number, bytes) else number}]"
-
-
-def _scaled(fmt, k, values):
-    """By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double."""
-    factor = fmt.msg_mults[k]
-    return values if factor is None else values / round(1.0 / factor)
-
-
-def _unit(fmt, k):
-    unit = fmt.units[k] if fmt.units else ""
-    return DEGREES.get(unit, unit) or None

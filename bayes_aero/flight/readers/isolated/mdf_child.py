@@ -3,6 +3,7 @@
 import io
 import os
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,7 @@ from asammdf import MDF
 from asammdf.blocks import v4_blocks
 from asammdf.blocks import v4_constants as v4
 
-v4_blocks.lambdify = None
-"""asammdf hands a formula that numexpr refuses to sympy, which would run it as Python."""
-
+v4_blocks.lambdify = None  # asammdf hands a formula that numexpr refuses to sympy, which would run it as Python
 NUMBERS = range(v4.DATA_TYPE_UNSIGNED_INTEL, v4.DATA_TYPE_REAL_MOTOROLA + 1)
 VALUES = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
 
@@ -24,34 +23,34 @@ VALUES = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
 def groups(data):
     """Every channel group that has a time channel."""
     found, remarks = [], []
+    mdf: Any
     with MDF(io.BytesIO(data)) as mdf:
-        labels = _labels(mdf)
+        # A name for each group: what the file calls it, where that is a name and no other group has it.
+        said = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
+        named = [text if 0 < len(text) <= 60 and "<" not in text and "\n" not in text else "" for text in said]
+        labels = [t if t and named.count(t) == 1 else f"group {k}" for k, t in enumerate(named, 1)]
         listed = {k: _signals(group, remarks) for k, group in enumerate(mdf.groups)}
         counts = Counter(name for signals in listed.values() for _, name in signals)
         for k, signals in listed.items():
             if not signals or not mdf.groups[k].channel_group.cycles_nr:
                 continue
-            if not _has_time(mdf, k):
+            master = mdf.masters_db.get(k)
+            if master is None or mdf.groups[k].channels[master].sync_type != v4.SYNC_TYPE_TIME:
                 remarks.append(f"the group {labels[k]!r} has no time channel; its {len(signals)} signals are left out")
                 continue
             read = mdf.select([(None, k, c) for c, _ in signals], ignore_value2text_conversions=True, copy_master=False)
             time = np.asarray(read[0].timestamps, np.float64)
             columns = []
             for (_, name), signal in zip(signals, read, strict=True):
-                values = _valid(signal)
+                values, invalid = np.asarray(signal.samples), signal.invalidation_bits
+                if invalid is not None and np.any(invalid) and values.dtype.kind in "fiub":
+                    values = np.where(np.asarray(invalid, bool), np.nan, values)
                 if values.ndim == 1 and values.dtype.kind in "fiub" and len(values) == len(time):
                     qualified = f"{labels[k]}/{name}"
                     alone = counts[name] == 1 and name != "time"
                     columns.append(([name, qualified] if alone else [qualified], signal.unit or None, values))
             found.append((labels[k], time, columns))
     return found, remarks
-
-
-def _labels(mdf):
-    """A name for each group: what the file calls it, where that is a name and no other group has it."""
-    said = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
-    named = [text if 0 < len(text) <= 60 and "<" not in text and "\n" not in text else "" for text in said]
-    return [text if text and named.count(text) == 1 else f"group {k}" for k, text in enumerate(named, 1)]
 
 
 def _signals(group, remarks):
@@ -77,17 +76,3 @@ def _formulas_work(conversion):
         except Exception:
             return False
     return all(_formulas_work(inner) for inner in (conversion.referenced_blocks or {}).values())
-
-
-def _has_time(mdf, k):
-    master = mdf.masters_db.get(k)
-    return master is not None and mdf.groups[k].channels[master].sync_type == v4.SYNC_TYPE_TIME
-
-
-def _valid(signal):
-    """The samples, NaN where the file says that they are invalid."""
-    values = np.asarray(signal.samples)
-    invalid = signal.invalidation_bits
-    if invalid is None or not np.any(invalid) or values.dtype.kind not in "fiub":
-        return values
-    return np.where(np.asarray(invalid, bool), np.nan, values)

@@ -5,83 +5,73 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.readers.base import MOST_VALUES_IN_ALL
-from bayes_aero.flight.readers.rates import Group, Series, SeveralRates, several_rates
+from bayes_aero.flight.readers.base import MOST_VALUES_IN_ALL, OpenedFile
+from bayes_aero.flight.readers.rates import SampleGroup, Series, several_rates
 
 TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
 """Seconds for the child, and more of them for each MB of the file; sound files take a tenth of that."""
 
-MOST_BYTES = 16 * MOST_VALUES_IN_ALL
-"""Most bytes that a file may unpack to."""
-
+MOST_BYTES = 16 * MOST_VALUES_IN_ALL  # most bytes that a file may unpack to
 MOST_COLUMNS = 50_000
 
 
-def parsed_apart(data: bytes, parser: str, kind: str) -> tuple[list[Group], list[str]]:
-    """All groups of samples in a file, and what is to be remarked of it.
-
-    Args:
-        data: the file.
-        parser: the script beside this one that holds the function `groups`.
-        kind: what the file is called to the user.
-
-    Raises:
-        InputError: the file is damaged or too large.
-    """
+def ask_child(
+    data: bytes, parser: str, request: Sequence[Any], limit: float, slow: str, crashed: str, kind: str
+) -> tuple[dict, memoryview]:
+    """What a parser replies on a file, and the bytes of the arrays behind it (see `child.py`). `parser` is the script
+    beside this one that holds the function `answer` or `groups`, `request` what that is given beside the file. If it
+    takes more than `limit` s, or dies, `slow` or `crashed` is raised; `kind` is what the file is called to the user."""
     here = Path(__file__).parent
-    # -P: the child must not take this folder's text.py and the like for libraries.
-    command = [sys.executable, "-P", str(here / "child.py"), str(here / parser), str(MOST_BYTES), str(MOST_COLUMNS)]
-    limit = TIME_LIMIT + PER_MEGABYTE * len(data) / 1e6
+    # -P: the child must not take this folder's modules for libraries.
+    command = [sys.executable, "-P", str(here / "child.py"), str(here / parser), json.dumps(request)]
     try:
         done = subprocess.run(
             command, input=data, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False
         )
     except subprocess.TimeoutExpired as reason:
-        raise InputError(
-            f"the library that reads a {kind} did not finish in {limit:.0f} s; is it damaged? Write it again"
-        ) from reason
+        raise InputError(slow) from reason
     end = done.stdout.find(b"\n")
-    if done.returncode != 0 or end < 0:
-        raise InputError(f"the library that reads a {kind} crashed on it; is it damaged? Write it again")
+    if done.returncode != 0 or end <= 0:
+        raise InputError(crashed)
     reply = json.loads(done.stdout[:end])
     if "error" in reply:
         raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
     if "refused" in reply:
         raise InputError(reply["refused"])
-    return _unpacked(reply["groups"], done.stdout, end + 1), reply["remarks"]
+    return reply, memoryview(done.stdout)[end + 1 :]
 
 
-def _unpacked(listed: list[dict], payload: bytes, start: int) -> list[Group]:
-    groups = []
-    for group in listed:
+def parsed_apart(data: bytes, parser: str, kind: str) -> tuple[list[SampleGroup], list[str]]:
+    """All groups of samples in a file, and what is to be remarked of it; see `ask_child`."""
+    limit = TIME_LIMIT + PER_MEGABYTE * len(data) / 1e6
+    slow = f"the library that reads a {kind} did not finish in {limit:.0f} s; is it damaged? Write it again"
+    crashed = f"the library that reads a {kind} crashed on it; is it damaged? Write it again"
+    reply, payload = ask_child(data, parser, [MOST_BYTES, MOST_COLUMNS], limit, slow, crashed, kind)
+    groups, start = [], 0
+    for listed in reply["groups"]:
         arrays = []
-        for dtype in ("<f8" if sys.byteorder == "little" else ">f8", *(column[2] for column in group["columns"])):
-            arrays.append(np.frombuffer(payload, np.dtype(dtype), group["size"], start))
+        for dtype in ("<f8" if sys.byteorder == "little" else ">f8", *(column[2] for column in listed["columns"])):
+            arrays.append(np.frombuffer(payload, np.dtype(dtype), listed["size"], start))
             start += arrays[-1].nbytes
-        series = (
-            Series(tuple(names), unit, values)
-            for (names, unit, _), values in zip(group["columns"], arrays[1:], strict=True)
-        )
-        groups.append(Group(group["name"], arrays[0], tuple(series)))
-    return groups
+        columns = zip(listed["columns"], arrays[1:], strict=True)
+        series = tuple(Series(tuple(names), unit, values) for (names, unit, _), values in columns)
+        groups.append(SampleGroup(listed["name"], arrays[0], series))
+    return groups, reply["remarks"]
 
 
 # --- Libraries that only some file formats need, and that not everybody has.
 
 
 def require(suffix: str, *libraries: str) -> None:
-    """Refuse a file whose format needs a library that is not there.
-
-    Args:
-        suffix: of the file, as in ".mf4".
-        libraries: what is imported to read it.
-    """
+    """Refuse a file whose suffix, as in ".mf4", needs a library that is not there."""
     for library in libraries:
         if find_spec(library) is None:
             raise InputError(
@@ -93,11 +83,9 @@ def require(suffix: str, *libraries: str) -> None:
 # --- ArduPilot DataFlash logs, read by pymavlink: a column is a field of a message, as in "ATT.Roll".
 
 
-def open_dataflash(data: bytes) -> SeveralRates:
-    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX".
-
-    Source: ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others.
-    """
+def open_dataflash(data: bytes) -> OpenedFile:
+    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX". Source:
+    ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others."""
     require(".bin", "pymavlink")
     if b"\xa3\x95" not in data[:600]:
         raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
@@ -108,11 +96,9 @@ def open_dataflash(data: bytes) -> SeveralRates:
 # --- ASAM MDF version 4, read by asammdf: a column is a signal of a channel group.
 
 
-def open_mdf(data: bytes) -> SeveralRates:
+def open_mdf(data: bytes) -> OpenedFile:
     """An MDF file. A signal goes by "group/name" and, where no other group has one of its name, by its name alone.
-
-    Source: ASAM MDF 4.1, section 4: one channel group has one master channel.
-    """
+    Source: ASAM MDF 4.1, section 4: one channel group has one master channel."""
     require(".mf4", "asammdf")
     if data[:8] not in (b"MDF     ", b"UnFinMF "):
         raise InputError("it is not an MDF file (its first bytes differ); is it misnamed?")
@@ -126,11 +112,9 @@ def open_mdf(data: bytes) -> SeveralRates:
 # --- PX4 ULog, read by pyulog: a column is a field of a topic, as in "vehicle_attitude.q[0]".
 
 
-def open_ulog(data: bytes) -> SeveralRates:
-    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x".
-
-    Source: PX4 ULog file format, version 1.
-    """
+def open_ulog(data: bytes) -> OpenedFile:
+    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x". Source: PX4 ULog file format,
+    version 1."""
     require(".ulg", "pyulog")
     if not data.startswith(b"ULog\x01\x12\x35"):
         raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")

@@ -24,10 +24,6 @@ def groups(data):
             if name != "timestamp" and kinds[name] != "char" and "_padding" not in name
         ]
         found.append((label, time, columns))
-    return found, _remarks(log, without)
-
-
-def _remarks(log, without):
     remarks = []
     if log.file_corruption:
         remarks.append("the file is damaged in places; the samples that could be read are used")
@@ -36,4 +32,4 @@ def _remarks(log, without):
         remarks.append(f"the logger lost samples {len(log.dropouts)} times, for {lost:g} s in all")
     if without:
         remarks.append(f"{len(without)} topics have no time stamps and are left out: {', '.join(without[:5])}")
-    return remarks
+    return found, remarks
