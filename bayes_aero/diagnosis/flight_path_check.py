@@ -1,7 +1,7 @@
 """Where a record leaves its flight path by more than the sensors' noise permits.
 
 Airspeed, flow angles, attitude and altitude must move as accelerometers and gyros say. What does not is compared with
-the same of records of noise (see `path_noise`) by three measures of each channel: its root mean square over the record;
+the same of records of noise by three measures of each channel: its root mean square over the record;
 the same once the best constant errors are taken out; and over windows of ten seconds. The largest of all, in units of
 what noise leaves there, decides: the rate of false alarms is that of a whole record, not of each window.
 """

@@ -48,13 +48,11 @@ class LeftOut:
     @classmethod
     def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
         """With only `effects` of those that are in, from the sensitivities: a hundredth of the time of `refitted`."""
-        gone = state.full.own_columns(*(e for e in state.active if e not in effects))
-        away = -state.departure[gone]
-        products, columns = state.products.shifted(gone, away), state.columns(effects)
+        fewer = state.without([e for e in state.active if e not in effects])
+        residual, columns = fewer.residual.copy(), fewer.columns()
         parameters = ~np.isin(columns, state.offsets)
-        residual = state.residual - state.S[:, :, gone] @ away
         for number, fold in enumerate(state.folds):
-            step = products.without(number).fit(columns, state.mean, state.precision).step
+            step = fewer.products.without(number).fit(columns, fewer.mean, fewer.precision).step
             residual[fold] -= state.S[fold][:, :, columns[parameters]] @ step[parameters]
         return cls._of(state, residual)
 
