@@ -28,7 +28,7 @@ from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.diagnosis.search import Search, SearchResult, lacking
+from bayes_aero.diagnosis.search import Search, SearchResult
 from bayes_aero.diagnosis.selection.forward_selection import (
     Extension,
     added,
@@ -88,10 +88,7 @@ def diagnose(
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
-    if process_noise or gusts:
-        found = search.innovations()
-    else:
-        found = search.trajectories() if lacking(records, card) else search.coefficients()
+    found = search.made(by_innovations=bool(process_noise or gusts))
     if gains_wanted and found.testable_now:
         candidates, kept_of, failed = _confirmed(found, progress)
     else:

@@ -138,6 +138,12 @@ class Search:
     seed: int
     progress: Progress | None = None
 
+    def made(self, *, by_innovations: bool) -> SearchResult:
+        """By innovations, or by coefficients where the records have what these need, or by trajectories."""
+        if by_innovations:
+            return self.innovations()
+        return self.trajectories() if lacking(self.records, self.card) else self.coefficients()
+
     def coefficients(self) -> SearchResult:
         """Where coefficients can be formed."""
         flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
