@@ -87,9 +87,8 @@ def sought_change(
     scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
     change = _change(state, scan, _leader(scan, scan.estimates(residual))[0])
     trial, gained = Trial(state, change.component, chosen, folds), holdout_gain_of(state, change.component, chosen)
-    if trial.share < (settings.single_share if alone else settings.change_share) or gained <= least:
-        return None
-    if _by_noise(trial, change, scan):
+    enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
+    if not enough or _by_noise(trial, change, scan):
         return None
     colour, p = _p_value(whole, held, scan, trial.state.left(trial.fit), seed)
     if p > settings.change_false_alarm_rate:

@@ -93,15 +93,11 @@ def _rate(name: str, channel: str, *, lateral: bool = False) -> TermFactor:
     )
 
 
-def _thrust(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
-    return np.asarray(s["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area))
-
-
 THRUST = TermFactor(
     "CT",
     's["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area)',
     ("thrust", "density", "airspeed"),
-    _thrust,
+    lambda s, a: np.asarray(s["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area)),
 )
 SEPARATED = TermFactor("(1 - X)", '(1.0 - known["X"])', (), lambda s, _: 1.0 - np.asarray(s["X"]))
 QUANTITIES = (
