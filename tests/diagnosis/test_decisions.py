@@ -134,19 +134,9 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
         )
 
         def unseen(effects):
-            paths = [
-                SimulatedManoeuvre(
-                    "",
-                    "",
-                    "",
-                    True,
-                    {},
-                    np.arange(100.0),
-                    dict(zip(outputs, x.T, strict=True)),
-                    dict.fromkeys(outputs, 0.0 * x[:, 0]),
-                )
-                for x in np.split(left(effects), 2)
-            ]
+            rest = {"simulated": dict.fromkeys(outputs, np.zeros(100)), "inside": True}
+            halves = [dict(zip(outputs, x.T, strict=True)) for x in np.split(left(effects), 2)]
+            paths = [part(SimulatedManoeuvre, measured=x, **rest) for x in halves]
             return left_out_of(paths, flown, 2.0)
 
         found = backward_elimination(("rudder_moment",), unseen, unseen)
