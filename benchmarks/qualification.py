@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import Noise
+from bayes_aero.diagnosis.trajectories.holdout import FlightNoise
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.flight.card.card import Card, parse_card
@@ -118,7 +118,7 @@ def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
     records = [flight(k, u, rng, f"m{i}") for i, (k, u) in enumerate(zip(derivatives, inputs, strict=True))]
     flown = whole(records, card)
     first = fit_output_error(flown)
-    noise = replace(Noise.of(first), parts=None)
+    noise = replace(FlightNoise.of(first), parts=None)
     fit = fit_output_error(flown, start=first.estimate, prior_weight=noise.variance_inflation)
     without = fits_without(fit, noise)
     held = hold_out(flown, without, noise.variance_inflation, seed)

@@ -33,8 +33,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
-from bayes_aero.diagnosis.structure.changes import with_components
-from bayes_aero.diagnosis.terms.columns import columns_of
+from bayes_aero.diagnosis.structure.components import columns_of
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -174,7 +173,7 @@ def score(found: Diagnosis, coefficient: str, name: str, values: dict[str, float
     own = [c for c in columns_of(state, coefficient) if c.term.name == name]
     if not own:
         return None
-    whole = with_components(state, (), [own[0].component], state.folds)
+    whole = state.with_components((), [own[0].component], state.folds)
     fit = whole.fit()
     variance = uncertainty(whole, fit, autocorrelation_of(whole.left(fit), whole.folds))[-1, -1]
     if state.responses.jackknife_blocks is not None:

@@ -2,8 +2,13 @@
 
 import numpy as np
 
-from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
-from bayes_aero.diagnosis.trajectories.results import Error, Estimates, SimulatedManoeuvre, Trajectories
+from bayes_aero.diagnosis.trajectories.results import (
+    Error,
+    SimulatedManoeuvre,
+    Trajectories,
+    TrajectoryEstimates,
+    theil_parts,
+)
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 
@@ -23,6 +28,6 @@ def halves(record: FlightRecord) -> Trajectories:
                 SimulatedManoeuvre(name, model, split, True, errors, np.array(record.time[half]), measured, simulated)
                 for split in ("fitted", "hold_out")
             ]
-    fit = Estimates({}, {}, OutputErrorStatus.CONVERGED, (), ())
+    fit = TrajectoryEstimates({}, {}, OutputErrorStatus.CONVERGED, (), ())
     outputs = ("airspeed", "alpha")
     return Trajectories(tuple(paths), fit, fit, {}, 1.0, {}, outputs, outputs)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, sized
@@ -111,7 +111,7 @@ def candidate_model(
         still = [c for c in effect.channels if c in flights.channels and not moves(flights.channels[c], flights)]
         if still and not missing and effect.together and _varies(_made(effect, flights, {}), flights):
             still = []
-        lacking = [name for name in effect.uses if name not in owned]
+        lacking, waiting = [name for name in effect.uses if name not in owned], False
         proposed = effect.candidate and effect.acts_on(model.axes)
         if effect.kind is Kind.NOISE or not (proposed or effect in absent):
             continue
@@ -121,18 +121,18 @@ def candidate_model(
             label = any(_moves(np.asarray(flights.channels[c])) for c in still)
             why = "differs only between manoeuvres, as an offset does" if label else "does not move in this record"
             not_testable[effect.name] = f"channel {', '.join(still)} {why}"
-            if not lacking and effect.parameters and effect not in absent:
-                idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
+            waiting = True
         elif noisy := _rests_on(noise, effect, flights):
             not_testable[effect.name] = f"channel {', '.join(noisy)} shows nothing but noise in this record"
-            if not lacking and effect.parameters and effect not in absent:
-                idle.append(effect)
+            waiting = True
         elif lacking:
             not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
         elif {p.name for p in effect.parameters} & owned:
             not_testable[effect.name] = "the model already has its parameters"
         elif effect.parameters:
             candidates.append(effect)
+        if waiting and not lacking and effect.parameters and effect not in absent:
+            idle.append(effect)  # it stays in the compiled model, so that records do not differ by it
     # Effects without parameters are nothing until an effect that they rest on wakes them (Kirchhoff's lift, X).
     dormant = [
         e
@@ -150,33 +150,31 @@ def candidate_model(
 def noise_channels(flights: Recorded) -> tuple[str, ...]:
     """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
     found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
-    return tuple(n for n, x in found.items() if noise_alone(x, *_parts(x, flights)))
+    return tuple(n for n, x in found.items() if noise_alone(x, *by_manoeuvre(x, flights)))
 
 
 def moves(x: Any, flights: Recorded, least: float = 1e-9) -> bool:
-    """Whether a channel (n,) moves within a manoeuvre: one that differs only between them cannot be told from an
-    offset."""
-    return any(_moves(part, least) for part in _parts(np.asarray(x), flights))
+    """Whether a channel (n,) moves within a manoeuvre: what differs only between them is no more than an offset."""
+    return any(_moves(part, least) for part in by_manoeuvre(np.asarray(x), flights))
 
 
 def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
     return bool(np.ptp(x) > least * max(1.0, float(np.abs(x).max())))
 
 
-def _parts(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+def by_manoeuvre(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+    """A channel (n,) of each manoeuvre."""
     return np.split(x, np.cumsum(flights.lengths)[:-1])
 
 
 def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[str, ...]:
-    """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does.
-
-    A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
-    """
+    """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does."""
+    # A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
     own = tuple(n for n in effect.channels if n in noise)
     of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
     if not own or of_others or not set(effect.channels) <= set(flights.channels):
         return ()
-    parts = {n: _parts(np.asarray(flights.channels[n], float), flights) for n in own}
+    parts = {n: by_manoeuvre(np.asarray(flights.channels[n], float), flights) for n in own}
     calm = {n: np.concatenate([np.full_like(x, x.mean()) for x in each]) for n, each in parts.items()}
     there = _varies(_made(effect, flights, {}), flights)
     return own if there and not _varies(_made(effect, flights, calm), flights) else ()
@@ -192,7 +190,9 @@ def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) 
 
 def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
     """Whether any of these moves within a manoeuvre: T/(qbar S) does where only the airspeed changes."""
-    return any(np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in _parts(x, flights))
+    return any(
+        np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in by_manoeuvre(x, flights)
+    )
 
 
 # --- The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.
@@ -205,13 +205,18 @@ def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
     """Why a single manoeuvre of so many seconds (of whole blocks) has no folds; empty where it has."""
     shortest = settings.shortest_part * settings.gap
-    enough = 2.0 * shortest + 1.0  # whole blocks are less than the record
     if int(seconds / shortest) >= 2:
         return ""
     return (
         f"a single manoeuvre of {number(seconds)} s is too short to be predicted from its own parts; "
-        f"give one of {enough:.0f} s at least, or a second one"
+        f"give one of {2.0 * shortest + 1.0:.0f} s at least, or a second one"  # whole blocks are less than the record
     )
+
+
+def manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> tuple[slice, ...]:
+    """The blocks of each manoeuvre."""
+    edges = np.flatnonzero(np.diff(manoeuvre, prepend=-1, append=-1))
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 
 
 def folds_of(
@@ -219,10 +224,8 @@ def folds_of(
 ) -> tuple[slice, ...]:
     """Manoeuvres as folds, or contiguous parts of a single one with a gap between them."""
     if manoeuvre[-1] > 0:
-        edges = [np.flatnonzero(manoeuvre == k) for k in range(manoeuvre[-1] + 1)]
-        return tuple(slice(int(e[0]), int(e[-1]) + 1) for e in edges)
-    why = too_short(len(manoeuvre) * seconds, settings)
-    if why:
+        return manoeuvres(manoeuvre)
+    if why := too_short(len(manoeuvre) * seconds, settings):
         raise InputError(why)
     parts = min(settings.parts, int(len(manoeuvre) * seconds / (settings.shortest_part * settings.gap)))
     cuts = np.linspace(0, len(manoeuvre), parts + 1).astype(int)
@@ -230,11 +233,3 @@ def folds_of(
     return tuple(
         slice(int(a) + (gap if a else 0), int(b) - (gap if b < len(manoeuvre) else 0)) for a, b in pairwise(cuts)
     )
-
-
-def blocks_of(folds: Sequence[slice], m: int) -> Bool[np.ndarray, " m"]:
-    """Which of m blocks belong to one of these folds."""
-    found = np.zeros(m, bool)
-    for fold in folds:
-        found[fold] = True
-    return found

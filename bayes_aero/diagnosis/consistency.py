@@ -12,19 +12,27 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.diagnosis.flight_path_check import CALM, gusts_met, path_check
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.accuracy import Size, sizes
+from bayes_aero.diagnosis.screening.parameter_fit import largest_p_value, refitted
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse, partialled
+from bayes_aero.diagnosis.screening.screening import screen
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.block_jackknife import consistent_across_blocks, widened
-from bayes_aero.diagnosis.selection.forward_selection import Extension, forward_selection, nats_gained
-from bayes_aero.diagnosis.selection.gains import without_hold
-from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    SelectionStep,
+    forward_selection,
+    nats_gained,
+    removed,
+    worth,
+)
+from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead, without_hold
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.covariance import cluster_covariance
 from bayes_aero.model.joined_records import Joined, joined, repaired
 from bayes_aero.model.model import Model, lengths_of, own_effects
 from bayes_aero.parameter import Prior
@@ -34,12 +42,11 @@ from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
 
 @dataclass(frozen=True)
 class KnownErrors:
-    """Errors of the record that were found: effects on it or on where its sensors are, and plain data of each (see
-    `Consistency`); and those that the flight path cannot decide on."""
+    """Errors of the record that were found."""
 
-    effects: tuple[Effect, ...]
-    errors: Mapping[str, Mapping[str, Any]]
-    open: tuple[OpenError, ...] = ()
+    effects: tuple[Effect, ...]  # on the record, or on where its sensors are
+    errors: Mapping[str, Mapping[str, Any]]  # plain data of each (see `Consistency`)
+    open: tuple[OpenError, ...] = ()  # that the flight path cannot decide on
 
 
 def consistency(
@@ -54,9 +61,11 @@ def consistency(
         seek: where sensors disagree, look for the known error that explains it (some seconds).
         known: the search's result, where it has been done.
     """
-    found = as_recorded(records, card, seed)
-    if not found.recorded:
-        return found
+    if why := no_flight_path(records, card):
+        return Consistency(why)
+    flights = _flights(records, card)
+    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
+    found = Consistency("", unchecked, checks(flights, card, seed))
     if known is None:
         if found.agreement is Agreement.AGREE or not seek:
             return found
@@ -64,28 +73,13 @@ def consistency(
             known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
             return replace(found, unsought=str(reason))
-    return with_known_errors(found, records, card, known, seed)
-
-
-def as_recorded(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> Consistency:
-    """The check of the records as they are; nothing is looked for."""
-    if why := no_flight_path(records, card):
-        return Consistency(why)
-    flights = _flights(records, card)
-    unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    return Consistency("", unchecked, checks(flights, card, seed))
-
-
-def with_known_errors(
-    found: Consistency, records: Sequence[FlightRecord], card: Card, known: KnownErrors, seed: int = 0
-) -> Consistency:
-    """`as_recorded` with the errors that are known; where the sensors disagree, checked again without these."""
     found = replace(found, errors=known.errors, open=known.open)
     if found.agreement is Agreement.AGREE or not known.effects:
         return found
-    model = Model.of(known.effects, axes=tuple(Axis))
+    # Where the sensors disagree, they are checked again without the errors that are known.
     values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
-    return replace(found, corrected=checks(with_corrections(_flights(records, card), model, values), card, seed))
+    corrected = with_corrections(flights, Model.of(known.effects, axes=tuple(Axis)), values)
+    return replace(found, corrected=checks(corrected, card, seed))
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
@@ -94,32 +88,26 @@ def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
 
 
 def errors_of_path(known: Extension) -> KnownErrors:
-    """Errors of sensors and winds that a search along the flight path has found, minor ones included.
-
-    One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
-    estimated together with such a one is no error by itself, either.
-    """
+    """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
+    # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
+    # estimated together with such a one is no error by itself, either.
     named = {e.name: e for one in (known, *known.larger) for e in one.state.full.candidates}
     joint, out = correlated(known, known.state.active), without_hold(known)
     alone = [(one, name, with_) for one in (known, *known.larger) for name, with_ in without_hold(one).items() if with_]
     unheld = {name for _, name, _ in alone}
     found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
-    pairs = (_unheld(named[name], one.sizes, partners) for one, name, partners in alone)
-    return KnownErrors(tuple(found), plain, (*pairs, *(e for e in open_errors(known) if e.name not in unheld)))
-
-
-def _unheld(effect: Effect, sizes: Mapping[str, Size], partners: Mapping[str, float]) -> OpenError:
-    p = effect.parameters[0]
-    size = sizes[p.name]
-    return OpenError(effect.name, p.unit, size.mean, size.sd, size.sd, False, tuple(partners), 1.0, dict(partners))
+    undecided = []
+    for one, name, partners in alone:
+        (p, *_), joint_ = named[name].parameters, dict(partners)
+        x = one.sizes[p.name]
+        undecided.append(OpenError(name, p.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, joint_))
+    undecided += [e for e in open_errors(known) if e.name not in unheld]
+    return KnownErrors(tuple(found), plain, tuple(undecided))
 
 
 def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
-    """Errors of the record that a diagnosis has confirmed, by the flight path or by the coefficients.
-
-    What it names, it does not call undecided, too.
-    """
+    """Errors of the record that a diagnosis has confirmed; those that it names, it does not call undecided, too."""
     named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     told = {c.name for c in (*found.causes, *found.beyond)}
@@ -144,12 +132,8 @@ def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
 
 
 def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict[str, float]:
-    """Records in no calm air, and their gusts by the flight path alone (standard deviation, m/s).
-
-    In these a fit without process noise takes gusts for aerodynamics. Where the flight path cannot be checked none are
-    known.
-    """
-    if no_flight_path(records, card):
+    """Records whose flight path shows that the air was not calm, with the standard deviation of their gusts, m/s."""
+    if no_flight_path(records, card):  # then none are known
         return {}
     flights = _flights(records, card)
     found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
@@ -188,11 +172,15 @@ def check_sensors(
     for the others cannot be judged without it, and corrects nothing (see `without_hold`).
     """
 
+    def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+        """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
+        return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
+
     def selected(barred: Sequence[str]) -> Extension:
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
-        found = forward_selection(state, seed=seed, checked=_checked)
+        found = forward_selection(state, seed=seed, checked=checked)
         return widened(found, found.state, found.fit)
 
     first = found = selected(())
@@ -203,19 +191,11 @@ def check_sensors(
     return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
 
 
-def _checked(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
-    """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
-    return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
-
-
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
-    """Sensor errors and winds that the flight path asks for, as the first stage of a diagnosis finds them.
-
-    Raises `InputError` where there is no flight path (see `no_flight_path`) or a single manoeuvre is too short.
-    """
+    """Sensor errors and winds that the flight path asks for; `InputError` without one, or of too short a manoeuvre."""
     if why := no_flight_path(records, card):
         raise InputError(why)
-    flights, _ = repaired(as_the_card_states(joined(records, card, PATH_CORE), card))
+    flights = _flights(records, card)
     plain = Model((), (), axes=tuple(Axis), lengths=lengths_of(flights.aircraft))
     whole = candidate_model(plain, flights, tuple(own_effects(card.effect_files).values()))
     sensors = tuple(e for e in whole.candidates if e.kind in SENSOR_KINDS)
@@ -259,3 +239,101 @@ def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -
     true = model.corrected(values, flights.channels, flights.aircraft)
     aircraft = model.actual_aircraft(values, flights.aircraft)
     return replace(flights, channels={name: np.asarray(true[name]) for name in flights.channels}, aircraft=aircraft)
+
+
+# --- Do the stretches of a flight agree about an error of a sensor?
+# Gusts are in the vane and in the airspeed, and what integrates them wanders off as slowly as an error of a sensor
+# would make it: no autoregression tells the two apart over a record of a minute or two. In short stretches, each from
+# where it began, little has wandered, and how far they disagree says how far an estimate can be trusted, whatever the
+# colour.
+
+
+class Blocks:
+    """Residuals and sensitivities of a fit, less each stretch's own mean: where it began is free."""
+
+    def __init__(self, state: SelectionState, fit: RegressionFit) -> None:
+        seconds, number = state.responses.seconds, np.full(len(state.residual), -1)  # of its stretch; -1 between folds
+        total = seconds * sum(fold.stop - fold.start for fold in state.folds)
+        wanted, begin = min(state.settings.block, total / state.settings.fewest_blocks), 0
+        for fold in state.folds:
+            length = fold.stop - fold.start
+            parts = max(1, int(length * seconds / wanted + 0.5))
+            number[fold] = begin + np.arange(length) * parts // length
+            begin += parts
+        self.state, self.number = state, number
+        self._inside, self._own = number >= 0, number[number >= 0]
+        self.left = self._centred(state.left(fit))
+        self.weight = 1.0 / np.maximum(np.mean(self.left**2, axis=0), 1e-300)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the disagreement."""
+        return int(self._own.max())
+
+    def _centred(self, x: np.ndarray) -> np.ndarray:
+        """(m, ...) to the blocks inside stretches, (i, ...)."""
+        x = x[self._inside]
+        sums = np.zeros((self._own.max() + 1, *x.shape[1:]))
+        np.add.at(sums, self._own, x)
+        count = np.bincount(self._own).reshape(-1, *[1] * (x.ndim - 1))
+        return x - (sums / count)[self._own]
+
+    def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
+        """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
+        they disagree; None where the effect moves nothing here."""
+        state = self.state
+        own = state.full.own_columns(effect)
+        others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
+        S, B = (self._centred(state.scaled[:, :, columns]) for columns in (own, others))
+        if not np.all(np.any(S != 0.0, axis=(0, 1))):
+            return None
+        both = partialled(np.concatenate([S, self.left[:, :, None]], axis=2), B, self.weight)
+        S, left = both[:, :, :-1], both[:, :, -1]
+        bread = inverse(np.einsum("mci,c,mcj->ij", S, self.weight, S, optimize=True))
+        step = bread @ np.einsum("mci,c,mc->i", S, self.weight, left, optimize=True)
+        rows = np.einsum("mci,c,mc->mi", S, self.weight, left - S @ step, optimize=True)
+        return step, bread @ cluster_covariance(rows, self._own) @ bread
+
+    def p_value(self, effect: str) -> float:
+        """The chance that stretches which disagree as they do show as much of the best candidate (Bonferroni)."""
+        judged = self.judge(effect)
+        if judged is None:
+            return 1.0
+        away = self.state.departure[self.state.full.own_columns(effect)]
+        return largest_p_value(away + judged[0], judged[1], self.freedom, len(self.state.blocks))
+
+    def deviations(self, effect: str, count: int) -> Float[np.ndarray, " k"]:
+        """Of an effect's `count` parameters, by how far the stretches disagree; zero where nothing is known."""
+        judged = self.judge(effect)
+        return np.zeros(count) if judged is None else np.sqrt(np.diag(judged[1]))
+
+
+def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+    """The state without additions that the stretches do not bear out, the least first."""
+    while state.active:
+        judged = Blocks(state, fit)
+        chances = {effect: judged.p_value(effect) for effect in state.active}
+        worst = max(chances, key=lambda effect: chances[effect])
+        if chances[worst] <= state.settings.block_false_alarm_rate:
+            break
+        state, fit = refitted(removed(state, worst))
+    return state, fit
+
+
+def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
+    """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
+    judged = Blocks(state, fit)
+    known = dict(found.sizes) if state is found.state else sizes(state, fit)
+    for effect in state.active:
+        names = state.full.parameters_of(effect)
+        wide = zip(names, judged.deviations(effect, len(names)), strict=True)
+        known |= {n: replace(known[n], sd=max(known[n].sd, float(x))) for n, x in wide if n in known}
+    last = screen(state, fit, seed=0, nulls=False)  # the last election is held anew
+    scores = tuple(
+        s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
+        for s in last.candidate_scores
+    )
+    closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores), float("nan"))
+    causes, minor = worth(state, fit, known)
+    steps = (*found.steps, closing)
+    return replace(found, state=state, fit=fit, steps=steps, sizes=known, causes=causes, minor=minor)

@@ -15,8 +15,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import manoeuvres
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
@@ -46,14 +47,11 @@ NOT_BY_HAND = ("multisine",)  # manoeuvres that need a computer at the controls
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """Which of several effects is there: `signals` as in `Information.deviations`.
-
-    `foreign`: columns of effects that other questions ask for and that the model does not have.
-    """
+    """Which of several effects is there."""
 
     effects: tuple[str, ...]
-    signals: Signals
-    foreign: tuple[str, ...] = ()
+    signals: Signals  # as in `Information.deviations`
+    foreign: tuple[str, ...] = ()  # columns of effects that other questions ask for and that the model does not have
     enough: float = ENOUGH
 
     @property
@@ -77,11 +75,7 @@ class Ambiguity:
 
 @dataclass(frozen=True)
 class TestPoint:
-    """A manoeuvre to be flown; `excursion`: least and greatest of the envelope's quantities, SI.
-
-    `expected` by question, from the records, the earlier points and this one: standard deviations by which the closest
-    rivals differ, or the probability to pass a tolerance; `rate`: nats a second.
-    """
+    """A manoeuvre to be flown."""
 
     __test__ = False  # no test of pytest's
 
@@ -90,24 +84,23 @@ class TestPoint:
     airspeed: float  # m/s, of the level flight in which it begins
     altitude: float  # m
     seconds: float
-    excursion: Mapping[str, tuple[float, float]]
+    excursion: Mapping[str, tuple[float, float]]  # least and greatest of the envelope's quantities, SI
+    # By question, from the records, the earlier points and this one: standard deviations by which the closest rivals
+    # differ, or the probability to pass a tolerance.
     expected: tuple[float, ...]
-    rate: float
+    rate: float  # nats a second
 
 
 @dataclass(frozen=True)
 class TestPoints:
-    """Test points in the order of flying; `present`: deviations of the records alone, by question.
-
-    `refused`: manoeuvres that no amplitude or airspeed keeps inside the envelope, or whose input was not recorded.
-    """
+    """Test points in the order of flying."""
 
     __test__ = False
 
     questions: tuple[Ambiguity, ...]
-    present: tuple[float, ...]
+    present: tuple[float, ...]  # deviations of the records alone, by question
     points: tuple[TestPoint, ...]
-    refused: Mapping[str, str]
+    refused: Mapping[str, str]  # manoeuvres that never stay inside the envelope, or whose input was not recorded
 
     @property
     def expected(self) -> tuple[float, ...]:
@@ -143,46 +136,45 @@ def next_test_points(
         envelope: inside which manoeuvres are proposed.
         theta: parameters with which they are flown (default: those of `state`).
 
-    Returns:
-        The points, and what each is expected to say of each question.
-
     Raises:
         InputError: the model cannot be flown, or an effect of a set is none that the records can test.
     """
     names = sorted(frozenset().union(*sets))
     chosen = candidates_of(state, names)
-    flown = state if theta is None else replace(state, theta=theta)
-    variants = variants_of(flown, names, envelope)
+    variants = variants_of(state if theta is None else replace(state, theta=theta), names, envelope)
     noise = noise_of(state)
     records = of_records(state, chosen, noise)
-    questions = tuple(_ambiguity(records, members, sizes, state.active) for members, sizes in sets.items())
-    possible = possible_points(state, variants, chosen, noise, envelope)
-    present = records.information()
+    questions, present = [], records.information()
+    for members, sizes in sets.items():
+        own = [e for e in chosen if e.name in members]
+        foreign = tuple(p.name for e in chosen if e.name not in {*members, *state.active} for p in e.parameters)
+        signals = signals_of(records.state, own, worth_of(own, sizes))
+        question = Ambiguity(tuple(e.name for e in own), signals, foreign)
+        # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
+        questions.append(replace(question, enough=float(np.hypot(ENOUGH, question.deviations(present)))))
+
+    def expected(told: Information) -> tuple[float, ...]:
+        return tuple(q.deviations(told) for q in questions)
+
     points = best_points(
-        possible,
+        possible_points(state, variants, chosen, noise, envelope),
         present,
         nats=lambda told: sum(q.information(told) for q in questions),
-        expected=lambda told: tuple(q.deviations(told) for q in questions),
+        expected=expected,
         decided=lambda told: all(q.deviations(told) >= q.enough for q in questions),
     )
-    return TestPoints(
-        questions, tuple(q.deviations(present) for q in questions), points, refused_points(variants, envelope)
-    )
+    return TestPoints(tuple(questions), expected(present), points, refused_points(variants, envelope))
 
 
 def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
     """The effects of an ambiguity set; `InputError` if it is none."""
-    chosen = [_candidate(state, name) for name in dict.fromkeys(effects)]
+    known = {e.name: e for e in state.full.model.effects if e.parameters}
+    for name in (name for name in effects if name not in known):
+        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
+    chosen = [known[name] for name in dict.fromkeys(effects)]
     if len(chosen) < 2:
         raise InputError("an ambiguity set has at least two effects")
     return chosen
-
-
-def _candidate(state: SelectionState, name: str) -> Effect:
-    found = next((e for e in state.full.model.effects if e.name == name and e.parameters), None)
-    if found is None:
-        raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
-    return found
 
 
 def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, float]:
@@ -192,28 +184,24 @@ def worth_of(chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, 
 
 def variants_of(state: SelectionState, effects: Sequence[str], envelope: Envelope) -> list[Standard]:
     """The standard manoeuvres with every amplitude and airspeed, inside the envelope."""
-    return [
-        standard(state, effects, amplitude=amplitude, faster=faster, envelope=envelope)
-        for faster in FASTER
-        for amplitude in AMPLITUDES
-    ]
+    pairs = [{"amplitude": amplitude, "faster": faster} for faster in FASTER for amplitude in AMPLITUDES]
+    return [standard(state, effects, **pair, envelope=envelope) for pair in pairs]
 
 
 def possible_points(
     state: SelectionState,
     variants: Sequence[Standard],
     chosen: Sequence[Effect],
-    noise: Noise,
+    noise: ResidualNoise,
     envelope: Envelope,
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
-    found = []
-    for one in variants:
-        for name, flight in one.flown.items():
-            if envelope.programmed_inputs or name not in NOT_BY_HAND:
-                there = on_record(state, one.model, flight, one.theta, chosen, noise)
-                found.append(Variant(name, one, there.information(one.seconds[name])))
-    return found
+    pairs = [(one, name, flight) for one in variants for name, flight in one.flown.items()]
+    return [
+        Variant(name, one, on_record(state, one.model, flight, one.theta, chosen, noise).information(one.seconds[name]))
+        for one, name, flight in pairs
+        if envelope.programmed_inputs or name not in NOT_BY_HAND
+    ]
 
 
 def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
@@ -235,12 +223,8 @@ def best_points(
 ) -> tuple[TestPoint, ...]:
     """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
 
-    Args:
-        possible: what may be flown.
-        told: by the present records; `Variant.told` is added to it.
-        nats: information on all questions.
-        expected: see `TestPoint`.
-        decided: whether nothing is left to decide.
+    `told` is what the present records say, to which `Variant.told` is added; `nats` its information on all questions,
+    `expected` as of `TestPoint`, `decided` whether nothing is left to decide.
     """
     points: list[TestPoint] = []
     while len(points) < MOST and not decided(told):
@@ -251,32 +235,10 @@ def best_points(
             break
         best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
         one, told = possible[best], told + possible[best].told
-        flown = one.flown
-        points.append(
-            TestPoint(
-                one.manoeuvre,
-                flown.amplitude,
-                flown.airspeed,
-                flown.altitude,
-                one.seconds,
-                flown.excursion[one.manoeuvre],
-                expected(told),
-                gains[best] / one.seconds,
-            )
-        )
+        begin, excursions = (one.flown.amplitude, one.flown.airspeed, one.flown.altitude), one.flown.excursion
+        reached, rate = excursions[one.manoeuvre], gains[best] / one.seconds
+        points.append(TestPoint(one.manoeuvre, *begin, one.seconds, reached, expected(told), rate))
     return tuple(points)
-
-
-def _ambiguity(
-    records: Linearised, members: frozenset[str], sizes: Mapping[str, float], active: Sequence[str]
-) -> Ambiguity:
-    own = [e for e in records.chosen if e.name in members]
-    foreign = [p.name for e in records.chosen if e.name not in {*members, *active} for p in e.parameters]
-    question = Ambiguity(
-        tuple(e.name for e in own), signals_of(records.state, own, worth_of(own, sizes)), tuple(foreign)
-    )
-    # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
-    return replace(question, enough=float(np.hypot(ENOUGH, question.deviations(records.information()))))
 
 
 # --- What a record says of parameters: the information matrix, and what coloured noise makes of it.
@@ -291,7 +253,7 @@ Signals = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
-class Noise:
+class ResidualNoise:
     """Residuals of the present model: variance and colour by output, growth of each with 1 - X."""
 
     outputs: tuple[str, ...]
@@ -299,14 +261,14 @@ class Noise:
     colour: Autocorrelation
     growth: Float[np.ndarray, " c"]
 
-    def of(self, outputs: Sequence[str]) -> Noise:
+    def of(self, outputs: Sequence[str]) -> ResidualNoise:
         """Of those outputs alone that are among `outputs`."""
         at = [c for c, name in enumerate(self.outputs) if name in outputs]
         colour = Autocorrelation(self.colour.phi[at], self.colour.sigma[at])
-        return Noise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
+        return ResidualNoise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
 
 
-def noise_of(state: SelectionState) -> Noise:
+def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
     residual, known = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
@@ -317,28 +279,21 @@ def noise_of(state: SelectionState) -> Noise:
             own = state.noise_growth[:, state.outputs.index(name)]
             growth[c] = max(0.0, float((own - 1.0) @ apart / (apart @ apart)))
         if name not in state.full.model.coefficients:
-            for k in range(int(manoeuvre[-1]) + 1):
-                residual[manoeuvre == k, c] -= residual[manoeuvre == k, c].mean()
+            for part in manoeuvres(manoeuvre):
+                residual[part, c] -= residual[part, c].mean()
     residual /= 1.0 + growth * apart[:, None]
-    colour = autocorrelation_of(residual, whole_manoeuvres(manoeuvre))
-    return Noise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
-
-
-def whole_manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> list[slice]:
-    """The blocks of each manoeuvre."""
-    parts = [np.flatnonzero(manoeuvre == k) for k in np.unique(manoeuvre)]
-    return [slice(int(e[0]), int(e[-1]) + 1) for e in parts]
+    colour = autocorrelation_of(residual, manoeuvres(manoeuvre))
+    return ResidualNoise(state.responses.outputs, np.mean(residual**2, axis=0), colour, growth)
 
 
 @dataclass(frozen=True)
 class Information:
-    """Of one record or several: the information matrix of white noise of the same variance, and the variance of its
-    score under the noise's colour; (k, k), by the labels of their columns. `prior` (k,) is the priors' precision."""
+    """Of one record or several, by the labels of their columns."""
 
     labels: tuple[str, ...]
-    matrix: Float[np.ndarray, "k k"]
-    score_variance: Float[np.ndarray, "k k"]
-    prior: Float[np.ndarray, " k"]
+    matrix: Float[np.ndarray, "k k"]  # information of white noise of the same variance
+    score_variance: Float[np.ndarray, "k k"]  # of its score under the noise's colour
+    prior: Float[np.ndarray, " k"]  # the priors' precision
 
     def __add__(self, other: Information) -> Information:
         """Of both records; a column that one of them lacks carries no information there."""
@@ -360,8 +315,7 @@ class Information:
         return Information(kept, self.matrix[rows], self.score_variance[rows], self.prior[at])
 
     def after(self, columns: Sequence[int], signal: Float[np.ndarray, " k"]) -> tuple[float, float]:
-        """What `columns`, held by their priors, cannot imitate of a signal: its information, and the score's variance
-        along it."""
+        """What `columns`, held by their priors, cannot imitate of a signal: information, and the score's variance."""
         at = np.asarray(columns, int)
         normal = self.matrix[np.ix_(at, at)] + np.diag(self.prior[at])
         left = signal.copy()
@@ -387,33 +341,9 @@ class Information:
         return found
 
 
-def information_of(
-    state: SelectionState, noise: Noise, chosen: Sequence[Effect], blocks: int | None = None
-) -> Information:
-    """Of the record on which `state` is linearised: on the parameters in it, and on the `chosen` effects.
-
-    `blocks`: of the first ones alone.
-    """
-    own = {label: column for e in chosen for label, column in columns_of(state, e).items()}
-    base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in chosen}])))
-    parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
-    labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
-    columns = [(parameters | own)[label] for label in labels]
-    alone = [k for k in base if k >= len(state.theta)]
-    whole, weight = state.scaled[:blocks], 1.0 / noise.variance
-    S = own_columns = whole[:, :, columns]
-    if alone:
-        N = whole[:, :, alone]
-        normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
-        S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
-    matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
-    score = noise.colour.meat(S, noise.variance, whole_manoeuvres(state.responses.manoeuvre[:blocks]))
-    return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
-
-
 def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
     """Columns of an effect by label; of one without slope at neutral, that of its least scanned value."""
-    begin = len(state.theta) + len(state.offsets)
+    begin = len(state.theta) + state.nuisance
     scans = [(abs(s.value), begin + k, s) for k, s in enumerate(state.scans) if s.effect == effect.name]
     if scans:
         _, column, scan = min(scans, key=lambda row: row[0])
@@ -424,17 +354,15 @@ def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
 
 def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, dict]:
     """The size of each column of `chosen`: that of its parameter in `sizes`, or the least scanned value's distance."""
-    scanned = {s.effect for s in state.scans}
     found = {}
     for effect in chosen:
-        labels = columns_of(state, effect)
-        if effect.name in scanned:
-            least = min((s for s in state.scans if s.effect == effect.name), key=lambda s: abs(s.value))
-            found[effect.name] = {
-                least.parameter: float(least.value - state.theta[state.full.columns([least.parameter])[0]])
-            }
+        scans = [s for s in state.scans if s.effect == effect.name]
+        if scans:
+            least = min(scans, key=lambda s: abs(s.value))
+            present = state.theta[state.full.columns([least.parameter])[0]]
+            found[effect.name] = {least.parameter: float(least.value - present)}
         else:
-            found[effect.name] = {label: sizes[label] for label in labels}
+            found[effect.name] = {label: sizes[label] for label in columns_of(state, effect)}
     return found
 
 
@@ -445,22 +373,17 @@ BEGINNING = 2.0  # s of the record whose means are the flight condition
 
 @dataclass(frozen=True)
 class Standard:
-    """The standard manoeuvres as a state's model flies them.
-
-    `theta` are the values flown; `seconds` until the response to the last input is recorded, `excursion` the least and
-    greatest of the envelope's quantities, SI; `refused` says which manoeuvre could not be flown, and why. `airspeed`
-    (m/s) and `altitude` (m) are those of the level flight in which all begin, `amplitude` multiplied every input.
-    """
+    """The standard manoeuvres as a state's model flies them."""
 
     model: Model
-    theta: Mapping[str, float]
+    theta: Mapping[str, float]  # values flown
     flown: Mapping[str, Flights]
-    seconds: Mapping[str, float]
-    excursion: Mapping[str, Mapping[str, tuple[float, float]]]
-    refused: Mapping[str, str]
-    airspeed: float
-    altitude: float
-    amplitude: float
+    seconds: Mapping[str, float]  # until the response to the last input is recorded
+    excursion: Mapping[str, Mapping[str, tuple[float, float]]]  # of the envelope's quantities: least, greatest; SI
+    refused: Mapping[str, str]  # which manoeuvre could not be flown, and why
+    airspeed: float  # m/s, of the level flight in which all begin
+    altitude: float  # m
+    amplitude: float  # by which every input is multiplied
 
 
 def standard(
@@ -473,10 +396,9 @@ def standard(
 ) -> Standard:
     """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
 
-    A model of both axes flies them in six degrees of freedom, and those of the lateral axis too.
-
-    `amplitude` multiplies every input, `faster` the airspeed with which the records begin. What the record itself gets
-    wrong (sensors, thrust) is flown as at neutral.
+    A model of both axes flies them in six degrees of freedom, and those of the lateral axis too. `amplitude` multiplies
+    every input, `faster` the airspeed with which the records begin. What the record itself gets wrong (sensors, thrust)
+    is flown as at neutral.
     """
     rigid = Axis.LATERAL in state.full.model.axes
     if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
@@ -489,8 +411,10 @@ def standard(
     theta = {n: x for n, x in zip(state.full.model.names, true, strict=True) if n in small.names}
     values, flights = dict(small.fixed) | theta, state.responses.flights
     begin = round(BEGINNING * 5 / state.responses.seconds)
-    start = _start({name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()})
-    start["airspeed"] *= faster
+    mean = {name: float(np.mean(np.asarray(x)[:begin])) for name, x in flights.channels.items()}
+    # Where no altitude was recorded, that of standard air of the record's density.
+    altitude = mean["altitude"] if "altitude" in mean else altitude_of_density(mean["density"])
+    start = {"airspeed": mean["airspeed"] * faster, "altitude": altitude}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
     options = {"dt": dt, "amplitude": amplitude, "envelope": envelope, "rigid": rigid}
@@ -498,17 +422,9 @@ def standard(
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
     unseen = {n: moved[n] for n in found.channels if n in moved and moved[n] not in flights.recorded}
     flown = {n: _recorded(flights, channels, dt) for n, channels in found.channels.items() if n not in unseen}
-    return Standard(
-        small,
-        theta,
-        flown,
-        found.seconds,
-        {n: excursion(found.channels[n]) for n in flown},
-        dict(found.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()},
-        start["airspeed"],
-        start["altitude"],
-        amplitude,
-    )
+    excursions = {n: excursion(found.channels[n]) for n in flown}
+    refused = dict(found.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()}
+    return Standard(small, theta, flown, found.seconds, excursions, refused, **start, amplitude=amplitude)
 
 
 def flights_of(state: SelectionState) -> Flights:
@@ -517,12 +433,6 @@ def flights_of(state: SelectionState) -> Flights:
     if not isinstance(flights, Flights):
         raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
     return flights
-
-
-def _start(mean: Mapping[str, float]) -> dict[str, float]:
-    """Airspeed, m/s, and altitude, m: where none was recorded, that of standard air of the record's density."""
-    altitude = mean["altitude"] if "altitude" in mean else altitude_of_density(mean["density"])
-    return {"airspeed": mean["airspeed"], "altitude": altitude}
 
 
 def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
@@ -547,20 +457,35 @@ def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> 
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedRecord:
     """A model linearised on a record, all outputs together, and the noise of these."""
 
     state: SelectionState
-    noise: Noise
+    noise: ResidualNoise
     chosen: tuple[Effect, ...]
 
     def information(self, seconds: float | None = None) -> Information:
-        """Of the record, or of its first `seconds`."""
-        blocks = None if seconds is None else round(seconds / self.state.responses.seconds)
-        return information_of(self.state, self.noise, self.chosen, blocks)
+        """Of the record, or of its first `seconds`: on the parameters in the state, and on the `chosen` effects."""
+        state, noise = self.state, self.noise
+        blocks = None if seconds is None else round(seconds / state.responses.seconds)
+        own = {label: column for e in self.chosen for label, column in columns_of(state, e).items()}
+        base = list(map(int, state.columns([n for n in state.active if n not in {e.name for e in self.chosen}])))
+        parameters = {state.full.model.names[k]: k for k in base if k < len(state.theta)}
+        labels = tuple(dict.fromkeys((*sorted(parameters), *own)))
+        columns = [(parameters | own)[label] for label in labels]
+        alone = [k for k in base if k >= len(state.theta)]
+        whole, weight = state.scaled[:blocks], 1.0 / noise.variance
+        S = own_columns = whole[:, :, columns]
+        if alone:
+            N = whole[:, :, alone]
+            normal = np.einsum("mci,c,mcj->ij", N, weight, N, optimize=True) + np.diag(state.precision[alone])
+            S = S - N @ (inverse(normal) @ np.einsum("mci,c,mcj->ij", N, weight, S, optimize=True))
+        matrix = np.einsum("mci,c,mcj->ij", S, weight, own_columns, optimize=True)
+        score = noise.colour.meat(S, noise.variance, manoeuvres(state.responses.manoeuvre[:blocks]))
+        return Information(labels, 0.5 * (matrix + matrix.T), score, state.precision[columns])
 
 
-def of_records(state: SelectionState, chosen: Sequence[Effect], noise: Noise) -> Linearised:
+def of_records(state: SelectionState, chosen: Sequence[Effect], noise: ResidualNoise) -> LinearisedRecord:
     """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
     flights_of(state)
     full = replace(state.full, candidates=tuple(chosen))
@@ -574,8 +499,8 @@ def on_record(
     flights: Flights,
     theta: Mapping[str, float],
     chosen: Sequence[Effect],
-    noise: Noise,
-) -> Linearised:
+    noise: ResidualNoise,
+) -> LinearisedRecord:
     """The problem linearised on a record at `theta`, in which the `chosen` effects are candidates."""
     path = tuple(name for name in noise.outputs if name not in model.coefficients)
     responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
@@ -586,12 +511,14 @@ def on_record(
 
 
 def _linearised(
-    state: SelectionState, theta: Float[np.ndarray, " k"], noise: Noise, known: SelectionState | None = None
-) -> Linearised:
+    state: SelectionState, theta: Float[np.ndarray, " k"], noise: ResidualNoise, known: SelectionState | None = None
+) -> LinearisedRecord:
     """Model, candidates and record of `state` at `theta`; what is `known` there is not computed again."""
     full, responses = state.full, state.responses
     active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
     inflation = state.variance_inflation
     there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
     X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
-    return Linearised(replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates)
+    return LinearisedRecord(
+        replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates
+    )

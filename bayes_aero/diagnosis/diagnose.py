@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
     FLIGHT_PATH,
+    LITTLE,
     Cause,
     Diagnosis,
     Gain,
@@ -21,25 +23,36 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
-from bayes_aero.diagnosis.screening.accuracy import implausible, implausible_candidate
+from bayes_aero.diagnosis.screening.accuracy import Size, implausible, implausible_candidate
+from bayes_aero.diagnosis.screening.parameter_fit import refitted
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.search.searches import search_coefficients, search_innovations, search_trajectories
-from bayes_aero.diagnosis.search.stages import SearchResult, lacking
-from bayes_aero.diagnosis.selection.forward_selection import Extension, mixes_noise, noise_shares
-from bayes_aero.diagnosis.selection.gains import (
-    NO_GAIN,
-    NOTHING,
-    as_structure,
-    attributed,
-    gains_of,
-    own_share,
-    rival_gains,
-    stand_ins,
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.search import Search, SearchResult
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    added,
+    explained,
+    mixes_noise,
+    noise_shares,
+    removed,
+)
+from bayes_aero.diagnosis.selection.holdout import (
+    Confirmation,
+    LeftOut,
+    confirmation,
+    measured_blocks,
+    split_name,
+    truncated,
+)
+from bayes_aero.diagnosis.selection.rivals import (
+    CancellingPair,
+    absorbed,
+    cancelling,
+    correlated,
+    open_errors,
     without_hold,
 )
-from bayes_aero.diagnosis.selection.holdout import Confirmation, confirmation, split_name
-from bayes_aero.diagnosis.selection.rivals import CancellingPair, absorbed, cancelling, correlated, open_errors
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
@@ -73,25 +86,24 @@ def diagnose(
     """
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
-    search = search_trajectories if lacking(records, card) else search_coefficients
-    search = search_innovations if process_noise or gusts else search
-    known = (*own_effects(card.effect_files).values(), *extra)
-    found = search(records, card, model or Model.from_card(card), known, settings, seed=seed, progress=progress)
-    ask = gains_wanted and found.testable_now
-    candidates, kept_of, failed = _confirmed(found, progress) if ask else _unasked(found)
-    kept = kept_of[found.stages[-1][0]]
-    within = [one for one in found.unknown if not one.offsets]  # offsets are in the model beside the causes
-    hardly = stand_ins(candidates, found.by_stage, within)
+    candidates = (*own_effects(card.effect_files).values(), *extra)
+    search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
+    found = search.made(by_innovations=bool(process_noise or gusts))
+    if gains_wanted and found.testable_now:
+        candidates, kept_of, failed = _confirmed(found, progress)
+    else:
+        candidates, kept_of, failed = causes_of(found, {}, None), {n: x.state.active for n, x in found.stages}, ()
+    # Offsets between manoeuvres are in the model beside the causes.
+    hardly = stand_ins(candidates, found.by_stage, [one for one in found.unknown if not one.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
-    absurd, kept = beyond, tuple(name for name in kept if name not in {c.name for c in beyond})
+    unknown = (*found.unknown, *structure_of(found, (*unnamed, *beyond)))
+    kept = tuple(name for name in kept_of[found.stages[-1][0]] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
-    unknown = (*found.unknown, *structure_of(found, (*unnamed, *absurd)))
     minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
     state, tested = found.model.state, None if found.testable_now else Tested({})
     taken_up = absorbed(found.model)
-    verdict = as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise)
     return Diagnosis(
-        verdict=as_absorbed(verdict, taken_up),
+        verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise), taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,
@@ -117,37 +129,34 @@ def diagnose(
 
 
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
-Asked = tuple[list[Cause], Kept, tuple[str, ...]]
 
 
-def _confirmed(found: SearchResult, progress: Progress | None) -> Asked:
+def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
 
     A cause that loses on hold-out data, beside the causes before it, is not confirmed, the last first. Should the
     hold-out test fail, no cause is confirmed.
     """
 
+    def loses(gain: Gain) -> bool:
+        """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
+        return bool(gain.degraded) or found.full.settings.degrades(gain.elpd, gain.elpd_se)
+
     def asked() -> tuple[list[Cause], Kept]:
         confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
         while True:
             causes = causes_of(found, confirmations, progress)
-            losing = [c for c in causes if c.confirmed and loses(c, found.full.settings)]
+            losing = [c for c in causes if c.confirmed and loses(c.gain)]
             if not losing:
                 return causes, {stage: one.kept for stage, one in confirmations.items()}
-            last = losing[-1]
-            one = confirmations[last.stage]
+            last, one = losing[-1], confirmations[losing[-1].stage]
             confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
         return (*causes, failures)
-    untested, _, _ = _unasked(found)
-    return [replace(cause, confirmed=False) for cause in untested], {stage: () for stage, _ in found.stages}, failures
-
-
-def _unasked(found: SearchResult) -> Asked:
-    """The same where unseen data were not asked."""
-    return causes_of(found, {}, None), {stage: one.state.active for stage, one in found.stages}, ()
+    untested = [replace(cause, confirmed=False) for cause in causes_of(found, {}, None)]
+    return untested, {stage: () for stage, _ in found.stages}, failures
 
 
 def without_conditional(
@@ -158,16 +167,10 @@ def without_conditional(
     return tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
 
 
-def loses(cause: Cause, settings: DiagnosisSettings) -> bool:
-    """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
-    return bool(cause.gain.degraded) or settings.degrades(cause.gain.elpd, cause.gain.elpd_se)
-
-
 def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
-    """What every stage named; with gains on unseen data where these were asked to confirm it (the last stage's are the
-    coefficients)."""
+    """What every stage named; with gains on unseen data where these were asked to confirm it."""
     found, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
         sure = confirmations.get(stage)
@@ -178,8 +181,7 @@ def causes_of(
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
-            names = [n for n in larger.causes if n in out]
-            found += _causes_in(full, stage, larger, names, None, {}, {})
+            found += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return found
 
 
@@ -258,11 +260,18 @@ def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[Unexpla
 
 def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:
     """Pairs of named causes of one stage that cancel."""
-    return tuple(
-        pair
-        for stage, extension in stages
-        for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
-    )
+    found = [cancelling(extension, [c.name for c in causes if c.stage == stage]) for stage, extension in stages]
+    return tuple(pair for pairs in found for pair in pairs)
+
+
+def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
+    """How the card's parameters moved."""
+    before, after, own = extension.base, extension.state, extension.sizes
+    return {
+        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
+        for i, name in enumerate(after.full.model.names)
+        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
+    }
 
 
 def _excited(state: SelectionState, name: str) -> bool:
@@ -280,10 +289,9 @@ def rivals_of(
 ) -> tuple[float, tuple[str, ...]]:
     """Probability of a cause among everything that could take its place, nothing included; and who comes close.
 
-    Of both those are left out that predict hold-out data `worse` in its place. `noise` is the share of the cause that
-    noise of the recorded channels can make: it may outdo its rivals by recording the same motion with less of it.
-    What only hides noise of one coefficient under another explains nothing, as in an election (see `mixes_noise`), nor
-    what must be larger for it than aircraft have.
+    Of both those are left out that predict hold-out data `worse` in its place, what only hides noise of one coefficient
+    under another (see `mixes_noise`), and what must be larger for it than aircraft have. `noise` is the share of the
+    cause that noise of the recorded channels can make: it may outdo its rivals by recording the same with less of it.
     """
     state, fit = extension.state, extension.fit
     effects = {e.name: e for e in state.full.candidates}
@@ -305,22 +313,10 @@ def rivals_of(
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 
-def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
-    """How the card's parameters moved."""
-    before, after, own = extension.base, extension.state, extension.sizes
-    return {
-        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
-        for i, name in enumerate(after.full.model.names)
-        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
-    }
-
-
 def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
-    """Errors of sensors that coefficients confirm and held-out flights do not miss.
-
-    Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
-    flight has no regressors.
-    """
+    """Errors of sensors that coefficients confirm and held-out flights do not miss."""
+    # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
+    # flight has no regressors.
     asked = {c.name for c in found.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
     return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
 
@@ -345,3 +341,123 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, hel
     causes = tuple(judged(c) for c in found.causes)
     verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
     return replace(found, causes=causes, verdict=verdict)
+
+
+# --- What every cause gains on hold-out data beside the causes before it.
+
+NOTHING = (float("nan"), float("nan"))
+NO_GAIN = Gain(*NOTHING, "not measured", {}, {})
+
+
+def gains_of(
+    extension: Extension, aerodynamics: Extension, kept: Sequence[str], progress: Progress | None
+) -> dict[str, Gain]:
+    """Gains of an extension's causes on left-out folds, each beside nuisances and the confirmed causes before it."""
+    state, causes = extension.state, extension.causes
+    nuisances = [name for name in extension.minor if name in kept]
+    sure = {name: [other for other in causes[:number] if other in kept] for number, name in enumerate(causes)}
+    pairs: dict[str, tuple[LeftOut, LeftOut]] = {}
+    base = before = LeftOut.refitted(truncated(state, nuisances))
+    for number, name in enumerate(causes):
+        if progress:
+            progress("gain on hold-out data", number / len(causes))
+        after = LeftOut.refitted(truncated(state, (*nuisances, *sure[name], name)))
+        pairs[name] = before, after
+        before = after if name in kept else before
+    gained = {name: (*after.gain(before), split_name(state)) for name, (before, after) in pairs.items()}
+    if state.outputs == state.responses.model.coefficients:
+        measured = measured_blocks(state)
+        return {n: Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()}
+    if extension is aerodynamics:  # no coefficients to score
+        return {name: Gain(*gain, {}, {}) for name, gain in gained.items()}
+
+    def corrected(sensors: Sequence[str]) -> LeftOut:
+        """The card's fit of the coefficients with these corrections of sensors alone."""
+        card = aerodynamics.base
+        theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
+        return LeftOut.refitted(moved(card, theta, ()))
+
+    measured, found = measured_blocks(aerodynamics.base), {}
+    base = before = corrected(())
+    for name in causes:  # what each correction does to the coefficients: scores, and those that it predicts worse
+        after = corrected([*sure[name], name])
+        worse = state.settings.degraded(after.output_gains(before))
+        found[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
+        before = after if name in kept else before
+    return found
+
+
+def rival_gains(
+    extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again; minus
+    infinity for one that is larger then than aircraft have."""
+    ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
+    own, found = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
+    for rival in rivals:
+        standing = ranking.of(rival)
+        if standing is not None:
+            other, _ = refitted(added(removed(extension.state, cause), standing))
+            other, _ = refitted(truncated(other, [*(e for e in kept if e != cause), rival]))
+            effect = next(e for e in other.full.candidates if e.name == rival)
+            values = dict(zip(other.full.model.names, other.theta, strict=True))
+            fitted = {p.name: Size(float(values[p.name]), 0.0, p.unit) for p in effect.parameters if p.name in values}
+            found[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(own)
+    return found
+
+
+# --- Whether an engineer would sign a cause: sizes that no aircraft has, signals that hardly move, too many rivals.
+
+
+def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
+    """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
+
+    One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
+    Not a number where the effect is not in the fit.
+    """
+    at = fit.places([c for c in state.full.own_columns(effect) if c in fit.columns])
+    if not at:
+        return float("nan")
+    S = state.scaled[state.inside][:, :, fit.columns[at]]
+    own = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
+    uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
+    return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
+
+
+def attributed(
+    causes: Sequence[Cause], settings: DiagnosisSettings = DEFAULT, stand_ins: Sequence[str] = ()
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...], tuple[Cause, ...]]:
+    """Causes that the record can attribute; those larger than on any aircraft (another fault is behind); the rest."""
+    beyond = tuple(c for c in causes if c.implausible)
+    rest = [c for c in causes if c not in beyond]
+    few = (c for c in rest if 1 + len(c.ambiguous_with) <= settings.most_names and (c.confirmed or c.likely))
+    named = tuple(c for c in few if c.name not in stand_ins)  # no more equals than the record can choose among
+    return named, beyond, tuple(c for c in rest if c not in named)
+
+
+def stand_ins(
+    causes: Sequence[Cause], extensions: Mapping[str, Extension], unknown: Sequence[UnexplainedStructure]
+) -> tuple[str, ...]:
+    """Causes that the record hardly excites, where the output that they move most has structure without a name."""
+    # Small errors of the model change their estimates strongly, and there the model is shown to be wrong.
+    left = {u.coefficient for u in unknown}
+    return tuple(c.name for c in causes if c.own_share < LITTLE and _output(extensions[c.stage], c.name) in left)
+
+
+def _output(extension: Extension, name: str, step: CandidateScore | None = None) -> str:
+    """The output that an addition, or a candidate with this step, moves most, over what is left there."""
+    state = extension.state
+    columns, away = state.full.own_columns(name), state.departure
+    if name not in state.active and step is not None:
+        columns, away = np.array(step.columns, int), dict(zip(step.columns, step.step, strict=False))
+    moved = (state.scaled[:, :, columns] @ np.array([away[c] for c in columns]))[state.inside]
+    return state.outputs[int(np.argmax(np.mean((moved - moved.mean(axis=0)) ** 2, axis=0) / extension.fit.variance))]
+
+
+def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
+    """What a cause that is none explained: the output of which it takes most, through which channel."""
+    standing = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause.name).of(cause.name)
+    share = 0.0 if standing is None else explained(extension.state, standing)
+    channel = effect.channels[0] if effect.channels else effect.kind.value
+    output = _output(extension, cause.name, standing)
+    return UnexplainedStructure(output, channel, share, cause.p_value, (cause.name, *cause.ambiguous_with))

@@ -23,11 +23,8 @@ SHOWN = 4
 
 
 def filter_mismatch_notes(records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult) -> tuple[str, ...]:
-    """A sentence where estimates move by more than their intervals allow for; none where they do not.
-
-    `mle` is the fit to coefficients formed as published. No sentence either where that fit, or the one with all signals
-    filtered alike, has failed.
-    """
+    """A sentence where estimates of `mle`, the fit to coefficients formed as published, move by more than their
+    intervals allow for once all signals are filtered alike; none where they do not, or where either fit has failed."""
     sound = (MleStatus.CONVERGED, MleStatus.AT_BOUND)
     if mle.status not in sound:
         return ()

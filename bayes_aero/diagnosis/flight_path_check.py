@@ -1,7 +1,7 @@
 """Where a record leaves its flight path by more than the sensors' noise permits.
 
 Airspeed, flow angles, attitude and altitude must move as accelerometers and gyros say. What does not is compared with
-the same of records of noise (see `path_noise`) by three measures of each channel: its root mean square over the record;
+the same of records of noise by three measures of each channel: its root mean square over the record;
 the same once the best constant errors are taken out; and over windows of ten seconds. The largest of all, in units of
 what noise leaves there, decides: the rate of false alarms is that of a whole record, not of each window.
 """
@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.fft import next_fast_len
 
 from bayes_aero.flight.agreement import Departure, PathCheck
-from bayes_aero.flight.aircraft import NO_AIRCRAFT, Position
+from bayes_aero.flight.aircraft import NO_AIRCRAFT
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.physics.filters import differentiate_joined
@@ -33,7 +33,7 @@ RANK = 1e-8  # constant errors that make a column weaker than this, beside other
 TOGETHER = 8  # records that are measured at a time
 
 
-class Kind(IntEnum):
+class Measure(IntEnum):
     """Of root mean squares: over the record, the same without the best constant errors, within a window."""
 
     DRIFT = 0
@@ -52,7 +52,7 @@ class _Measures:
     channel: tuple[str, ...]
     begin: tuple[float, ...]
     end: tuple[float, ...]
-    kind: tuple[Kind, ...]
+    kind: tuple[Measure, ...]
 
 
 def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
@@ -65,71 +65,78 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
         card: says the sensors' noise and where the accelerometer is.
         seed: of the records of noise.
     """
-    assumed = tuple(n for n in STRAIGHT if n not in channels)
-    outputs, place, rng = path_outputs(channels), card.aircraft.accelerometer, _draws(seed)
-    full, recorded, noise, dt = _recorded(time, channels, card)
-    met = _gusts_shown(recorded[0], outputs, full, noise, dt, rng)
+    path = _RecordedPath(time, channels, card, seed)
+    met, outputs, noise = path.gusts_shown(), path.outputs, path.noise
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
-    added = disturbances(full, noise, turbulence, dt, rng, REPLICATES)
-    drawn, columns = (
-        path_residuals(full, by, outputs, place, dt) for by in (added, _constant_errors(noise, len(time)))
-    )
-    drawn -= recorded
-    columns -= recorded
-    found = _measures(np.concatenate([recorded, drawn]), columns, outputs, time)
-    return PathCheck(name, _departures(name, found), _whole(found), turbulence, met, assumed)
+    drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
+    whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
+    each = zip(noise.constant.items(), np.eye(len(noise.constant)), strict=True)
+    columns = path.residuals({n: np.outer(own, sd * whole) for (n, sd), own in each}) - path.recorded
+    found = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
+    count, permitted = len(outputs), _permitted(found)
+    shape = {n: (float(found.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
+    assumed = tuple(n for n in STRAIGHT if n not in channels)
+    return PathCheck(name, _departures(name, found), shape, turbulence, met, assumed)
 
 
 def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
     """Standard deviation of the gusts that one record shows, m/s, as in `PathCheck`; arguments as of `path_check`."""
-    full, recorded, noise, dt = _recorded(time, channels, card)
-    return _gusts_shown(recorded[0], path_outputs(channels), full, noise, dt, _draws(seed))
+    return _RecordedPath(time, channels, card, seed).gusts_shown()
 
 
-def _draws(seed: int) -> np.random.Generator:
-    return np.random.default_rng([seed, 31])
+class _RecordedPath:
+    """The channels of one record, zeros for those that are absent, and what the flight path leaves of them."""
 
+    def __init__(self, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int) -> None:
+        self.full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
+        self.outputs, self.dt = path_outputs(channels), float(time[-1] - time[0]) / (len(time) - 1)
+        self.noise = sensor_noise({n: self.full[n] for n in channels if n in self.full}, card)
+        self.aircraft = replace(NO_AIRCRAFT, accelerometer=card.aircraft.accelerometer)
+        self.rng = np.random.default_rng([seed, 31])
+        self.recorded = self.residuals({"q": np.zeros((1, len(time)))})
 
-def _recorded(
-    time: Float[np.ndarray, " n"], channels: Channels, card: Card
-) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "1 n c"], SensorNoise, float]:
-    """Channels with zeros for those that are absent, what the flight path leaves of them, their noise, sample time."""
-    full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
-    dt = float(time[-1] - time[0]) / (len(time) - 1)
-    noise = sensor_noise({n: full[n] for n in channels if n in full}, card)
-    still = {"q": np.zeros((1, len(time)))}
-    return full, path_residuals(full, still, path_outputs(channels), card.aircraft.accelerometer, dt), noise, dt
+    def residuals(self, added: Mapping[str, Float[np.ndarray, "r n"]]) -> Float[np.ndarray, "r n c"]:
+        """Recorded minus integrated from the start, for each of r disturbances that are `added` to some channels."""
+        n, count = len(self.full["q"]), len(next(iter(added.values())))
+        steps, start = np.full(n, self.dt), np.arange(n) == 0
+        first, last = np.zeros(n, int), np.full(n, n - 1)
+        found = np.empty((count, n, len(self.outputs)))
+        for begin in range(0, count, TOGETHER):
+            part = slice(begin, begin + TOGETHER)
+            s = {name: x + added[name][part] if name in added else x for name, x in self.full.items()}
+            s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
+            rates = path_rates(s, self.aircraft)
+            for c, name in enumerate(self.outputs):
+                found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
+        return found
 
+    def gusts_shown(self) -> float:
+        """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
+        alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
+        V, levels = self.full["airspeed"], []
+        for name in (n for n in AIR_DATA if n in self.outputs):
+            along = name == "airspeed"
+            unit = gusts(self.rng, 16, len(V), self.dt, float(np.median(V)), across=not along)
+            share = float(np.mean(np.median(_local(unit.T, self.dt) ** 2, axis=0)))
+            scale = np.ones_like(V) if along else V
+            inside = _local((self.recorded[0, :, self.outputs.index(name)] * scale)[:, None], self.dt)[:, 0]
+            white = self.noise.shown[name] * float(np.median(scale))
+            levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
+        return float(np.sqrt(min(levels, default=0.0)))
 
-def _gusts_shown(
-    residual: Float[np.ndarray, "n c"],
-    outputs: Sequence[str],
-    channels: Channels,
-    noise: SensorNoise,
-    dt: float,
-    rng: np.random.Generator,
-) -> float:
-    """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
-    alike in all directions (MIL-F-8785C, 3.7.2.2): an error of one sensor is no gust."""
-    V = np.asarray(channels["airspeed"])
-    levels = []
-    for name in (n for n in AIR_DATA if n in outputs):
-        along = name == "airspeed"
-        unit = gusts(rng, 16, len(V), dt, float(np.median(V)), across=not along)
-        share = float(np.mean(np.median(_local(unit.T, dt) ** 2, axis=0)))
-        scale = np.ones_like(V) if along else V
-        inside = _local((residual[:, outputs.index(name)] * scale)[:, None], dt)[:, 0]
-        white = noise.shown[name] * float(np.median(scale))
-        levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
-    return float(np.sqrt(min(levels, default=0.0)))
-
-
-def _constant_errors(noise: SensorNoise, n: int) -> dict[str, Float[np.ndarray, "m n"]]:
-    """A constant error of each sensor by itself, as large as is permitted."""
-    names = list(noise.constant)
-    return {
-        name: np.outer(np.arange(len(names)) == i, np.full(n, noise.constant[name])) for i, name in enumerate(names)
-    }
+    def disturbances(self, turbulence: float, count: int) -> dict[str, Float[np.ndarray, "r n"]]:
+        """What `count` sensors and airs of this kind add to the channels; `turbulence` in m/s."""
+        V, rng = np.maximum(self.full["airspeed"], 1.0), self.rng
+        found = {
+            name: sd * rng.standard_normal((count, len(V)))
+            + self.noise.constant[name] * rng.standard_normal((count, 1))
+            for name, sd in self.noise.white.items()
+        }
+        for name in (name for name in AIR_DATA if name in found):
+            along = name == "airspeed"
+            gust = turbulence * gusts(rng, count, len(V), self.dt, float(np.median(V)), across=not along)
+            found[name] += gust if along else gust / V
+        return found
 
 
 def _windows(n: int, dt: float) -> list[slice]:
@@ -159,12 +166,15 @@ def _measures(
     """All three measures of the recorded residual, the first, and of those of noise."""
     windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
     constants = _Constants(residual[1:], columns, time)
-    values = [
-        _of_some(residual[first : first + TOGETHER], constants, windows) for first in range(0, len(residual), TOGETHER)
-    ]
-    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Kind.DRIFT, Kind.SHAPE]
+    values = []
+    for first in range(0, len(residual), TOGETHER):  # a few records stay in the processor's cache
+        some = residual[first : first + TOGETHER]
+        centred, parts = some - some.mean(axis=1, keepdims=True), [_rms_about_line(some[:, part]) for part in windows]
+        whole = np.sqrt(np.mean(centred**2, axis=1))
+        values.append(np.concatenate([whole, constants.rms_without(centred), *parts], axis=1))
+    begin, end, kinds = [time[0]] * 2, [time[-1]] * 2, [Measure.DRIFT, Measure.SHAPE]
     for part in windows:
-        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Kind.WINDOW]
+        begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Measure.WINDOW]
     count = len(outputs)
     return _Measures(
         np.concatenate(values),
@@ -173,15 +183,6 @@ def _measures(
         tuple(float(t) for t in np.repeat(end, count)),
         tuple(kind for kind in kinds for _ in range(count)),
     )
-
-
-def _of_some(
-    residual: Float[np.ndarray, "r n c"], constants: _Constants, windows: Sequence[slice]
-) -> Float[np.ndarray, "r k"]:
-    """The measures of a few records, which stay in the processor's cache."""
-    centred = residual - residual.mean(axis=1, keepdims=True)
-    parts = [_rms_about_line(residual[:, part]) for part in windows]
-    return np.concatenate([np.sqrt(np.mean(centred**2, axis=1)), constants.rms_without(centred), *parts], axis=1)
 
 
 class _Constants:
@@ -211,8 +212,7 @@ class _Constants:
 
 
 def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:
-    """What noise permits of each measure: as many times its usual size as the largest of its kind in any record of
-    noise."""
+    """What noise permits: as many times a measure's usual size as the largest of its kind in any record of noise."""
     usual = np.sqrt(np.mean(found.values[1:] ** 2, axis=0))
     largest, kind = found.values[1:] / usual, np.array(found.kind)
     return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
@@ -225,29 +225,15 @@ def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
     departures = []
     for name in dict.fromkeys(found.channel):
         at = [i for i, channel in enumerate(found.channel) if channel == name]
-        entire, parts = ([i for i in at if (found.kind[i] is Kind.WINDOW) == w] for w in (False, True))
-        runs = _runs([bool(over[i]) for i in parts])
-        chosen = [[parts[i] for i in run] for run in runs]
-        if not runs or sum(over[parts]) > SPREAD * len(parts):
+        entire, parts = ([i for i in at if (found.kind[i] is Measure.WINDOW) == w] for w in (False, True))
+        chosen = [list(run) for exceeds, run in groupby(parts, lambda i: bool(over[i])) if exceeds]
+        if not chosen or sum(over[parts]) > SPREAD * len(parts):
             chosen = [[max(entire, key=lambda i: own[i] / permitted[i])]] if any(over[entire]) else chosen
         for run in chosen:
             worst = max(run, key=lambda i: own[i] / permitted[i])
             size, limit = float(own[worst]), float(permitted[worst])
             departures.append(Departure(record, name, found.begin[run[0]], found.end[run[-1]], size, limit))
     return tuple(departures)
-
-
-def _runs(flags: Sequence[bool]) -> list[list[int]]:
-    """Places of neighbouring true flags."""
-    numbered = groupby(enumerate(flags), lambda pair: pair[1])
-    return [[i for i, _ in run] for flag, run in numbered if flag]
-
-
-def _whole(found: _Measures) -> dict[str, tuple[float, float]]:
-    """Root mean square over the record once constant errors are out, and what is permitted, by channel."""
-    permitted, names = _permitted(found), dict.fromkeys(found.channel)
-    count = len(names)
-    return {name: (float(found.values[0, count + i]), float(permitted[count + i])) for i, name in enumerate(names)}
 
 
 # --- What the flight path may leave if every sensor is as good as the card says: noise, constant errors, light
@@ -273,19 +259,16 @@ AIR_DATA = ("airspeed", "alpha", "beta")
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations in SI by channel: the `white` noise of each sample that is permitted, an error that is
-    `constant` over a record, and the white noise that the record has `shown`."""
+    """Standard deviations in SI by channel."""
 
-    white: Mapping[str, float]
-    constant: Mapping[str, float]
-    shown: Mapping[str, float]
+    white: Mapping[str, float]  # the noise of each sample that is permitted
+    constant: Mapping[str, float]  # an error that is constant over a record
+    shown: Mapping[str, float]  # the white noise that the record has shown
 
 
 def sensor_noise(channels: Mapping[str, Float[np.ndarray, " n"]], card: Card) -> SensorNoise:
-    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that.
-
-    A constant error as large as the stated noise is permitted, too.
-    """
+    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that; and a
+    constant error as large as the stated noise."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
@@ -299,83 +282,18 @@ def gusts(
 
     Source: MIL-F-8785C, 3.7.2, T = L/V: along, 1/(1 + T s); across, (1 + sqrt(3) T s)/(1 + T s)^2.
     """
+    keep = math.exp(-dt / (SCALE_LENGTH / max(airspeed, 1.0)))
+
+    def response(n: int) -> Float[np.ndarray, " n"]:
+        """To a single sample of one."""
+        k = np.arange(n)
+        second = math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1) if across else 1.0
+        return keep**k * second
+
     run_in = min(n, 4000)
-    T = SCALE_LENGTH / max(airspeed, 1.0)
-    keep = math.exp(-dt / T)
     total = n + run_in
     size = next_fast_len(2 * total - 1 - run_in, real=True)  # what wraps around ends within the run-in
-    spectrum = np.fft.rfft(_response(keep, total, across=across), size)
+    spectrum = np.fft.rfft(response(total), size)
     drawn = np.fft.irfft(np.fft.rfft(rng.standard_normal((count, total)), size) * spectrum, size)
-    return drawn[:, run_in:total] / _deviation(keep, across=across)
-
-
-def _response(keep: float, n: int, *, across: bool) -> Float[np.ndarray, " n"]:
-    """What `gusts` makes of a single sample of one."""
-    k = np.arange(n)
-    response = keep**k
-    return response * (math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1)) if across else response
-
-
-def _deviation(keep: float, *, across: bool) -> float:
-    """Standard deviation of what `gusts` filters from unit white noise: the sum of its squared impulse response."""
-    return float(np.sqrt(np.sum(_response(keep, int(20.0 / -math.log(keep)) + 1, across=across) ** 2)))
-
-
-def disturbances(
-    channels: Mapping[str, Float[np.ndarray, " n"]],
-    noise: SensorNoise,
-    turbulence: float,
-    dt: float,
-    rng: np.random.Generator,
-    count: int,
-) -> dict[str, Float[np.ndarray, "r n"]]:
-    """What `count` sensors and airs of this kind add to the channels of one record; `turbulence` in m/s."""
-    n = len(next(iter(channels.values())))
-    found = {
-        name: sd * rng.standard_normal((count, n)) + noise.constant[name] * rng.standard_normal((count, 1))
-        for name, sd in noise.white.items()
-    }
-    V = np.maximum(np.asarray(channels["airspeed"]), 1.0)
-    for name in AIR_DATA:
-        if name in found:
-            along = name == "airspeed"
-            gust = turbulence * gusts(rng, count, n, dt, float(np.median(V)), across=not along)
-            found[name] += gust if along else gust / V
-    return found
-
-
-# --- What the flight path leaves of a record, and of the same record with its channels disturbed.
-
-
-def path_residuals(
-    channels: Mapping[str, Float[np.ndarray, " n"]],
-    added: Mapping[str, Float[np.ndarray, "r n"]],
-    outputs: Sequence[str],
-    accelerometer: Position,
-    dt: float,
-) -> Float[np.ndarray, "r n c"]:
-    """Recorded minus integrated from the start, for each of r disturbances of the channels of one record.
-
-    Args:
-        channels: `PATH_NEEDS`, (n,) each, SI.
-        added: what each disturbance adds to some of the channels, (r, n) each, SI.
-        outputs: which of the flight path's outputs to form.
-        accelerometer: its place from the centre of gravity, m.
-        dt: sampling interval, s.
-
-    Returns:
-        (r, n, c) in the outputs' units.
-    """
-    n, count = len(channels["q"]), len(next(iter(added.values())))
-    steps, start = np.full(n, dt), np.arange(n) == 0
-    first, last = np.zeros(n, int), np.full(n, n - 1)
-    aircraft = replace(NO_AIRCRAFT, accelerometer=accelerometer)
-    found = np.empty((count, n, len(outputs)))
-    for begin in range(0, count, TOGETHER):
-        part = slice(begin, begin + TOGETHER)
-        s = {name: channels[name] + added[name][part] if name in added else channels[name] for name in PATH_NEEDS}
-        s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
-        rates = path_rates(s, aircraft)
-        for c, name in enumerate(outputs):
-            found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
-    return found
+    deviation = np.sqrt(np.sum(response(int(20.0 / -math.log(keep)) + 1) ** 2))
+    return drawn[:, run_in:total] / float(deviation)

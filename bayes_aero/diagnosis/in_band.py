@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.design import flights_of, narrowed
 from bayes_aero.diagnosis.result import COEFFICIENTS, CausesInBand, Diagnosis, SizeInBand
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
@@ -27,12 +28,7 @@ HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sa
 
 
 def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | None:
-    """Fit the causes of the coefficients in a band; None where there are none.
-
-    Args:
-        diagnosis: by coefficients.
-        seed: of the noise that shows the bias by recording noise.
-    """
+    """Fit the causes of a diagnosis in a band; None where there are none. `seed`: of noise that shows its own bias."""
     wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None
@@ -50,10 +46,11 @@ def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | Non
     for name, cause in wanted.items():
         if name in fit.names:
             k, size = fit.names.index(name), cause.parameters[name]
-            own = float(fit.estimate[k]), float(fit.crb_corrected[k])
-            sd = _sd_of_difference(size.sd, own[1], shared[k])
-            apart = abs(own[0] - size.mean) / sd
-            sizes.append(SizeInBand(cause.name, name, size.unit, own, (size.mean, size.sd), apart))
+            x, sd = float(fit.estimate[k]), float(fit.crb_corrected[k])
+            # Of an estimate and one that rests on a part of its data, as `beside_time_domain` has it.
+            least = max(abs(sd**2 - size.sd**2), MIN_SHARE * sd**2)
+            apart = abs(x - size.mean) / float(np.sqrt(max(size.sd**2 + sd**2 - 2.0 * shared[k], least)))
+            sizes.append(SizeInBand(cause.name, name, size.unit, (x, sd), (size.mean, size.sd), apart))
     return CausesInBand(band, tuple(sizes), tuple(n for n in wanted if n not in fit.names), converged=True)
 
 
@@ -68,17 +65,9 @@ def with_sensor_errors_held(state: SelectionState) -> tuple[Model, Float[np.ndar
     return model, np.array([values[name] for name in model.names])
 
 
-def _sd_of_difference(time: float, band: float, shared: float) -> float:
-    """Of an estimate and one that rests on a part of its data, as `beside_time_domain` has it.
-
-    `shared` is the covariance of both: the share of the band in the information, times the variance in the band.
-    """
-    least = max(abs(band**2 - time**2), MIN_SHARE * band**2)
-    return float(np.sqrt(max(time**2 + band**2 - 2.0 * shared, least)))
-
-
 def _shared(fit: FrequencyFit, state: SelectionState, names: Sequence[str]) -> np.ndarray:
     """Covariance of each estimate with that of the whole record, in which the parameters `names` are free; (k,)."""
+    # The share of the band in the information, times the variance in the band.
     outputs = [state.outputs.index(name) for name in fit.inner]
     residual, S = state.residual[:, outputs], state.S[:, outputs][:, :, state.full.columns(names)]
     R = np.mean(np.square(residual), axis=0)
@@ -92,19 +81,13 @@ def _shared(fit: FrequencyFit, state: SelectionState, names: Sequence[str]) -> n
 def band_of(flights: Flights) -> Band:
     """The band that the manoeuvres excite, Hz: from two periods a record to twice the frequency below which nearly all
     power of the angular rates is, as far as the smoothing filters pass."""
-    times = sampling_times(flights)
+    times, reach = sampling_times(flights), 0.0
     low = PERIODS / min(n * dt for n, dt in zip(flights.lengths, times, strict=True))
-    reach = [_edge(flights, times, name) for name in ("p", "q", "r") if name in flights.recorded]
+    for name in (name for name in ("p", "q", "r") if name in flights.recorded):
+        for x, dt in zip(by_manoeuvre(np.asarray(flights.channels[name]), flights), times, strict=True):
+            power = np.abs(np.fft.rfft(x - x.mean())) ** 2
+            if power.sum() > 0.0:
+                share = np.cumsum(power) / power.sum()
+                reach = max(reach, float(np.fft.rfftfreq(len(x), dt)[np.searchsorted(share, POWER)]))
     passed = SMOOTHED / max(times)
-    return low, float(min(max(BEYOND * max(reach, default=0.0), HIGHEST, 4.0 * low), max(passed, 4.0 * low)))
-
-
-def _edge(flights: Flights, times: list[float], name: str) -> float:
-    """Frequency below which a channel has `POWER` of its power, the greatest of all manoeuvres, Hz."""
-    edges = []
-    for x, dt in zip(np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1]), times, strict=True):
-        power = np.abs(np.fft.rfft(x - x.mean())) ** 2
-        if power.sum() > 0.0:
-            share = np.cumsum(power) / power.sum()
-            edges.append(float(np.fft.rfftfreq(len(x), dt)[np.searchsorted(share, POWER)]))
-    return max(edges, default=0.0)
+    return low, float(min(max(BEYOND * reach, HIGHEST, 4.0 * low), max(passed, 4.0 * low)))

@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.rivals import Absorbed, CancellingPair
-from bayes_aero.diagnosis.terms.library import Term
+from bayes_aero.diagnosis.terms.library import ProductTerm
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
@@ -35,56 +35,47 @@ class Verdict(StrEnum):
     EXPLAINED = "explained"
     PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
-    UNDECIDED = "undecided"  # trajectories alone cannot tell disturbed air from a model error without a name; or a
-    # parameter of a control at rest may have taken up an effect
+    # Trajectories alone cannot tell disturbed air from a model error without a name; or a parameter of a control at
+    # rest may have taken up an effect.
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed.
+    """What a cause gains on data that were not fitted; before: with all earlier causes that are confirmed."""
 
-    `elpd` is the sum of log predictive densities gained, divided by the variance inflation;
-    `elpd_se` its deviation from sums over 10 s. `before` and `after` score each coefficient:
-    card's model, and with all so far. `degraded`: outputs that are predicted worse with it, beyond noise
-    (see `DiagnosisSettings.degrades`), with that gain.
-    """
-
-    elpd: float
-    elpd_se: float
+    elpd: float  # sum of log predictive densities gained, divided by the variance inflation
+    elpd_se: float  # its deviation from sums over 10 s
     split: str
-    before: Mapping[str, Scores]
-    after: Mapping[str, Scores]
+    before: Mapping[str, Scores]  # of each coefficient: card's model
+    after: Mapping[str, Scores]  # with all so far
+    # Outputs that are predicted worse with it, beyond noise (see `DiagnosisSettings.degrades`), with that gain.
     degraded: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One named effect. `stage` tells where it was found: the flight path (sensors) or the coefficients.
-
-    `confirmed`: unseen data miss it when it is taken out, by the log density `missed` with its deviation, and no
-    output is predicted worse with it; what is not confirmed stays out of the model that is flown and compared (see
-    `confirmation`). `rival_gains`: hold-out log density that a rival in its place has beyond it, where that was
-    compared. `joint`: other causes whose estimates are correlated with its own, and that correlation: neither size
-    holds without the other. `implausible`: parameters beyond
-    the largest size that aircraft have, with that size; `own_share`: of what it does, what no other free parameter
-    can do as well (see `credibility`).
-    """
+    """One named effect."""
 
     name: str
     kind: str
     claim: str
-    stage: str
+    stage: str  # where it was found: the flight path (sensors), or with what the model was compared
     probability: float
     p_value: float
     ambiguous_with: tuple[str, ...]
     parameters: Mapping[str, Size]
     gain: Gain
     excited: bool = True
+    # Unseen data miss it when it is taken out, by the log density `missed` with its deviation, and no output is
+    # predicted worse with it; what is not confirmed stays out of the model that is flown and compared.
     confirmed: bool = True
     missed: tuple[float, float] = (float("nan"), float("nan"))
-    implausible: Mapping[str, float] = field(default_factory=dict)
-    own_share: float = float("nan")
+    implausible: Mapping[str, float] = field(default_factory=dict)  # parameters beyond the largest size, with that
+    own_share: float = float("nan")  # of what it does, what no other free parameter can do as well
+    # Hold-out log density that a rival in its place has beyond it, where that was compared.
     rival_gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # Causes whose estimates are correlated with its own, and that correlation: neither size holds without the other.
     joint: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -105,49 +96,35 @@ class Cause:
 
 @dataclass(frozen=True)
 class UnexplainedStructure:
-    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period.
-
-    `rivals`: more effects would explain it about equally well than the record can choose among. `offsets`: where the
-    coefficient's constant differs between manoeuvres, by how much in each from that in the first, with standard errors;
-    an effect that differs only between manoeuvres cannot be told from it.
-    """
+    """Structure that no known effect explains: predicted on unseen data by a recorded channel or a period."""
 
     coefficient: str
     channel: str
     share: float  # of the remaining variance of that coefficient
     p_value: float
-    rivals: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()  # effects that explain it about equally well, more than the record can choose among
+    # Where the coefficient's constant differs between manoeuvres: by how much in each from that in the first, with
+    # standard errors; an effect that differs only between manoeuvres cannot be told from it.
     offsets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A parameter of the model that takes another value during the records; SI, standard errors count the colour.
-
-    Attributes:
-        manoeuvre: in which it changes.
-        at: when, s from that manoeuvre's begin; 0: between the one before and this one.
-        interval: of times that the record does not tell from it at 95 %.
-        lasts: whether the later manoeuvres have the value after; else they have the value before.
-        before, after, size: value, value and difference, each with its standard error.
-        share: of a coefficient's remaining variance that it explains.
-        gain: log density of parts of the manoeuvres predicted from the others, over the variance inflation.
-        ambiguous_with: other parameters (a change of each) and effects of the catalogue that explain about as much.
-    """
+    """A parameter of the model that takes another value during the records; SI, standard errors count the colour."""
 
     parameter: str
     unit: str
-    manoeuvre: str
-    at: float
-    interval: tuple[float, float]
-    lasts: bool
-    before: tuple[float, float]
+    manoeuvre: str  # in which it changes
+    at: float  # when, s from that manoeuvre's begin; 0: between the one before and this one
+    interval: tuple[float, float]  # of times that the record does not tell from it at 95 %
+    lasts: bool  # whether the later manoeuvres have the value after; else they have the value before
+    before: tuple[float, float]  # value and standard error
     after: tuple[float, float]
-    size: tuple[float, float]
-    share: float
+    size: tuple[float, float]  # their difference
+    share: float  # of a coefficient's remaining variance that it explains
     p_value: float
-    gain: float
-    ambiguous_with: tuple[str, ...] = ()
+    gain: float  # log density of parts of the manoeuvres predicted from the others, over the variance inflation
+    ambiguous_with: tuple[str, ...] = ()  # changes of other parameters, and effects, that explain about as much
 
     @property
     def between(self) -> bool:
@@ -160,14 +137,12 @@ NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond
 
 @dataclass(frozen=True)
 class OutputMiss:
-    """What simulated flights miss of one output, root mean squares in SI, and the `noise` of its sensor.
-
-    `fitted`: initial states and parameters fitted to all flights; `unseen`: from the measured initial state by the fit
-    to the others, so that the noise of that state is in it and it is no measure of the model alone.
-    """
+    """What simulated flights miss of one output, root mean squares in SI, and the `noise` of its sensor."""
 
     noise: float
-    fitted: float
+    fitted: float  # initial states and parameters fitted to all flights
+    # From the measured initial state by the fit to the others, so that the noise of that state is in it and it is no
+    # measure of the model alone.
     unseen: float
 
     @property
@@ -178,12 +153,9 @@ class OutputMiss:
 
 @dataclass(frozen=True)
 class Tested:
-    """What a diagnosis by trajectories alone has tested: `outputs` are empty where nothing was flown.
+    """What a diagnosis by trajectories alone has tested; of structure without a name only terms are sought there."""
 
-    Of structure without a name only terms of the library are sought there.
-    """
-
-    outputs: Mapping[str, OutputMiss]
+    outputs: Mapping[str, OutputMiss]  # empty where nothing was flown
 
     @property
     def beyond(self) -> tuple[str, ...]:
@@ -246,8 +218,7 @@ def verdict_of(
 ) -> Verdict:
     """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
 
-    A change of a parameter says where and when the model fails, and is no cause. `tested`: of a diagnosis by
-    trajectories alone (see `as_tested`).
+    A change of a parameter says where and when the model fails, and is no cause. `tested`: by trajectories alone.
     """
     of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):
@@ -271,13 +242,10 @@ def as_absorbed(found: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
 
 
 def as_tested(found: Verdict, tested: Tested) -> Verdict:
-    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained.
-
-    Without a cause it is undecided: disturbed air leaves such errors, too, and it is not modelled.
-    """
+    """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
     if found is Verdict.EXPLAINED and not tested.within_noise:
         return Verdict.PARTLY_EXPLAINED
-    if found is Verdict.NO_EFFECT and tested.beyond:
+    if found is Verdict.NO_EFFECT and tested.beyond:  # disturbed air leaves such errors, too, and it is not modelled
         return Verdict.UNDECIDED
     return found
 
@@ -296,20 +264,16 @@ class SensorCheck:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All records together. `uses` says of each command why it cannot work on them; empty text: it can.
-
-    `health` is what is wrong with the channels of the usable records, and `cautions` its sentences. `left_out` has a
-    sentence on each axis of the card that the records do not serve.
-    """
+    """All records together."""
 
     card: Card
     records: tuple[RecordReport, ...]
-    uses: dict[str, str]
+    uses: dict[str, str]  # of each command, why it cannot work on them; empty text: it can
     not_testable: dict[str, str]
     sensors: SensorCheck
     consistency: Consistency
-    health: tuple[HealthFinding, ...] = ()
-    left_out: tuple[str, ...] = ()
+    health: tuple[HealthFinding, ...] = ()  # what is wrong with the channels of the usable records
+    left_out: tuple[str, ...] = ()  # a sentence on each axis of the card that the records do not serve
     failures: tuple[str, ...] = ()  # of checks that went wrong themselves
 
     @property
@@ -328,25 +292,24 @@ class CheckReport:
 
 @dataclass(frozen=True)
 class SizeInBand:
-    """A parameter of a cause, SI: in the band, with its standard error, and beside the `mean` and `sd` of the
-    coefficients. `apart`: their difference in standard errors of the difference."""
+    """A parameter of a cause, SI: in the band and of the coefficients, each with its standard error."""
 
     cause: str
     parameter: str
     unit: str
     in_band: tuple[float, float]
     coefficients: tuple[float, float]
-    apart: float
+    apart: float  # their difference in standard errors of the difference
 
 
 @dataclass(frozen=True)
 class CausesInBand:
-    """`band` in Hz. `unseen`: parameters of causes that the band does not show; `converged`: whether the fit did."""
+    """Sizes of the causes in a band of frequencies."""
 
-    band: tuple[float, float]
+    band: tuple[float, float]  # Hz
     sizes: tuple[SizeInBand, ...]
-    unseen: tuple[str, ...]
-    converged: bool
+    unseen: tuple[str, ...]  # parameters of causes that the band does not show
+    converged: bool  # whether the fit did
 
 
 # --- What is reported of a form found for structure that no effect of the catalogue explains.
@@ -354,25 +317,13 @@ class CausesInBand:
 
 @dataclass(frozen=True)
 class FoundTerm:
-    """A term of a coefficient, with its factor; SI, the standard error counts the autocorrelation of the residuals.
+    """A term of a coefficient, with its factor; SI, the standard error counts the autocorrelation of the residuals."""
 
-    Attributes:
-        coefficient: to which it adds size times the term.
-        term: the product.
-        size: estimate and standard error of its factor.
-        share: of the coefficient's variance that was left without it; by trajectories and innovations, of the output
-            of which it takes the largest share.
-        gain: log density of left-out folds, divided by the variance inflation, that it gains.
-        weight: posterior probability of this term among itself and the `others`.
-        others: terms of about the same gain that these records do not tell from it, with the weight of each.
-        least: smallest factor worth modelling, by what it changes the coefficient over the swing of these flights.
-    """
-
-    coefficient: str
-    term: Term
-    size: tuple[float, float]
-    share: float
-    gain: float
-    weight: float
-    others: tuple[tuple[Term, float], ...]
-    least: float
+    coefficient: str  # to which it adds size times the term
+    term: ProductTerm
+    size: tuple[float, float]  # estimate and standard error of its factor
+    share: float  # of the variance left without it of the coefficient, or of the flown output that it explains most
+    gain: float  # log density of left-out folds, divided by the variance inflation
+    weight: float  # posterior probability of this term among itself and the `others`
+    others: tuple[tuple[ProductTerm, float], ...]  # of about the same gain, not told from it, with the weight of each
+    least: float  # smallest factor worth modelling, by what it changes over the swing of these flights

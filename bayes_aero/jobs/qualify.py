@@ -12,7 +12,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import Noise, trajectory_variance_inflation
+from bayes_aero.diagnosis.trajectories.holdout import FlightNoise, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -477,7 +477,7 @@ def _refitted(
     outputs = tuple(source.told["fitted_outputs"])
     steady = np.ones((*flown.index.shape, len(outputs)))
     fit = joint_fit(replace(flown, outputs=outputs, noise_growth=steady), model.estimate, inflation)
-    noise = Noise(inflation, Noise.of(fit).parts)
+    noise = FlightNoise(inflation, FlightNoise.of(fit).parts)
     without = fits_without(fit, noise)
     held = hold_out(flown, without, inflation, seed)
     flat = source.linear.fitted.flat if source.linear is not None else ()

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, Noise, left_out, masked
+from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, FlightNoise, left_out, masked
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.dynamics.simulated.simulate import through_gusts
 from bayes_aero.errors import InputError
@@ -255,7 +255,7 @@ def joint_fit(flown: SegmentTrajectories, theta: Float[np.ndarray, " k"], inflat
     return fit_output_error(flown, start=theta, prior_weight=inflation)
 
 
-def fits_without(fit: OutputErrorResult, noise: Noise) -> list[OutputErrorResult]:
+def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
     """For each manoeuvre the fit to all others."""
     candidate = CandidateFit("qualified", fit)
     silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}

@@ -8,7 +8,7 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.result import Cause, Gain
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.trajectories.holdout import Noise
+from bayes_aero.diagnosis.trajectories.holdout import FlightNoise
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
@@ -58,6 +58,6 @@ def fitted_to_stalls(card, model, hidden, seed):
     )
     start = np.array([TRUTH.get(p.name, p.neutral) for p in model.free])
     first = fit_output_error(whole, start=start, prior_weight=30.0)  # near enough to need no shorter windows
-    noise = Noise.of(first)
+    noise = FlightNoise.of(first)
     again = {"start": first.estimate, "departure": first.departure, "prior_weight": noise.variance_inflation}
     return flights, fit_output_error(noise.on(whole), **again), noise

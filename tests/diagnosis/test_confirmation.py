@@ -11,9 +11,8 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.screening.accuracy import filtered_channels, noise_effect, recording_noise, sizes
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
 from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.holdout import LeftOut, backward_elimination, confirmation, holdout_gain, truncated
-from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, HoldoutScore, eliminate, holdout_fits, left_out
-from bayes_aero.diagnosis.trajectories.holdout import holdout_gain as log_score_gain
+from bayes_aero.diagnosis.selection.holdout import LeftOut, backward_elimination, confirmation, truncated
+from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
@@ -73,8 +72,8 @@ def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card,
     for effects in ((), ("thrust_moment",)):
         linear, full = LeftOut.first_order(state, effects), LeftOut.refitted(truncated(state, effects))
         assert np.allclose(linear.residual.std(axis=0), full.residual.std(axis=0), rtol=0.1)
-    near = holdout_gain(LeftOut.first_order(state, ()), LeftOut.first_order(state, ("thrust_moment",)), state)
-    whole = holdout_gain(LeftOut.refitted(truncated(state, ())), LeftOut.refitted(state), state)
+    near = LeftOut.first_order(state, ("thrust_moment",)).gain(LeftOut.first_order(state, ()))
+    whole = LeftOut.refitted(state).gain(LeftOut.refitted(truncated(state, ())))
     assert near[0] == pytest.approx(whole[0], rel=0.2)
 
 
@@ -89,7 +88,7 @@ def test_without_induced_drag_which_is_neutral_at_infinity_first_order_is_exact(
     exact = np.asarray(state.responses.evaluate(state.full.at_neutral(state.theta, ["induced_drag"]))[0])
     left = state.residual + state.S[:, :, own] @ state.departure[own]
     np.testing.assert_allclose(left, exact[:, : len(NAMES)], atol=1e-9)
-    assert 0.0 < holdout_gain(LeftOut.first_order(state, ()), LeftOut.refitted(state), state)[0] < 1e4
+    assert 0.0 < LeftOut.refitted(state).gain(LeftOut.first_order(state, ()))[0] < 1e4
 
 
 # How far sizes may be off: noise that was added is read off the record, and its bias is seen and taken off
@@ -201,10 +200,10 @@ def test_what_was_flown_stays_and_first_order_tells_what_refitting_finds(stalls)
     hidden, _, (contender, fits, noise) = stalls
     told = eliminate(contender, fits, [CATALOGUE[FLOWN]], NOBODY, noise).confirmation.missed[FLOWN]
     less = replace(contender, held={"thrust_arm": 0.0})
-    outputs, noise_growth = contender.fit.flown.outputs, contender.fit.flown.growth
-    within = HoldoutScore.of(holdout_fits(contender, fits, {}), outputs, noise_growth)
-    without = HoldoutScore.of(holdout_fits(less, fits_of(less, noise), {}), outputs, noise_growth)
-    elpd, elpd_se = log_score_gain(without, within, noise.variance_inflation)
+    pairs = (contender, fits), (less, fits_of(less, noise))
+    paths = [holdout_fits(one, own, {}) for one, own in pairs]
+    within, without = (left_out_of(one, contender.fit.flown, noise.variance_inflation) for one in paths)
+    elpd, elpd_se = within.gain(without)
     assert told[0] == pytest.approx(elpd, rel=0.3), (SEED, hidden)
     assert told[1] == pytest.approx(elpd_se, rel=0.5), (SEED, hidden)
     _, absent, (contender, fits, noise) = stalls
@@ -222,6 +221,19 @@ def test_induced_drag_which_is_neutral_at_infinity_is_missed(stalls):
     assert np.all(np.isfinite(found.confirmation.missed["induced_drag"]))
 
 
+class Worth(LeftOut):
+    """Hold-out data that gain so much, all outputs together."""
+
+    def __init__(self, worth: float) -> None:
+        object.__setattr__(self, "worth", worth)
+
+    def gain(self, before):
+        return self.worth - before.worth, 1.0
+
+    def output_gains(self, before):  # noqa: ARG002
+        return {}
+
+
 @dataclass
 class Independent:
     """Additions each of which adds so much, whatever else is in; to first order it looks `factor` times as much."""
@@ -231,27 +243,24 @@ class Independent:
     refits: tuple = ()
 
     def first_order(self, effects):
-        return self.factor * sum(self.worth[e] for e in effects)
+        return Worth(self.factor * sum(self.worth[e] for e in effects))
 
     def refitted(self, effects):
         self.refits += (tuple(effects),)
-        return sum(self.worth[e] for e in effects)
+        return Worth(sum(self.worth[e] for e in effects))
 
-    def holdout_gain(self, before, after):
-        return after - before, 1.0
-
-    def output_gains(self, before, after):  # noqa: ARG002
-        return {}
+    def eliminated(self):
+        return backward_elimination(tuple(self.worth), self.first_order, self.refitted)
 
 
 def test_additions_go_out_the_least_missed_first_and_are_fitted_again_in_doubt():
     unseen = Independent({"a": 9.0, "b": 1.0, "c": -3.0, "d": 2.0})
-    found = backward_elimination(tuple(unseen.worth), unseen)
+    found = unseen.eliminated()
     assert found.kept == ("a", "d")
     assert found.missed == {name: (worth, 1.0) for name, worth in unseen.worth.items()}
     assert list(found.missed) == list(unseen.worth)
     assert unseen.refits == (tuple("abcd"), tuple("abd"), tuple("ad"), ("a",))  # without a nothing was fitted
     unseen = Independent({"a": 9.0, "b": 3.0}, factor=2.0)
-    found = backward_elimination(tuple(unseen.worth), unseen)
+    found = unseen.eliminated()
     assert found.kept == ("a", "b")
     assert unseen.refits == ()

@@ -11,17 +11,25 @@ from stranger_six import Plane, drawn, fly
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import standard
-from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed, structure_of
+from bayes_aero.diagnosis.diagnose import (
+    as_structure,
+    attributed,
+    diagnose,
+    judged_on_held_out_flights,
+    own_share,
+    sensors_not_missed,
+    stand_ins,
+    structure_of,
+)
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict, verdict_of
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible
 from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.search.stages import SearchResult
+from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import forward_selection as selecting
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.gains import as_structure, attributed, own_share, stand_ins
 from bayes_aero.diagnosis.selection.holdout import Confirmation
 from bayes_aero.diagnosis.selection.rivals import cancelling
 from bayes_aero.diagnosis.settings import DEFAULT
@@ -120,7 +128,7 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
         full = part(CandidateModel, candidates=tuple(CATALOGUE[n] for n in ("alpha_dot_lift", "mach_drag")))
         base, state = (part(SelectionState, full=full, active=names) for names in ((), active))
         sizes = {"CLadot": Size(size, 20.0, "1"), "CDM": Size(0.1, 0.01, "1")}
-        no_fit = part(Fit)
+        no_fit = part(RegressionFit)
         return Extension(base, no_fit, state, no_fit, (), sizes, active, ())
 
     asked: list[tuple[str, ...]] = []

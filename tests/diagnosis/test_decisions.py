@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,22 +16,18 @@ from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.result import Cause, Diagnosis
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.screening import ScreeningResult
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.search.stages import SearchResult
+from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import holdout
 from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import (
-    Confirmation,
-    LeftOut,
-    backward_elimination,
-    holdout_gain,
-    output_gains,
-)
+from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure import unexplained
-from bayes_aero.diagnosis.trajectories.holdout import HoldoutScore, _Flight
+from bayes_aero.diagnosis.trajectories.holdout import left_out_of
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
@@ -78,24 +75,19 @@ def test_a_diagnosis_has_no_contradictions_nor_where_held_out_flights_deny_it(di
     assert "with it they are predicted worse: log density of q -111.6 ± 20.0" in told
 
 
-class Told:
-    """Hold-out data, by what each addition gains: of all, and of Cm."""
+class Told(LeftOut):
+    """Hold-out data with these additions, by what each gains: of all, and of Cm."""
 
-    def __init__(self, all_of: dict[str, tuple[float, float]], of_Cm: dict[str, tuple[float, float]]) -> None:
-        self.all_of, self.of_Cm = all_of, of_Cm
+    def __init__(self, effects: Sequence[str], all_of: dict, of_Cm: dict) -> None:
+        object.__setattr__(self, "known", (frozenset(effects), all_of, of_Cm))
 
-    def first_order(self, effects: Sequence[str]) -> frozenset[str]:
-        return frozenset(effects)
+    def gain(self, before) -> tuple[float, float]:
+        (name,) = self.known[0] - before.known[0]
+        return self.known[1][name]
 
-    refitted = first_order
-
-    def holdout_gain(self, before: frozenset[str], after: frozenset[str]) -> tuple[float, float]:
-        (name,) = after - before
-        return self.all_of[name]
-
-    def output_gains(self, before: frozenset[str], after: frozenset[str], /) -> dict[str, tuple[float, float]]:
-        (name,) = after - before
-        return {"CL": (1.0, 0.5), "Cm": self.of_Cm[name]}
+    def output_gains(self, before) -> dict[str, tuple[float, float]]:
+        (name,) = self.known[0] - before.known[0]
+        return {"CL": (1.0, 0.5), "Cm": self.known[2][name]}
 
 
 @pytest.mark.parametrize(("of_Cm", "kept"), [
@@ -104,9 +96,9 @@ class Told:
     ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
 ])  # fmt: skip
 def test_a_cause_with_which_a_coefficient_is_predicted_worse_is_not_kept(of_Cm, kept):
-    told = Told({"rudder_moment": (90.0, 5.0), "drag_offset": (80.0, 4.0)},
-                {"rudder_moment": of_Cm, "drag_offset": (0.0, 0.0)})  # fmt: skip
-    found = backward_elimination(("rudder_moment", "drag_offset"), told)
+    gains = {"rudder_moment": (90.0, 5.0), "drag_offset": (80.0, 4.0)}
+    told = partial(Told, all_of=gains, of_Cm={"rudder_moment": of_Cm, "drag_offset": (0.0, 0.0)})
+    found = backward_elimination(("rudder_moment", "drag_offset"), told, told)
     assert found.kept == kept
     assert found.harmed == ({} if "rudder_moment" in kept else {"rudder_moment": {"Cm": of_Cm}})
 
@@ -116,18 +108,12 @@ def test_the_gain_of_each_coefficient_is_that_of_its_mean_square():
     rng, n = np.random.default_rng(6), 200
     before = rng.standard_normal((n, 3))
     after = before * np.array([0.1, 1.0, np.sqrt(9.7 / 1.04)])  # R2 of Cm from -0.04 to -8.70
-    left = [LeftOut(x, np.ones((n, 3)), np.ones(n, bool), ("CL", "CD", "Cm")) for x in (before, after)]
-    responses = SimpleNamespace(
-        model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), flights=SimpleNamespace(lengths=(100, 100))
-    )
-    state = part(
-        SelectionState, responses=responses, outputs=("CL", "CD", "Cm"), folds=(slice(0, 100), slice(100, n)),
-        variance_inflation=2.0,
-    )  # fmt: skip
-    gains = output_gains(*left, state)
+    plain = np.ones((n, 3)), np.ones(n, bool), ("CL", "CD", "Cm"), (100, 100), 2.0
+    less, whole = (LeftOut(x, *plain) for x in (before, after))
+    gains = whole.output_gains(less)
     expected = {"CL": 50.0 * np.log(100.0), "CD": 0.0, "Cm": -50.0 * np.log(9.7 / 1.04)}
     assert {name: gain for name, (gain, _) in gains.items()} == pytest.approx(expected, abs=1e-9)
-    assert holdout_gain(*left, state)[0] == pytest.approx(sum(expected.values()))
+    assert whole.gain(less)[0] == pytest.approx(sum(expected.values()))
     assert sum(expected.values()) > 0.0  # all together they confirm it
     assert DEFAULT.degrades(*gains["Cm"])
 
@@ -143,16 +129,21 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
         return noise * np.array([0.1, 1.0, np.sqrt(9.7 / 1.04)]) if effects else noise
 
     if compared == "trajectories":
-        flown = SimpleNamespace(fit=SimpleNamespace(flown=SimpleNamespace(outputs=outputs)))
-        for name in ("first_order", "refitted"):
-            monkeypatch.setattr(_Flight, name, lambda _, effects: HoldoutScore(tuple(np.split(left(effects), 2))))
-        unseen = part(_Flight, contender=flown, noise=SimpleNamespace(variance_inflation=2.0))
-        found = backward_elimination(("rudder_moment",), unseen)
+        flown = part(
+            SegmentTrajectories, outputs=outputs, noise_growth=np.ones((2, 100, 3)), inside=np.ones((2, 100), bool)
+        )
+
+        def unseen(effects):
+            rest = {"simulated": dict.fromkeys(outputs, np.zeros(100)), "inside": True}
+            halves = [dict(zip(outputs, x.T, strict=True)) for x in np.split(left(effects), 2)]
+            paths = [part(SimulatedManoeuvre, measured=x, **rest) for x in halves]
+            return left_out_of(paths, flown, 2.0)
+
+        found = backward_elimination(("rudder_moment",), unseen, unseen)
     else:
-        for name in ("first_order", "refitted"):
-            unseen = lambda *told: LeftOut(left(told[-1]), np.ones((n, 3)), np.ones(n, bool), outputs)
-            monkeypatch.setattr(LeftOut, name, unseen)
-        monkeypatch.setattr(holdout, "truncated", lambda _, effects: effects)
+        monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
+        monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
+        monkeypatch.setattr(holdout, "truncated", lambda state, effects: (state, effects))
         parts = np.arange(n) if compared == "innovations" else None
         responses = SimpleNamespace(
             model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
@@ -161,6 +152,7 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
         found = holdout.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
+            theta=np.zeros(0), S=np.zeros((n, 3, 1)), noise_growth=np.ones((n, 3)),
         ))  # fmt: skip
     assert found.missed["rudder_moment"][0] == pytest.approx(50.0 * np.log(100.0 * 1.04 / 9.7))
     if compared == "flight path":
@@ -315,7 +307,7 @@ def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
 def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, deviations, told):
     """Two manoeuvres: p = erfc(d / sqrt 2) of an offset of d standard errors, .72 at 0.358 and .05 at 1.96."""
     at, step = np.array([0, 1]), np.array([0.0, deviations * np.sqrt(2.0)])
-    fit, less = (Fit(at, step, np.eye(2), np.array([variance]), 0.0) for variance in (1.0, 1.25))
+    fit, less = (RegressionFit(at, step, np.eye(2), np.array([variance]), 0.0) for variance in (1.0, 1.25))
     state = part(
         SelectionState, apart=("Cm",), theta=np.zeros(0), nuisance=2, variance_inflation=1.0, folds=(),
         full=part(CandidateModel, settings=DEFAULT),
@@ -324,7 +316,7 @@ def test_an_offset_between_manoeuvres_is_told_only_beyond_chance(monkeypatch, de
     monkeypatch.setattr(SelectionState, "fit", lambda one: fit if one.apart else less)
     monkeypatch.setattr(SelectionState, "left", lambda *_: np.zeros((18, 1)))
     for name, given in {
-        "moved": lambda *_, **__: part(SelectionState, apart=()), "autocorrelation_of": lambda *_: None,
+        "moved": lambda *_, **__: part(SelectionState, apart=()),
         "screen": lambda *_, **__: part(ScreeningResult, candidate_scores=()), "uncertainty": lambda *_: np.eye(2),
     }.items():  # fmt: skip
         monkeypatch.setattr(unexplained, name, given)

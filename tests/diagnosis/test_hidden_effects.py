@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
 from bayes_aero.diagnosis.result import TRAJECTORIES, Verdict
 from bayes_aero.diagnosis.screening.regression import Products
-from bayes_aero.diagnosis.search.stages import search_in_stages
+from bayes_aero.diagnosis.search import search_in_stages
 from bayes_aero.diagnosis.selection.forward_selection import noise_shares
 from bayes_aero.diagnosis.selection.holdout import integrated_deviance
 from bayes_aero.effects import CATALOGUE

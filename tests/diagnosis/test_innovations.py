@@ -9,10 +9,10 @@ import stranger_six
 from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 
 from bayes_aero.diagnosis import diagnose as diagnosis
+from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
 from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
-from bayes_aero.diagnosis.search import searches
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.output_error import GUSTS
@@ -37,7 +37,7 @@ def found(record, hfb320):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(searches, "fit_disturbed", lambda *a, **k: fits.append(fit(*a, **k)) or fits[-1])
         settings = DiagnosisSettings(max_effects=3)
-        result = searches.search_innovations([record], hfb320, Model.from_card(hfb320), (), settings, seed=0)
+        result = searches.Search([record], hfb320, Model.from_card(hfb320), (), settings, 0).innovations()
     return result, fits[0][1]
 
 
@@ -146,11 +146,11 @@ def test_a_diagnosis_compares_with_innovations_in_gusts(hfb320, monkeypatch, gus
 
         return search
 
-    for name in ("search_innovations", "search_coefficients", "search_trajectories"):
-        monkeypatch.setattr(diagnosis, name, begun(name))
+    for name in ("innovations", "coefficients", "trajectories"):
+        monkeypatch.setattr(searches.Search, name, begun(name))
     with pytest.raises(SearchedError) as found:
         diagnosis.diagnose([gusty_flight(4, gust=gust, seconds=20.0)], hfb320, process_noise=given)
-    assert (str(found.value) == "search_innovations") is expected
+    assert (str(found.value) == "innovations") is expected
 
 
 @pytest.mark.parametrize(("gust", "given", "expected"), DECISIONS)

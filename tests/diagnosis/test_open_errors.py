@@ -21,7 +21,7 @@ from bayes_aero.diagnosis.consistency import (
 )
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.effects import CATALOGUE
@@ -142,7 +142,7 @@ def test_the_flight_path_is_selected_again_without_an_error_larger_than_sensors_
         return part(SelectionState, full=own, active=names[:2] if len(asked) == 1 else names[2:])
 
     def selected(state, **_):
-        no_fit, base = part(Fit), part(SelectionState, active=())
+        no_fit, base = part(RegressionFit), part(SelectionState, active=())
         sizes = {"airspeed_scale": Size(-0.06, 0.01, "1"), "airspeed_bias": Size(10.7, 0.5, "m/s"),
                  "alpha_scale": Size(0.1, 0.01, "1")}  # fmt: skip
         return Extension(base, no_fit, state, no_fit, (), sizes, state.active, ())

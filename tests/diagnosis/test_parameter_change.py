@@ -9,15 +9,15 @@ from scipy import stats
 from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis.consistency import check_sensors, screen_sensor_errors
+from bayes_aero.diagnosis import search as stages
+from bayes_aero.diagnosis.candidate_set import manoeuvres
+from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.search import stages
-from bayes_aero.diagnosis.selection.block_jackknife import Blocks
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, manoeuvres, spans, with_components
+from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, spans
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
 
@@ -114,7 +114,7 @@ def test_spans_are_blocks_of_a_manoeuvre_but_those_at_its_ends():
 def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
     """Against the library's least squares with the column written out; priors are rows of their own."""
     own = diagnosed.view.diagnosis.aerodynamics.state
-    state = with_components(own, (), (), manoeuvres(own))
+    state = own.with_components((), (), manoeuvres(own.responses.manoeuvre))
     fit, columns = state.fit(), state.full.columns(["Cm0", "CLaM"])
     over = [Span(0, 100, 200), Span(0, 170, len(state.residual))]
     sound = np.zeros((*state.residual.shape, len(columns)))
@@ -148,7 +148,7 @@ def test_a_change_is_what_least_squares_with_its_column_finds(diagnosed):
 def test_the_share_of_noise_is_that_of_the_normal_equations(diagnosed):
     """Noise over what is left of a column beside all others: the diagonal of the inverse of the information."""
     own = diagnosed.view.diagnosis.aerodynamics.state
-    state = with_components(own, (), (), manoeuvres(own))
+    state = own.with_components((), (), manoeuvres(own.responses.manoeuvre))
     fit, columns, span = state.fit(), state.full.columns(["CLaM"]), Span(0, 100, 200)
     noise = 0.1 * np.random.default_rng(1).standard_normal((*state.residual.shape, 1))
     shares = ChangeScan(state, fit, columns, [span], noise).noise_shares[:, 0, 0]

@@ -21,9 +21,8 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
 )
 from bayes_aero.diagnosis.screening.regression import Products, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.block_jackknife import profiles
 from bayes_aero.diagnosis.selection.holdout import LeftOut
-from bayes_aero.diagnosis.view.models import compared
+from bayes_aero.diagnosis.view.models import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Stage
@@ -124,11 +123,11 @@ def test_middles_are_the_blocks_of_the_whole(problem):
     _, S, _, folds = problem
     colour = Autocorrelation(np.array([[0.8, 0.1, 0.0], [0.3, 0.0, 0.2], [0.95, 0.0, 0.0]]), np.array([0.1, 1.0, 0.01]))
     variance, places = np.array([0.02, 1.3, 0.001]), [np.array([0]), np.array([1, 3]), np.array([2, 3, 4])]
-    diagonal, (first, second) = Middle(S, variance, folds, places).under(colour, [1, 2])
+    diagonal, blocks = Middle(S, variance, folds, places).under_each([colour], [1, 2])
     whole = colour.meat(S, variance, folds)
-    np.testing.assert_allclose(diagonal, np.diag(whole), rtol=1e-10)
-    np.testing.assert_allclose(first, whole[np.ix_(places[1], places[1])], rtol=1e-10)
-    np.testing.assert_allclose(second, whole[np.ix_(places[2], places[2])], rtol=1e-10)
+    np.testing.assert_allclose(diagonal[0], np.diag(whole), rtol=1e-10)
+    for block, place in zip(blocks, places[1:], strict=True):
+        np.testing.assert_allclose(block[0], whole[np.ix_(place, place)], rtol=1e-10)
 
 
 def test_no_noise_and_no_information_leave_numbers(problem, recwarn):
@@ -204,10 +203,10 @@ def test_a_comparison_by_manoeuvre_is_the_difference_of_plain_scores():
     manoeuvre = np.repeat([0, 1], [m - second, second])
     measured = np.cumsum(rng.standard_normal((m, 3)), axis=0)
     noise_growth = 1.0 + rng.uniform(0.0, 3.0, (m, 1)) * np.ones(3)
-    before, after = (
-        LeftOut(size * rng.standard_normal((m, 3)), noise_growth, np.ones(m, bool), NAMES) for size in (2.0, 1.0)
-    )
+    residuals = [size * rng.standard_normal((m, 3)) for size in (2.0, 1.0)]
     variance_inflation = rng.uniform(1.0, 9.0)
+    given = noise_growth, np.ones(m, bool), NAMES, (m - second, second), variance_inflation
+    before, after = (LeftOut(residual, *given) for residual in residuals)
     state = part(
         SelectionState, responses=SimpleNamespace(manoeuvre=manoeuvre), variance_inflation=variance_inflation,
         outputs=NAMES,

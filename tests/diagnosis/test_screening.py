@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.screening import accuracy
 from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation
 from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression
-from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
 from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult, block_jackknife_covariance
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection import forward_selection
@@ -52,7 +52,7 @@ def projected():
     residual -= residual.mean(axis=0)
     state = part(SelectionState, S=S, noise_growth=np.ones((n, 3)), folds=(slice(0, 1200), slice(1200, n)))
     variance = residual.var(axis=0)
-    fit = Fit(np.array([0]), np.zeros(1), np.array([[n * np.sum(1.0 / variance)]]), variance, 0.0)
+    fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[n * np.sum(1.0 / variance)]]), variance, 0.0)
     return PartialledRegression(state, fit, [np.array([1]), np.array([2])]), residual
 
 
@@ -103,7 +103,7 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
         theta=np.array([found]), residual=(y - found * beta)[:, None], S=beta[:, None, None],
         noise_growth=np.ones((n, 1)),
     )  # fmt: skip
-    fit = Fit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
+    fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
     ((low, high),) = accuracy.largest_noise_bias(state, fit).values()
     exact = -left / (found * np.mean(beta**2))
     assert sorted((low, high)) == pytest.approx(sorted((0.0, exact)), rel=0.05, abs=1e-6)
@@ -120,7 +120,7 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(monkeypatch, scores, named)
     full = part(CandidateModel, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
     state = part(SelectionState, active=("cg_shift",), full=full)
     monkeypatch.setattr(forward_selection, "largest_noise_bias", lambda *_: {})
-    fit = Fit(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.ones(1), 0.0)
+    fit = RegressionFit(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.ones(1), 0.0)
     causes, minor = worth(state, fit, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))
     assert scores[0] > DEFAULT.least_score or not named

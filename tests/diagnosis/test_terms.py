@@ -19,8 +19,8 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.result import FoundTerm
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.selection.forward_selection import forward_selection
-from bayes_aero.diagnosis.terms.flown import flown_forms
-from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, Term, library
+from bayes_aero.diagnosis.terms.forms import flown_forms
+from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, ProductTerm, library
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.output_channels import FLIGHT
@@ -55,7 +55,7 @@ BY_NAME = {q.name: q for q in (*QUANTITIES, SEPARATED)}
 
 
 def product(*names):
-    return Term(tuple(BY_NAME[name] for name in names))
+    return ProductTerm(tuple(BY_NAME[name] for name in names))
 
 
 def terms(*, lateral=False, separated=True):
@@ -206,7 +206,7 @@ def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_that_a_file_st
     np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
     # Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear.
     model = Model.from_card(hfb320)
-    term = Term((BY_NAME["alpha"], BY_NAME["alpha"], BY_NAME["qhat"]))
+    term = product("alpha", "alpha", "qhat")
     path, step = tmp_path / "found.py", 1e-3
     path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
     records = [gusty_flight(5, seconds=20.0)]
@@ -269,7 +269,7 @@ def test_terms_change_innovations_as_the_parameter_of_the_card_and_the_effect_of
     known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
     np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())  # the card's tail arm is 1e9 m
     # Central differences of innovations with the effect, the gains held; between samples alpha elevator is linear.
-    term = Term((BY_NAME["alpha"], BY_NAME["elevator"]))
+    term = product("alpha", "elevator")
     path, step = tmp_path / "found.py", 1e-3
     path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
     model = responses.model.extended(*own_effects([path]).values())

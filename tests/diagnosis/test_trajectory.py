@@ -5,30 +5,31 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from parts import fitted_to_stalls
+from parts import fitted_to_stalls, part
 from scipy.stats import norm
 
 from bayes_aero.diagnosis import result
+from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested
 from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
-from bayes_aero.diagnosis.search import searches
-from bayes_aero.diagnosis.search.searches import in_windows
+from bayes_aero.diagnosis.search import in_windows
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.trajectories.histories import fly_given
 from bayes_aero.diagnosis.trajectories.holdout import (
     CandidateFit,
-    HoldoutScore,
     confirmed,
     holdout_fits,
     left_out,
+    left_out_of,
     with_lag,
 )
 from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
 from bayes_aero.diagnosis.trajectories.trajectories import beyond_noise, compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -241,7 +242,9 @@ LENGTHS = (90, 91)  # the halves of a manoeuvre with an odd number of samples
 
 def test_log_scores_and_figures_of_segments_of_different_length():
     rng = np.random.default_rng(1)
-    missed, noise_growth = [rng.standard_normal((n, 1)) for n in LENGTHS], [np.full((n, 1), 2.0) for n in LENGTHS]
+    missed, longest = [rng.standard_normal((n, 1)) for n in LENGTHS], max(LENGTHS)
+    real = np.arange(longest) < np.array(LENGTHS)[:, None]
+    flown = part(SegmentTrajectories, outputs=("q",), noise_growth=np.full((2, longest, 1), 2.0), inside=real)
     paths = [
         SimulatedManoeuvre(
             "run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))}
@@ -251,7 +254,7 @@ def test_log_scores_and_figures_of_segments_of_different_length():
     expected = np.concatenate(missed)[:, 0] / 2.0
     density = norm.logpdf(expected, scale=np.sqrt(np.mean(expected**2)))
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
-        found = HoldoutScore.of(paths, ("q",), noise_growth)
+        found = left_out_of(paths, flown, 1.0)
     assert found.density() == pytest.approx(density)
     # White noise of variance 2: no correlation beyond lag 0, and twice the variance over the sampling rate.
     rng = np.random.default_rng(2)
@@ -283,8 +286,9 @@ def asked(card, hidden, seed):
     fits: dict[str, list] = {"extended": [], "lagged": []}
     for name, found in left_out((plain, lagged), silent, noise):
         fits[name].append(found)
-    without, within = (holdout_fits(c, fits[c.name], {}) for c in (plain, lagged))
-    return confirmed(lag, without, within, OUTPUTS, fit.flown.growth, noise.variance_inflation), lagged
+    paths = [holdout_fits(c, fits[c.name], {}) for c in (plain, lagged)]
+    without, within = (left_out_of(one, fit.flown, noise.variance_inflation) for one in paths)
+    return confirmed(lag, without, within), lagged
 
 
 @pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
@@ -323,15 +327,20 @@ def path(errors, name="a"):
 def test_the_gain_on_unseen_flight_is_that_of_normal_densities():
     """Half the error gains n log 2 over the colour's cost; a noise_growth that both share changes nothing of it."""
     n, rng = 400, np.random.default_rng(2)
-    one = np.ones((n, 1))
+    seen = np.ones((2, n), bool)
     noise = [{"alpha": rng.standard_normal(n)} for _ in range(2)]
     before, after = ([path({k: s * x for k, x in e.items()}) for e in noise] for s in (1.0, 0.5))
     tried = LagTest("separation_lag", 5.0)
-    found = confirmed(tried, before, after, ("alpha",), [one] * 2, 10.0)
+
+    def judged(without, lagged, growth=1.0):
+        flown = part(SegmentTrajectories, outputs=("alpha",), noise_growth=growth * np.ones((2, n, 1)), inside=seen)
+        return confirmed(tried, *(left_out_of(paths, flown, 10.0) for paths in (without, lagged)))
+
+    found = judged(before, after)
     assert found.kept
     assert found.unseen[0] == pytest.approx(2 * n * np.log(2.0) / 10.0)
-    swollen = confirmed(tried, before, after, ("alpha",), [3.0 * one] * 2, 10.0)
+    swollen = judged(before, after, 3.0)
     assert swollen.unseen[0] == pytest.approx(found.unseen[0])
-    worse = confirmed(tried, after, before, ("alpha",), [one] * 2, 10.0)
+    worse = judged(after, before)
     assert not worse.kept
     assert worse.unseen[0] == pytest.approx(-found.unseen[0])

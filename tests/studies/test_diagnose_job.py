@@ -15,7 +15,7 @@ from calling import page_of, validated
 from simulated_halves import halves
 
 from bayes_aero.diagnosis import candidate_set
-from bayes_aero.diagnosis.selection.gains import NO_GAIN
+from bayes_aero.diagnosis.diagnose import NO_GAIN
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.record import FlightRecord

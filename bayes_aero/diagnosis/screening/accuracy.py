@@ -9,21 +9,22 @@ simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 8
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import linprog
 
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.screening.parameter_fit import local_fit
-from bayes_aero.diagnosis.screening.regression import Fit, inverse
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
 from bayes_aero.model.joined_records import Recorded
+from bayes_aero.parameter import Parameter
 
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
@@ -34,15 +35,12 @@ FILTERED = -0.5  # lag-1 correlation of third differences above which they are n
 
 @dataclass(frozen=True)
 class Size:
-    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`.
-
-    `at_bound`: the fit wants to go on beyond the parameter's bounds, so this is no measurement of it.
-    """
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
 
     mean: float
     sd: float
     unit: str
-    at_bound: bool = False
+    at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -51,8 +49,7 @@ class Size:
 
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
-    """Parameters (1/e for one whose neutral value is infinite) whose estimate is beyond the largest plausible size,
-    whatever its deviation; with that size."""
+    """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size; that."""
     found = {}
     for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
         largest = effect.sizes[p.name][1]
@@ -75,17 +72,15 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
 
 def recording_noise(flights: Recorded) -> dict[str, float]:
     """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
-    return {name: noise_of(*_parts(flights, name)) for name in flights.recorded}
+    return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
 
 
 def filtered_channels(flights: Recorded) -> tuple[str, ...]:
-    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
-
-    Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
-    """
+    """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
+    # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
     found = []
     for name in (name for name in REGRESSORS if name in flights.recorded):
-        rough = np.concatenate([np.diff(part, 3) for part in _parts(flights, name)])
+        rough = np.concatenate([np.diff(part, 3) for part in by_manoeuvre(np.asarray(flights.channels[name]), flights)])
         limit = 5.0 * np.median(np.abs(rough))
         inside = np.clip(rough, -limit, limit)
         if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
@@ -93,25 +88,19 @@ def filtered_channels(flights: Recorded) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
-    """A channel, manoeuvre by manoeuvre."""
-    return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
-
-
 def noise_effect(
-    state: SelectionState, fit: Fit, seed: int = 0
+    state: SelectionState, fit: RegressionFit, seed: int = 0
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
 
-    `state` is at its optimum. Each record with noise takes one Gauss-Newton step from there. Columns that are no
-    parameters get zeros.
-    """
+    `state` is at its optimum. Columns that are no parameters get zeros."""
     flights = state.responses.flights
     noise, rng = recording_noise(flights), np.random.default_rng(seed)
     parameters = fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
     def step(extra: dict[str, np.ndarray], sign: float) -> np.ndarray:
+        """The Gauss-Newton step from the optimum with more noise."""
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
@@ -130,7 +119,7 @@ def noise_effect(
     return bias, spread
 
 
-def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[str, tuple[float, float]]:
+def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
     the residuals permit.
 
@@ -138,13 +127,12 @@ def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[s
     to the output, sum up to no more than is left. The bias is linear in these variances, too. Slow noise cannot be told
     from motion in a channel by itself, so it is not estimated: it may be `SLOW` times what is read off as white.
 
-    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables).
-    """
+    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables)."""
     flights, rng = state.responses.flights, np.random.default_rng(seed)
     parameters = fit.columns < len(state.theta)
     at, own = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, own)]
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
+    keep = state.kept_outputs
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
     biases, added = [], []
     for name, sd in recording_noise(flights).items():
@@ -163,41 +151,49 @@ def largest_noise_bias(state: SelectionState, fit: Fit, seed: int = 1) -> dict[s
     scale = np.maximum(np.max(added, axis=1), 1e-12)  # a channel that adds to no output has no bias either
     limits = np.array(added).T / scale
     most = [(0.0, min(1.0, SLOW * float(x))) for x in scale]
-    found = {}
-    for column, row in zip(fit.columns[np.isin(fit.columns, own)], np.array(biases).T / scale, strict=True):
-        lowest, highest = (sign * _least(sign * row, limits, most) for sign in (1.0, -1.0))
-        found[state.full.model.names[column]] = (float(lowest), float(highest))
-    return found
+
+    def least(row: Float[np.ndarray, " f"]) -> float:
+        """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
+        size = float(np.max(np.abs(row)))
+        if size == 0.0:
+            return 0.0
+        found = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
+        return float(size * found) if found is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
+
+    names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, own)]]
+    return {name: (least(row), -least(-row)) for name, row in zip(names, np.array(biases).T / scale, strict=True)}
 
 
-def _least(row: Float[np.ndarray, " f"], limits: Float[np.ndarray, "c f"], most: list[tuple[float, float]]) -> float:
-    """Least of row x with limits x <= 1 and x within `most`; without the limits where the solver fails."""
-    size = float(np.max(np.abs(row)))
-    if size == 0.0:
-        return 0.0
-    least = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
-    return float(size * least) if least is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
+def normal_draws(
+    mean: Float[np.ndarray, " k"],
+    columns: Int[np.ndarray, " j"],
+    covariance: Float[np.ndarray, "j j"],
+    parameters: Sequence[Parameter],
+    seed: int,
+    count: int,
+) -> Float[np.ndarray, "r k"]:
+    """Parameters drawn from the normal distribution of estimates, `columns` of which vary, within their bounds."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    white = np.random.default_rng(seed).standard_normal((count, len(columns)))
+    draws = np.tile(mean, (count, 1))
+    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
+    lower, upper = np.array([p.bounds for p in parameters], float).reshape(-1, 2).T
+    return np.clip(draws, np.minimum(lower, mean), np.maximum(upper, mean))
 
 
-def sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
-    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it.
-
-    Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may show
-    less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias, which
-    is itself known to first order only: it counts as a deviation, too.
-    """
-    colour = autocorrelation_of(state.left(fit), state.folds)
-    variance = np.maximum(np.diag(uncertainty(state, fit, colour)), 0.0)
+def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
+    """Every active parameter with its deviation: what coloured residuals leave, what recording noise makes of it."""
+    # Recording noise that is integrated along the flight path wanders, and the fit follows it, so the residuals may
+    # show less of it than there is: the larger of both deviations counts. The mean is the estimate without its bias,
+    # which is itself known to first order only: it counts as a deviation, too.
+    variance = np.maximum(np.diag(uncertainty(state, fit)), 0.0)
     bias, spread = noise_effect(state, fit)
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
-    free = state.full.model.free
-    return {
-        free[c].name: Size(
-            float(np.clip(state.theta[c] - shift, *free[c].bounds)),
-            float(sd),
-            free[c].unit,
-            bool(np.any(np.abs(state.theta[c] - np.array(free[c].bounds)) < AT_BOUND * abs(state.theta[c]))),
-        )
-        for c, shift, sd in zip(fit.columns, bias, deviation, strict=True)
-        if c < len(free)
-    }
+    found, free = {}, state.full.model.free
+    for c, shift, sd in zip(fit.columns, bias, deviation, strict=True):
+        if c < len(free):
+            mean, (low, high) = state.theta[c], free[c].bounds
+            at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)
+            found[free[c].name] = Size(float(np.clip(mean - shift, low, high)), float(sd), free[c].unit, bool(at_bound))
+    return found

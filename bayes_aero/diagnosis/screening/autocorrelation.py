@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.inference.covariance import autoregression, filtered_noise, stationary_coefficients, stationary_series
@@ -42,11 +42,9 @@ class Autocorrelation:
     def meat(
         self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]
     ) -> Float[np.ndarray, "k k"]:
-        """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance.
-
-        S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.coloured`.
-        """
-        return Middle(S, variance, folds, [np.arange(S.shape[2])]).under(self, [0])[1][0]
+        """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance."""
+        # S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.covariance`.
+        return Middle(S, variance, folds, [np.arange(S.shape[2])]).under_each([self], [0])[1][0][0]
 
 
 def white_noise(
@@ -62,8 +60,7 @@ def white_noise(
 
 
 class SharedNoise:
-    """`white_noise` of one seed, drawn once for all who are judged by it: that which corrects autocorrelations, and
-    that which p-values count."""
+    """`white_noise` of one seed, drawn once for what corrects autocorrelations and for what p-values count."""
 
     def __init__(self, seed: int, folds: Sequence[slice], outputs: int, settings: DiagnosisSettings) -> None:
         self._rng = np.random.default_rng(seed)
@@ -85,9 +82,7 @@ class SharedNoise:
 class Middle:
     """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours.
 
-    The columns of each fold and output, divided by the output's variance, the last block first, stand side by side;
-    shorter folds rest before they begin.
-    """
+    The columns of each fold and output, divided by the output's variance, stand side by side, the last block first."""
 
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
@@ -107,20 +102,17 @@ class Middle:
         self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
         self.begin = np.cumsum([0, *(len(used) for used in self.used)])
 
-    def under(self, colour: Autocorrelation, wide: Sequence[int]) -> tuple[Float[np.ndarray, " k"], list[np.ndarray]]:
-        """The diagonal over all columns, and the whole of the sets numbered `wide`."""
-        diagonal, whole = self.under_each([colour], wide)
-        return diagonal[0], [total[0] for total in whole]
-
     def under_each(
         self, colours: Sequence[Autocorrelation], wide: Sequence[int]
     ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
-        """`under` of r colours: (r, k), and (r, w, w) of each set."""
+        """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
         diagonal = np.zeros((len(colours), self.width))
         whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
         for first in range(0, len(colours), TOGETHER):
             part = slice(first, first + TOGETHER)
-            shaped = self._shaped(colours[part])
+            phi = np.stack([colour.phi[self.output].T for colour in colours[part]], axis=1)
+            sigma = np.stack([colour.sigma[self.output] for colour in colours[part]])
+            shaped = filtered_noise(phi, sigma * self.rows[:, None, :])  # the columns as each colour filters them
             squares = np.einsum("trn,trn->rn", shaped, shaped)
             for used, begin in zip(self.used, self.begin, strict=False):
                 diagonal[part, used] += squares[:, begin : begin + len(used)]
@@ -133,12 +125,6 @@ class Middle:
             if len(self.places[j]) == 1:
                 total[:, 0] = diagonal[:, self.places[j]]
         return diagonal, whole
-
-    def _shaped(self, colours: Sequence[Autocorrelation]) -> Float[np.ndarray, "t r n"]:
-        """The columns as the autoregression of each colour filters them."""
-        phi = np.stack([colour.phi[self.output].T for colour in colours], axis=1)
-        sigma = np.stack([colour.sigma[self.output] for colour in colours])
-        return filtered_noise(phi, sigma * self.rows[:, None, :])
 
 
 def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
@@ -157,14 +143,18 @@ def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[s
 
 
 def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autocorrelation:
-    """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): slow noise looks faster.
-
-    Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
-    """
+    """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): it looks faster."""
+    # Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
     phi = stationary_coefficients(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
     return Autocorrelation(phi, colour.sigma / ratio)
+
+
+def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
+    """Correlation of neighbouring samples, within manoeuvres."""
+    parts = [r - r.mean() for r in (residual[manoeuvre == k] for k in range(int(manoeuvre[-1]) + 1))]
+    return float(sum(np.sum(r[1:] * r[:-1]) for r in parts) / sum(np.sum(r**2) for r in parts))
 
 
 # --- The noise that a diagnosis leaves: its colour, growth and outliers.
@@ -194,11 +184,9 @@ class NoiseReport:
     @property
     def labels(self) -> tuple[str, ...]:
         """Which of colored, buffet, outliers are present."""
-        found = []
-        if self.coloured:
-            found.append("colored")
-        if max(self.noise_growth.values()) > 1.5:
-            found.append("buffet")
-        if sum(self.outliers.values()) > 0:
-            found.append("outliers")
-        return tuple(found)
+        found = {
+            "colored": bool(self.coloured),
+            "buffet": max(self.noise_growth.values()) > 1.5,
+            "outliers": sum(self.outliers.values()) > 0,
+        }
+        return tuple(name for name, there in found.items() if there)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import chdtrc, ndtr, ndtri, stdtr
 
 from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle, autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import TINY, Fit, Products, inverse
+from bayes_aero.diagnosis.screening.regression import TINY, Products, RegressionFit, inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.inference.covariance import ORDER, cluster_covariance, variance_inflation
 
@@ -18,17 +18,14 @@ REFITS = 8
 ENOUGH = 0.05  # of the deviance
 
 
-def refitted(state: SelectionState) -> tuple[SelectionState, Fit]:
+def refitted(state: SelectionState) -> tuple[SelectionState, RegressionFit]:
     """The state at the optimum of all active parameters, and the fit there."""
     state = moved(state, optimum(state, range(len(state.folds))))
     return state, state.fit()
 
 
 def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
-    """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds.
-
-    A step that does not lower the deviance is shortened. The last step is one that would gain less than `ENOUGH`.
-    """
+    """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds."""
     bounds = np.array([p.bounds for p in state.full.model.free])
     columns = state.columns()
     at = columns[columns < len(state.theta)]
@@ -38,7 +35,16 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
         after[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
         return after
 
+    def deviance_at(theta: Float[np.ndarray, " k"]) -> float:
+        """The deviance of `local_fit` without its regression, from the residuals alone."""
+        residual = np.asarray(state.responses.evaluate(theta)[0])[:, state.kept_outputs]
+        none = np.arange(0)
+        mean, precision = state.full.prior(at, theta)
+        prior = state.variance_inflation * float(np.sum(precision * mean**2))
+        return _fit_at(state, theta, none, folds, (residual, state.S[:, :, none]))[1] + prior
+
     theta, (fit, value) = state.theta, _fit_at(state, state.theta, at, folds, (state.residual, state.S[:, :, at]))
+    # A step that does not lower the deviance is shortened. The last step is one that would gain less than `ENOUGH`.
     for number in range(most):
         if number:
             fit, value = local_fit(state, theta, at, folds)
@@ -46,7 +52,7 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
             return stepped(1.0)
         for share in (1.0, 0.5, 0.2, 0.05):
             trial = stepped(share)
-            lower = _deviance_at(state, trial, at, folds)  # of many trials, few are steps and need derivatives
+            lower = deviance_at(trial)  # of many trials, few are steps and need derivatives
             if lower < value:
                 break
         else:
@@ -57,29 +63,16 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
     return theta
 
 
-def _deviance_at(
-    state: SelectionState, theta: Float[np.ndarray, " k"], at: Int[np.ndarray, " a"], folds: Sequence[int]
-) -> float:
-    """The deviance of `local_fit` without its regression, from the residuals alone."""
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
-    residual = np.asarray(state.responses.evaluate(theta)[0])[:, keep]
-    none = np.arange(0)
-    mean, precision = state.full.prior(at, theta)
-    prior = state.variance_inflation * float(np.sum(precision * mean**2))
-    return _fit_at(state, theta, none, folds, (residual, state.S[:, :, none]))[1] + prior
-
-
 def local_fit(
     state: SelectionState,
     theta: Float[np.ndarray, " k"],
     at: Int[np.ndarray, " a"],
     folds: Sequence[int],
     held: Float[np.ndarray, " c"] | None = None,
-) -> tuple[Fit, float]:
+) -> tuple[RegressionFit, float]:
     """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
-    keep = [state.responses.outputs.index(name) for name in state.outputs]
-    residual, S = state.responses.linearise(theta, at)
-    return _fit_at(state, theta, at, folds, (residual[:, keep], np.where(np.isfinite(S), S, 0.0)[:, keep]), held)
+    residual, S = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
+    return _fit_at(state, theta, at, folds, (residual, np.where(np.isfinite(S), S, 0.0)), held)
 
 
 def _fit_at(
@@ -89,7 +82,7 @@ def _fit_at(
     folds: Sequence[int],
     linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]],
     held: Float[np.ndarray, " c"] | None = None,
-) -> tuple[Fit, float]:
+) -> tuple[RegressionFit, float]:
     """The same from residuals at `theta` and sensitivities to the columns `at` (`linear`)."""
     residual, S = linear
     beside = state.columns()
@@ -114,7 +107,7 @@ def _fit_at(
 class PartialledRegression:
     """Candidate columns with the active ones projected out, under the variances of the present fit."""
 
-    def __init__(self, state: SelectionState, fit: Fit, blocks: Sequence[np.ndarray]) -> None:
+    def __init__(self, state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> None:
         self.wanted = np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(self.wanted, block) for block in blocks]
         S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
@@ -137,18 +130,16 @@ class PartialledRegression:
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """First-order estimate and its covariance for each block."""
         right = self.right(residual)
-        _, whole = self.middle.under(colour, range(len(self.place)))
+        whole = self.middle.under_each([colour], range(len(self.place)))[1]
         estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
-        return estimates, [bread @ meat @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        return estimates, [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
 
     def deviance(
         self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
     ) -> float:
-        """n log det of the whole covariance of what a block leaves at its first-order estimate.
-
-        It stays the same when an output is exchanged for its sum with a share of another; the product of the
-        variances does not.
-        """
+        """n log det of the whole covariance of what a block leaves at its first-order estimate."""
+        # It stays the same when an output is exchanged for its sum with a share of another; the product of the
+        # variances does not.
         left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
         left = left[self.inside]
         return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
@@ -173,10 +164,7 @@ class PartialledRegression:
     def between(
         self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
     ) -> list[np.ndarray]:
-        """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour within.
-
-        See `cluster_covariance`; the estimate itself is taken out.
-        """
+        """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour."""
         found = []
         for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
             P = self.P[:, :, place]
@@ -192,17 +180,10 @@ class PartialledRegression:
         colour: Autocorrelation,
         stretch: Int[np.ndarray, " m"] | None,
     ) -> Float[np.ndarray, " j"]:
-        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`).
-
-        Under the colour, or by how far the stretches disagree where that is more.
-        """
+        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
         explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
         D = np.stack([part - explained[own] for part in explained], axis=2)
-        rows = None
-        if stretch is not None:
-            rows = np.einsum("mcj,c,mc->mj", D, self.weight, residual - explained[own], optimize=True)
-        disagreement = None if rows is None or stretch is None else np.diag(cluster_covariance(rows, stretch))
-        return inflation_along(D, self.weight, self.folds, colour, disagreement)
+        return inflation_along(D, self.weight, self.folds, colour, residual - explained[own], stretch)
 
 
 def inflation_along(
@@ -210,12 +191,16 @@ def inflation_along(
     weight: Float[np.ndarray, " c"],
     folds: Sequence[slice],
     colour: Autocorrelation,
-    least: Float[np.ndarray, " j"] | None = None,
+    left: Float[np.ndarray, "m c"] | None = None,
+    stretch: Int[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, " j"]:
-    """Variance inflation along each of j directions under a colour; variances are no less than `least`."""
-    variance, _ = Middle(D, 1.0 / weight, folds, []).under(colour, [])
-    white = np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True)
-    return variance_inflation(variance if least is None else np.maximum(variance, least), white)
+    """Variance inflation along j directions under a colour, or by how far stretches of what is `left` disagree."""
+    variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
+    if stretch is not None and left is not None:
+        rows = np.einsum("mcj,c,mc->mj", D, weight, left, optimize=True)
+        # where that is more
+        variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
+    return variance_inflation(variance, np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True))
 
 
 def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
@@ -245,11 +230,8 @@ def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
 # --- Noise of coefficients that grows as the flow separates.
 
 
-def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]:
-    """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0, from the innovations' size.
-
-    Least squares of |innovation| on 1 - X; noise of flight-path outputs does not grow.
-    """
+def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
+    """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
     coefficients = state.responses.model.coefficients
     if not set(state.outputs) & set(coefficients):
         return np.ones_like(state.residual)
@@ -257,7 +239,7 @@ def noise_growth_of(state: SelectionState, fit: Fit) -> Float[np.ndarray, "m c"]
     apart = 1.0 - np.asarray(state.responses.block(known["X"]))
     residual = state.left(fit) * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
-    noise_growth = np.ones_like(residual)
+    noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
     for c, name in enumerate(state.outputs):
         if name not in coefficients or np.ptp(apart) < 0.05:
             continue

@@ -1,8 +1,7 @@
 """Regression of residuals on sensitivities from inner products alone, so that thousands of fits cost seconds.
 
 Estimation is the published one: independent residuals, one variance per output, re-estimated (cost det R). Its
-uncertainty is not: `colour` gives the covariance that coloured residuals leave it.
-"""
+uncertainty is not: `screening.uncertainty` gives the covariance that coloured residuals leave it."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ ROUNDS = 5  # alternations between parameters and variances
 
 
 @dataclass(frozen=True)
-class Fit:
+class RegressionFit:
     """k active columns, c outputs: the step from the linearisation point and the outputs' variances."""
 
     columns: Int[np.ndarray, " k"]
@@ -25,6 +24,10 @@ class Fit:
     normal: Float[np.ndarray, "k k"]
     variance: Float[np.ndarray, " c"]
     deviance: float  # sum over outputs of n log(variance), plus the prior's quadratic form
+
+    def places(self, columns: Sequence | np.ndarray) -> list[int]:
+        """Where each of these columns stands among the active ones."""
+        return [int(np.flatnonzero(self.columns == column)[0]) for column in columns]
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,11 @@ class Products:
         precision: Float[np.ndarray, " K"],
         held: Float[np.ndarray, " c"] | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """j sets of columns at once, each with the normal prior (`mean`, `precision`) of its steps.
+        """Fit j sets of columns at once, each with the normal prior (`mean`, `precision`) of its steps.
 
         Variances are found with the steps, unless they are `held`.
 
-        Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,).
-        """
+        Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,)."""
         gram, n = self.total, float(self.count.sum())
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
@@ -126,16 +128,10 @@ class Products:
         mean: np.ndarray,
         precision: np.ndarray,
         held: Float[np.ndarray, " c"] | None = None,
-    ) -> Fit:
+    ) -> RegressionFit:
         """One set of columns."""
         step, normal, variance, deviance = self.fit_many(columns[None], mean, precision, held)
-        return Fit(columns, step[0], normal[0], variance[0], float(deviance[0]))
-
-    def squares(self, columns: Int[np.ndarray, " k"], step: Float[np.ndarray, " k"]) -> Float[np.ndarray, "f c"]:
-        """Sum of squared residuals of every fold and output after a step."""
-        full = np.concatenate([[0], columns + 1])
-        v = np.concatenate([[1.0], -step])
-        return np.einsum("k,fckl,l->fc", v, self.gram[:, :, full[:, None], full[None, :]], v, optimize=True)
+        return RegressionFit(columns, step[0], normal[0], variance[0], float(deviance[0]))
 
 
 def partialled(

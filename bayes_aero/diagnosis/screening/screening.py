@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.screening.autocorrelation import (
     Autocorrelation,
@@ -22,46 +22,38 @@ from bayes_aero.diagnosis.screening.autocorrelation import (
     unbiased,
 )
 from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression, equivalent, score
-from bayes_aero.diagnosis.screening.regression import Fit, Products, inverse, partialled
+from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse, partialled
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.covariance import jackknife_covariance, nats, variance_inflation
 
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """One candidate against the present model.
-
-    `gain` is the deviance it takes away, `together` what it would take away if the outputs' noise were allowed to
-    correlate; `score` its estimate in standard deviations that know the colour (for several
-    parameters the equivalent of one); `variance_inflation` that of its parameters, the largest; `log_bayes` the
-    log Bayes factor of estimate and deviation under the effect's prior. `variance_inflation_apart` is that along the
-    difference between what it explains and what the addition explains that was taken out (see `screening`).
-    """
+    """One candidate against the present model."""
 
     effect: str
     columns: tuple[int, ...]
     value: float | None
-    gain: float
-    score: float
-    variance_inflation: float
-    log_bayes: float
+    gain: float  # the deviance it takes away
+    score: float  # its estimate in standard deviations that know the colour; of several parameters the equivalent
+    variance_inflation: float  # of its parameters, the largest
+    log_bayes: float  # log Bayes factor of estimate and deviation under the effect's prior
     step: tuple[float, ...]
     sd: tuple[float, ...]
-    together: float = math.nan
+    together: float = math.nan  # what it would take away if the outputs' noise were allowed to correlate
+    # Along the difference between what it explains and what the addition explains that was taken out (see `screen`).
     variance_inflation_apart: float = math.nan
 
     def nats(self, other: CandidateScore) -> float:
-        """Log likelihood by which this addition, which was taken out, explains more than `other`.
-
-        What tells the two from each other is the residual along the difference d of what they explain. Its variance
-        is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that of both.
-        """
+        """Log likelihood by which this addition, which was taken out, explains more than `other`."""
+        # What tells the two from each other is the residual along the difference d of what they explain. Its variance
+        # is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that of both.
         return nats(self.gain - other.gain, other.variance_inflation_apart)
 
 
 @dataclass(frozen=True)
 class ScreeningResult:
-    """Standings, the most explaining first, and the largest score of each noise-only replicate."""
+    """Scores of the candidates, the most explaining first, and the largest score of each noise-only replicate."""
 
     candidate_scores: tuple[CandidateScore, ...]
     colour: Autocorrelation
@@ -83,7 +75,7 @@ class ScreeningResult:
 
 def screen(
     state: SelectionState,
-    fit: Fit,
+    fit: RegressionFit,
     *,
     seed: int,
     nulls: bool = True,
@@ -95,33 +87,34 @@ def screen(
     `without` takes one addition out first, to first order: it is then a candidate like the others, and each of
     them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
     """
-    active = tuple(e for e in state.active if e != without)
-    standpoint = _Standpoint(state.products, state.mean, state.columns(), fit, state.left(fit))
     if without is not None:
-        standpoint = _taken_out(state, standpoint, without, active)
-    fit, residual, mean = standpoint.fit, standpoint.residual, standpoint.mean
-    blocks = [b for b in state.blocks if b[0] not in active]
+        state = state.without([without])
+        fit = state.fit()
+    residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
     if not blocks:
         return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
     projected = PartialledRegression(state, fit, [b[1] for b in blocks])
     noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
-    colour = _corrected(autocorrelation_of(residual, state.folds), state, fit, noise)
+    colour = autocorrelation_of(residual, state.folds)
+    # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
+    drawn = without_active(state, fit, colour.coloured(noise.correction, state.folds, len(residual)))
+    colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
     estimates, covariances = projected.scores(residual, colour)
     stretch = state.responses.stretch
     freedom = 0 if stretch is None else int(stretch.max())
     if stretch is not None:
         pairs = zip(estimates, covariances, projected.between(residual, estimates, stretch), strict=True)
         covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
-    gains = _gains(state, standpoint, [b[1] for b in blocks])
+    gains = _gains(state, fit, [b[1] for b in blocks])
     before = projected.deviance(residual)
-    away = _most(blocks, gains[0], without)
+    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
     apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
     found = []
     for j, (effect, own, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
         inflation = variance_inflation(variance, np.diag(projected.bread[j]))
         step = gains[1][j][: len(own)]
-        possible = value is None or step[0] * (value - _present(state, effect)) > 0.0
+        possible, prior = _possible(state, effect, value, step), state.precision[own] / state.variance_inflation
         found.append(
             CandidateScore(
                 effect=effect,
@@ -130,9 +123,7 @@ def screen(
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(
-                    estimates[j], covariances[j], mean[own], state.precision[own] / state.variance_inflation
-                ),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -143,28 +134,30 @@ def screen(
     return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, largest)
 
 
-def _corrected(colour: Autocorrelation, state: SelectionState, fit: Fit, noise: SharedNoise) -> Autocorrelation:
-    """Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks."""
-    drawn = colour.coloured(noise.correction, state.folds, len(state.residual))
-    return unbiased(colour, autocorrelations_of(without_active(state, fit, drawn), state.folds))
+def _possible(state: SelectionState, effect: str, value: float | None, step: Float[np.ndarray, " w"]) -> bool:
+    """Whether a candidate moves to the side of the present value on which it was tried, if it was."""
+    if value is None:
+        return True
+    parameter = next(s.parameter for s in state.scans if s.effect == effect)
+    return bool(step[0] * (value - state.theta[state.full.columns([parameter])[0]]) > 0.0)
 
 
 def null_scores(
-    state: SelectionState, fit: Fit, projected: PartialledRegression, colour: Autocorrelation, noise: SharedNoise
+    state: SelectionState,
+    fit: RegressionFit,
+    projected: PartialledRegression,
+    colour: Autocorrelation,
+    noise: SharedNoise,
 ) -> Float[np.ndarray, " r"]:
     """The largest score of any candidate in each noise-only replicate of this colour."""
-    drawn = colour.coloured(noise.replicates, state.folds, len(state.residual))
-    noises = without_active(state, fit, drawn)
+    noises = without_active(state, fit, colour.coloured(noise.replicates, state.folds, len(state.residual)))
     return projected.largest(noises, autocorrelations_of(noises, state.folds))
 
 
 def explained_shares(
-    state: SelectionState, fit: Fit, colour: Autocorrelation, seed: int, count: int
+    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, seed: int, count: int
 ) -> Float[np.ndarray, " r"]:
-    """Largest share of one output's variance that any block explains in each of `count` noise records of this colour.
-
-    Blocks must act on one output each, as components do.
-    """
+    """Largest share of one output's variance that any block, acting on one output, explains in each noise record."""
     projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
     drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
@@ -178,7 +171,7 @@ def explained_shares(
 
 
 def without_active(
-    state: SelectionState, fit: Fit, residual: Float[np.ndarray, "*r m c"]
+    state: SelectionState, fit: RegressionFit, residual: Float[np.ndarray, "*r m c"]
 ) -> Float[np.ndarray, "*r m c"]:
     """What is left of noise records when the active columns are fitted to them."""
     B = state.scaled[:, :, fit.columns]
@@ -186,98 +179,54 @@ def without_active(
     return residual - np.tensordot(step, B, (-1, 2))
 
 
-def _most(blocks: Sequence[tuple], gains: Float[np.ndarray, " j"], effect: str | None) -> int | None:
-    """The block of an effect that gains most; None where it has none."""
-    own = [j for j, block in enumerate(blocks) if block[0] == effect]
-    return max(own, key=lambda j: gains[j], default=None)
-
-
-@dataclass(frozen=True)
-class _Standpoint:
-    """From where candidates are judged: what is active, its fit, and what that leaves."""
-
-    products: Products
-    mean: Float[np.ndarray, " K"]
-    columns: Int[np.ndarray, " k"]
-    fit: Fit
-    residual: Float[np.ndarray, "m c"]
-
-
-def _taken_out(state: SelectionState, here: _Standpoint, effect: str, active: Sequence[str]) -> _Standpoint:
-    """The same with one addition at neutral, to first order; `active` are the others."""
-    own = state.full.own_columns(effect)
-    away = state.departure[own]
-    products, mean, columns = here.products.shifted(own, -away), here.mean.copy(), state.columns(active)
-    mean[own] += away
-    fit = products.fit(columns, mean, state.precision)
-    before = state.scaled[:, :, here.fit.columns] @ here.fit.step
-    residual = here.residual + state.scaled[:, :, own] @ away + before - state.scaled[:, :, columns] @ fit.step
-    return _Standpoint(products, mean, columns, fit, residual)
-
-
-def _gains(state: SelectionState, here: _Standpoint, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
-    dummy = state.S.shape[2] - 1
-    width = max(len(own) for own in blocks)
-    rows = np.array([np.concatenate([here.columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
-    step, _, _, deviance = here.products.fit_many(rows, here.mean, state.precision)
-    return here.fit.deviance - deviance, step[:, len(here.columns) :]
+    columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(own) for own in blocks)
+    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = state.products.fit_many(rows, state.mean, state.precision)
+    return fit.deviance - deviance, step[:, len(columns) :]
 
 
 def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
     """log N(estimate; mean, covariance + prior) - log N(estimate; 0, covariance)."""
+
+    def log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        _, determinant = np.linalg.slogdet(covariance / np.outer(size, size) + 1e-11 * np.eye(len(x)))
+        return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
+
     wide = covariance + np.diag(1.0 / np.maximum(precision, 1e-30))
-    return float(_log_normal(estimate - mean, wide) - _log_normal(estimate, covariance))
+    return float(log_normal(estimate - mean, wide) - log_normal(estimate, covariance))
 
 
-def _log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    _, determinant = np.linalg.slogdet(covariance / np.outer(size, size) + 1e-11 * np.eye(len(x)))
-    return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
-
-
-def _present(state: SelectionState, effect: str) -> float:
-    """Value of a scanned effect's parameter at the state."""
-    scan = next(s for s in state.scans if s.effect == effect)
-    return float(state.theta[state.full.columns([scan.parameter])[0]])
-
-
-def uncertainty(state: SelectionState, fit: Fit, colour: Autocorrelation) -> Float[np.ndarray, "k k"]:
-    """Covariance of the active columns' estimates that coloured residuals leave."""
+def uncertainty(
+    state: SelectionState, fit: RegressionFit, colour: Autocorrelation | None = None
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of the active columns' estimates that coloured residuals leave (default colour: that of the fit)."""
+    colour = colour or autocorrelation_of(state.left(fit), state.folds)
     bread = inverse(fit.normal)
     return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
 
 
 def block_jackknife_covariance(
-    state: SelectionState, fit: Fit
+    state: SelectionState, fit: RegressionFit
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Active columns but those with which windows begin, and the covariance of their estimates from how far these move
-    when a part of the flights is left out.
-
-    See `jackknife_covariance`.
-    """
+    when a part of the flights is left out (see `jackknife_covariance`)."""
     stretch = state.responses.jackknife_blocks
     assert stretch is not None
-    columns = fit.columns[~np.isin(fit.columns, state.begins)]
-    parts = [_without_offsets(state, fit, stretch == k, columns) for k in range(int(stretch.max()) + 1)]
+    columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
+    left = state.left(fit)
+    parts = []  # information of each stretch on these columns, its beginning free, and what it adds to the right side
+    for k in range(int(stretch.max()) + 1):
+        here = (stretch == k) & state.inside
+        S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
+        S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
+        right = np.einsum("mci,c,mc->i", S, weight, left[here])
+        parts.append((np.einsum("mci,c,mcj->ij", S, weight, S), right))
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     moves = np.array([inverse(whole - information) @ right for information, right in parts])
     return columns, jackknife_covariance(moves)
-
-
-def _without_offsets(
-    state: SelectionState, fit: Fit, here: Bool[np.ndarray, " m"], columns: Int[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Information of one stretch on these columns, its beginning free, and what it adds to the right side."""
-    here, weight = here & state.inside, 1.0 / fit.variance
-    S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
-    S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
-    return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, state.left(fit)[here])
-
-
-def columns_of(state: SelectionState, standing: CandidateScore) -> Int[np.ndarray, " k"]:
-    """Active columns and the candidate's."""
-    return np.concatenate([state.columns(), np.array(standing.columns, int)])
 
 
 # --- A candidate judged under the colour that is left once it is in.
@@ -290,9 +239,9 @@ class RefitScore:
     """One candidate's score, log Bayes factor and p-value under its own colour."""
 
     def __init__(self, state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> None:
-        wider = state.products.fit(columns_of(state, standing), state.mean, state.precision)
+        wider = state.fit_columns(state.wider(standing.columns))
         self.state = state
-        self.fit = state.products.fit(state.columns(), state.mean, state.precision, held=wider.variance)
+        self.fit = state.fit_columns(state.columns(), held=wider.variance)
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
         self.projected = PartialledRegression(state, self.fit, blocks)
         self.noise = noise

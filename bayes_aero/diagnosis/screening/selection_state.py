@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, blocks_of, folds_of
-from bayes_aero.diagnosis.screening.regression import Fit, Products
+from bayes_aero.diagnosis.candidate_set import CandidateModel, folds_of
+from bayes_aero.diagnosis.screening.regression import Products, RegressionFit
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.parameter import departure
 from bayes_aero.physics.filters import FILTER_STEP
@@ -33,10 +33,16 @@ class Scan:
 
 @dataclass(frozen=True)
 class Component:
-    """A function that is no effect: `basis` is what it adds to each output; `label` is "coefficient over channel"."""
+    """A function of a `channel` (or of time, or a term) in a `coefficient`, that is no effect of the catalogue."""
 
-    label: str
-    basis: Float[np.ndarray, "m c w"]
+    coefficient: str
+    channel: str
+    basis: Float[np.ndarray, "m c w"]  # what it adds to each output
+
+    @property
+    def label(self) -> str:
+        """What it is called beside others."""
+        return f"{self.coefficient} over {self.channel}"
 
 
 @dataclass(frozen=True)
@@ -73,9 +79,13 @@ class SelectionState:
         return self.full.settings
 
     def least_share(self, share: float) -> float:
-        """A least share of the variance of means over `FILTER_STEP` samples, as it is of these residuals: noise
-        averages out, what a model lacks does not."""
+        """A least share of the variance of means over `FILTER_STEP` samples, as of these: noise averages out."""
         return share * self.responses.averaged / FILTER_STEP
+
+    @cached_property
+    def kept_outputs(self) -> list[int]:
+        """Places of the outputs among those of the responses."""
+        return [self.responses.outputs.index(name) for name in self.outputs]
 
     @property
     def departure(self) -> Float[np.ndarray, " k"]:
@@ -86,7 +96,10 @@ class SelectionState:
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""
-        return blocks_of(self.folds, len(self.S))
+        found = np.zeros(len(self.S), bool)
+        for fold in self.folds:
+            found[fold] = True
+        return found
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
@@ -108,44 +121,77 @@ class SelectionState:
     def component_columns(self) -> list[Int[np.ndarray, " w"]]:
         """Columns of each component that is a candidate."""
         widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
-        begins = len(self.theta) + len(self.offsets) + len(self.scans) + np.cumsum([0, *widths])
-        found = [np.arange(a, b) for a, b in pairwise(begins)]
-        return found[len(self.chosen) :]
+        begins = len(self.theta) + self.nuisance + len(self.scans) + np.cumsum([0, *widths])
+        return [np.arange(a, b) for a, b in pairwise(begins)][len(self.chosen) :]
 
     @property
     def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
-        """Every way in which a candidate may enter: its name, its columns, and the scanned value if there is one.
-
-        Candidates that do not reach the outputs are left out.
-        """
+        """Every way in which a candidate that reaches the outputs may enter: name, columns, and any scanned value."""
         if self.components:
-            labels = [c.label for c in self.components]
-            return [(label, own, None) for label, own in zip(labels, self.component_columns, strict=True)]
-        found: list[tuple[str, np.ndarray, float | None]] = []
-        scanned = {scan.effect for scan in self.scans}
-        begin = len(self.theta) + len(self.offsets)
-        for number, scan in enumerate(self.scans):
-            found.append((scan.effect, np.array([begin + number]), scan.value))
-        for effect in self.full.candidates:
-            if effect.name not in scanned:
-                found.append((effect.name, self.full.own_columns(effect.name), None))
+            return [(c.label, own, None) for c, own in zip(self.components, self.component_columns, strict=True)]
+        begin, scanned = len(self.theta) + self.nuisance, {scan.effect for scan in self.scans}
+        found: list[tuple[str, np.ndarray, float | None]] = [
+            (scan.effect, np.array([begin + number]), scan.value) for number, scan in enumerate(self.scans)
+        ]
+        names = (effect.name for effect in self.full.candidates if effect.name not in scanned)
+        found += [(name, self.full.own_columns(name), None) for name in names]
         return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
         names = (*self.full.base, *(self.active if effects is None else effects))
         own = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
-        begin = len(self.theta) + len(self.offsets) + len(self.scans)
+        begin = len(self.theta) + self.nuisance + len(self.scans)
         chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
         return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
 
-    def fit(self, effects: Sequence[str] | None = None) -> Fit:
-        """Regression with `effects` on all folds."""
-        return self.products.fit(self.columns(effects), self.mean, self.precision)
+    def wider(self, columns: Sequence[int] | np.ndarray) -> Int[np.ndarray, " k"]:
+        """The active columns and these."""
+        return np.concatenate([self.columns(), np.array(columns, int)])
 
-    def left(self, fit: Fit) -> Float[np.ndarray, "m c"]:
+    def fit(self) -> RegressionFit:
+        """Regression with the effects that are in on all folds."""
+        return self.fit_columns(self.columns())
+
+    def fit_columns(self, columns: Int[np.ndarray, " k"], held: Float[np.ndarray, " c"] | None = None) -> RegressionFit:
+        """Regression with these columns on all folds; with variances it finds, or `held` ones."""
+        return self.products.fit(columns, self.mean, self.precision, held)
+
+    def left(self, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
         """Residuals that a fit leaves, divided by the noise_growth."""
         return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
+
+    def with_components(
+        self, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice] | None = None
+    ) -> SelectionState:
+        """The state in which components are the candidates in place of effects; those `chosen` are in."""
+        folds, extra = self.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
+        S = np.concatenate([self.S[:, :, :-1], *extra, self.S[:, :, -1:]], axis=2)
+        width, size = S.shape[2] - self.S.shape[2], float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
+        flat = np.full(width, self.variance_inflation / (10 * size) ** 2)
+        precision = np.concatenate([self.precision[:-1], flat, [1.0]])
+        mean = np.concatenate([self.mean[:-1], np.zeros(width), [0.0]])
+        products = Products.of(self.residual / self.noise_growth, S / self.noise_growth[:, :, None], folds)
+        return replace(
+            self, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+            components=tuple(components), chosen=tuple(chosen),
+        )  # fmt: skip
+
+    def share_of(self, own: Int[np.ndarray, " k"]) -> float:
+        """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
+        return float(np.max(1.0 - self.fit_columns(self.wider(own)).variance / self.fit().variance))
+
+    def without(self, effects: Sequence[str]) -> SelectionState:
+        """The state with some of its additions at neutral, to first order."""
+        if not effects:
+            return self
+        own = self.full.own_columns(*effects)
+        away, theta, mean = self.departure[own], self.theta.copy(), self.mean.copy()
+        theta[own], mean[own] = self.full.neutral_vector[own], mean[own] + away
+        residual = self.residual + self.S[:, :, own] @ away
+        active = tuple(e for e in self.active if e not in effects)
+        products = self.products.shifted(own, -away)
+        return replace(self, theta=theta, mean=mean, residual=residual, products=products, active=active)
 
     @cached_property
     def scaled(self) -> Float[np.ndarray, "m c K"]:
@@ -170,6 +216,7 @@ def linearised(
     the same responses at the same parameters is not computed again. Coefficients `apart` have an offset in every
     manoeuvre, free in every fit.
     """
+
     keep = [responses.outputs.index(name) for name in outputs]
     if known is not None and np.array_equal(known.theta, theta):
         residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
@@ -209,23 +256,16 @@ def linearised(
     precision = np.concatenate([precision, flat, precision[of_scans], [1.0]])
     products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
     return SelectionState(
-        full,
-        responses,
-        outputs,
-        theta,
-        residual,
-        S,
-        noise_growth,
-        folds,
-        products,
-        mean,
-        precision,
-        active,
-        tuple(scans),
-        extra[0].shape[2],
-        variance_inflation,
-        apart,
-    )
+        full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
+        tuple(scans), extra[0].shape[2], variance_inflation, apart,
+    )  # fmt: skip
+
+
+def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
+    """The size of a constant that moves the outputs by the deviation of their residuals."""
+    here = np.any(ones != 0.0, axis=1)
+    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
+    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
 
 
 def constants_of_manoeuvres(
@@ -248,13 +288,6 @@ def constant_of(coefficient: str) -> str:
     return f"{coefficient}0"
 
 
-def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
-    """The size of a constant that moves the outputs by the deviation of their residuals."""
-    here = np.any(ones != 0.0, axis=1)
-    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
-    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
-
-
 def manoeuvre_constants(
     manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], name: str
 ) -> Float[np.ndarray, "m c o"]:
@@ -271,7 +304,6 @@ def moved(
     apart: tuple[str, ...] | None = None,
 ) -> SelectionState:
     """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
-    chosen, own = state.active if active is None else active, state.apart if apart is None else apart
-    full, responses, outputs = state.full, state.responses, state.outputs
+    active, apart = state.active if active is None else active, state.apart if apart is None else apart
     noise = state.noise_growth, state.variance_inflation
-    return linearised(full, responses, outputs, theta, chosen, *noise, state, own)
+    return linearised(state.full, state.responses, state.outputs, theta, active, *noise, state, apart)

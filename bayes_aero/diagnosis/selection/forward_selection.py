@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bayes_aero.diagnosis.screening.accuracy import Size, implausible, largest_noise_bias, sizes
-from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise, autocorrelation_of
+from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise
 from bayes_aero.diagnosis.screening.parameter_fit import (
     PartialledRegression,
     largest_p_value,
     noise_growth_of,
     refitted,
 )
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.screening import (
     CandidateScore,
     RefitScore,
     ScreeningResult,
     block_jackknife_covariance,
-    columns_of,
     log_bayes,
     null_scores,
     screen,
@@ -40,7 +38,7 @@ OF_NOISE = 0.5  # largest share of an addition that noise may make: beyond, it w
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One election: the screening, the chosen effect (None: nobody), its p-value, and its gain on folds left out."""
 
     chosen: str | None
@@ -51,22 +49,17 @@ class Step:
 
 @dataclass(frozen=True)
 class Extension:
-    """The state before and after, with fits and elections; sizes of what is in.
-
-    `causes` are worth a name: as large, within a deviation, as the least departure worth modelling, and beyond doubt
-    (see `worth`); `minor` are not. `too_large`: the extension with additions larger than aircraft have, without which
-    all was selected again; None where there was none.
-    """
+    """The state before and after additions, with fits and elections."""
 
     base: SelectionState
-    base_fit: Fit
+    base_fit: RegressionFit
     state: SelectionState
-    fit: Fit
-    steps: tuple[Step, ...]
-    sizes: Mapping[str, Size]
-    causes: tuple[str, ...]
-    minor: tuple[str, ...]
-    too_large: Extension | None = None
+    fit: RegressionFit
+    steps: tuple[SelectionStep, ...]
+    sizes: Mapping[str, Size] = field(default_factory=dict)  # of what is in
+    causes: tuple[str, ...] = ()  # additions worth a name (see `worth`)
+    minor: tuple[str, ...] = ()  # additions that are not
+    too_large: Extension | None = None  # that with additions larger than aircraft have, without which all was repeated
 
     @property
     def implausible(self) -> tuple[str, ...]:
@@ -80,17 +73,7 @@ class Extension:
         return () if self.too_large is None else (self.too_large, *self.too_large.larger)
 
 
-Checked = Callable[[SelectionState, Fit], tuple[SelectionState, Fit]]
-
-
-class Selected(NamedTuple):
-    """The state before and after additions, with fits and elections."""
-
-    base: SelectionState
-    base_fit: Fit
-    state: SelectionState
-    fit: Fit
-    steps: tuple[Step, ...]
+Checked = Callable[[SelectionState, RegressionFit], tuple[SelectionState, RegressionFit]]
 
 
 def forward_selection(
@@ -104,12 +87,11 @@ def forward_selection(
 ) -> Extension:
     """Add effects to `state` until none is both beyond chance and useful on data left out, and size them.
 
-    Those that are `barred` do not stand. `checked` may take some out again before the others are sized. Other arguments
-    as of `selected`.
+    `checked` may take some out again before the others are sized. Other arguments as of `selected`.
     """
     found = selected(state, seed=seed, most=most, progress=progress, barred=barred)
     after, fit = checked(found.state, found.fit)
-    return sized(found._replace(state=after, fit=fit))
+    return sized(replace(found, state=after, fit=fit))
 
 
 def plausible_selection(
@@ -133,15 +115,15 @@ def selected(
     most: int | None = None,
     progress: Progress | None = None,
     barred: Sequence[str] = (),
-) -> Selected:
-    """Add at most `most` effects (default: the settings') that are not `barred`. p-values are family-wise over all
-    candidates."""
+) -> Extension:
+    """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    noise_growth, inflation = noise_growth_of(state, fit), _inflation(state, fit)
+    inflations = [s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores]
+    noise_growth, inflation = noise_growth_of(state, fit), median_inflation(np.array(inflations))
     state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
-    steps: list[Step] = []
+    steps: list[SelectionStep] = []
     noisy: tuple[str, ...] = ()
     for number in range(most + state.settings.candidates_tried):
         if len(state.active) - len(first.active) >= most:
@@ -164,15 +146,18 @@ def selected(
             continue
         state, fit = _reconsidered(wider, wider_fit, barred)
         noisy = ()  # with less left, noise can make less
-    return Selected(first, first_fit, *_without_idle_offsets(state, fit), tuple(steps))
+    for name in state.apart:  # offsets between manoeuvres that explain nothing beside what was added after them
+        fewer, less = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
+        gained = nats(less.deviance - fit.deviance, state.variance_inflation) - len(state.folds) + 1
+        if gained < state.settings.ambiguous:
+            state, fit = fewer, less
+    return Extension(first, first_fit, state, fit, tuple(steps))
 
 
-def _offsets_instead(state: SelectionState, fit: Fit, winner: CandidateScore) -> tuple[str, ...]:
-    """Coefficients whose offsets between manoeuvres stand in for an addition.
-
-    What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
-    addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
-    """
+def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: CandidateScore) -> tuple[str, ...]:
+    """Coefficients whose offsets between manoeuvres stand in for an addition."""
+    # What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
+    # addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
     outputs = tuple(n for n in _with_constants(state, winner) if n not in state.apart)
     count = len(state.responses.flights.lengths)
     if count == 1 or not outputs:
@@ -200,44 +185,22 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
     return tuple(n for n in coefficients if constant_of(n) in own)
 
 
-def _without_idle_offsets(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
-    """The state without offsets between manoeuvres that explain nothing beside what was added after them."""
-    for name in state.apart:
-        fewer, less = refitted(moved(state, state.theta, apart=tuple(n for n in state.apart if n != name)))
-        gained = nats(less.deviance - fit.deviance, state.variance_inflation) - len(state.folds) + 1
-        if gained < state.settings.ambiguous:
-            state, fit = fewer, less
-    return state, fit
-
-
-def sized(found: Selected) -> Extension:
+def sized(found: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
     state, fit = found.state, found.fit
-    sizes_found = sizes(state, fit) if state.responses.stretch is None else _between_sizes(state, fit)
-    causes, minor = worth(state, fit, sizes_found)
-    return Extension(*found, sizes_found, causes, minor)
+    known = sizes(state, fit)
+    if state.responses.stretch is not None:  # no deviation is smaller than estimates without each stretch scatter
+        columns, covariance = block_jackknife_covariance(state, fit)
+        names, sd = state.full.model.names, np.sqrt(np.diag(covariance))
+        wide = {names[c]: float(x) for c, x in zip(columns, sd, strict=True) if c < len(names)}
+        known = {name: replace(size, sd=max(size.sd, wide[name])) for name, size in known.items()}
+    causes, minor = worth(state, fit, known)
+    return replace(found, sizes=known, causes=causes, minor=minor)
 
 
-def _between_sizes(state: SelectionState, fit: Fit) -> dict[str, Size]:
-    """Sizes whose deviations are no smaller than the scatter of estimates without each stretch makes them."""
-    columns, covariance = block_jackknife_covariance(state, fit)
-    names = state.full.model.names
-    wide = {names[c]: float(sd) for c, sd in zip(columns, np.sqrt(np.diag(covariance)), strict=True) if c < len(names)}
-    return {name: replace(size, sd=max(size.sd, wide[name])) for name, size in sizes(state, fit).items()}
-
-
-def _inflation(state: SelectionState, fit: Fit) -> float:
-    """Variance inflation in the median over the candidates."""
-    return median_inflation(
-        np.array([s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores])
-    )
-
-
-def noise_shares(state: SelectionState, fit: Fit) -> dict[str, float]:
-    """Largest share of each addition that noise of the recorded channels can make, by effect; see `largest_noise_bias`.
-
-    Noise in a regressor makes of whatever moves with it a second recording of the same.
-    """
+def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
+    """Largest share of each addition that noise of the recorded channels can make, by effect."""
+    # Noise in a regressor makes of whatever moves with it a second recording of the same.
     bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
     shares = {}
     for effect in state.active:
@@ -247,14 +210,13 @@ def noise_shares(state: SelectionState, fit: Fit) -> dict[str, float]:
     return shares
 
 
-def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str], first: bool) -> Step:
-    """The most explaining candidate that is beyond chance, large enough to matter and useful on folds left out.
-
-    Those that are `barred` do not stand.
+def _election(
+    state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
+) -> SelectionStep:
+    """The most explaining candidate that is not `barred`, is beyond chance, matters, and is useful on folds left out.
 
     Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
-    reported for every candidate.
-    """
+    reported for every candidate."""
     settings = state.settings
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
     found = screen(state, fit, seed=seed, nulls=first, noise=noise)
@@ -268,7 +230,7 @@ def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str],
             break
         if explained(state, standing) < state.least_share(settings.least_share) or mixes_noise(state, standing):
             continue
-        gain = addition_gain(state, columns_of(state, standing))
+        gain = addition_gain(state, state.wider(standing.columns))
         if not gain > 0.0:
             continue
         able.append((standing, gain))
@@ -279,30 +241,28 @@ def _election(state: SelectionState, fit: Fit, seed: int, barred: Sequence[str],
             found = replace(found, nulls=null_scores(state, fit, projected, found.colour, noise))
         p = found.p_value(standing.score)
         if p <= settings.false_alarm_rate:
-            return Step(standing.effect, p, found, gain)
+            return SelectionStep(standing.effect, p, found, gain)
     if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
             p = between_p_value(*wider, standing.effect, len(found.candidate_scores))
             if p <= settings.refit_false_alarm_rate:
-                return Step(standing.effect, p, found, gain)
+                return SelectionStep(standing.effect, p, found, gain)
         able = []
     for standing, gain in able:
         look = RefitScore(state, standing, noise)
         if look.score < settings.least_score or look.log_bayes <= 0.0:
             continue
         if (p := look.p_value()) <= settings.false_alarm_rate:
-            return Step(standing.effect, p, found, gain)
+            return SelectionStep(standing.effect, p, found, gain)
     highest = max((s.score for s in found.candidate_scores if s.effect not in barred), default=0.0)
-    return Step(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
+    return SelectionStep(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
 
 
-def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) -> float:
-    """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates.
-
-    It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
-    then seem to disagree more than they do.
-    """
+def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
+    """p-value of an addition by how far it moves without each stretch, Bonferroni over `among` candidates."""
+    # It is in, and all is fitted again: a large effect that is out bends the first-order residuals, and the stretches
+    # then seem to disagree more than they do.
     columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
@@ -314,12 +274,10 @@ def between_p_value(wider: SelectionState, fit: Fit, effect: str, among: int) ->
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
-    """Whether a candidate's gain vanishes when noise of the coefficients may correlate.
-
-    Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
-    under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured; what
-    any other effect leaves out of one of them may rightly be in another, too.
-    """
+    """Whether a candidate's gain vanishes when noise of the coefficients may correlate."""
+    # Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
+    # under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured;
+    # what any other effect leaves out of one of them may rightly be in another, too.
     coefficients = state.responses.model.coefficients
     if state.outputs != coefficients or standing.together >= state.settings.least_share_correlated * standing.gain:
         return False
@@ -349,7 +307,9 @@ def removed(state: SelectionState, effect: str) -> SelectionState:
     return truncated(state, [e for e in state.active if e != effect])
 
 
-def _reconsidered(state: SelectionState, fit: Fit, barred: Sequence[str]) -> tuple[SelectionState, Fit]:
+def _reconsidered(
+    state: SelectionState, fit: RegressionFit, barred: Sequence[str]
+) -> tuple[SelectionState, RegressionFit]:
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
     for effect in state.active[:-1]:
@@ -369,18 +329,20 @@ def _reconsidered(state: SelectionState, fit: Fit, barred: Sequence[str]) -> tup
     return state, fit
 
 
-def _bayes_within(state: SelectionState, fit: Fit, own: CandidateScore) -> float:
+def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore) -> float:
     """Log Bayes factor of an addition under the colour that is left with it in."""
     columns = state.full.own_columns(own.effect)
     away = state.departure[columns]
     if not (np.all(np.isfinite(away)) and np.all(np.isin(columns, fit.columns))):
         return own.log_bayes
-    at = [int(np.flatnonzero(fit.columns == c)[0]) for c in columns]
-    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
+    at = fit.places(columns)
+    covariance = uncertainty(state, fit)[np.ix_(at, at)]
     return log_bayes(away, covariance, state.mean[columns] + away, state.precision[columns] / state.variance_inflation)
 
 
-def worth(state: SelectionState, fit: Fit, found: Mapping[str, Size]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def worth(
+    state: SelectionState, fit: RegressionFit, found: Mapping[str, Size]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance.
 
     One that was elected may turn out uncertain once the noise of the regressors is counted, or be no more than noise of
@@ -388,25 +350,25 @@ def worth(state: SelectionState, fit: Fit, found: Mapping[str, Size]) -> tuple[t
     """
     added = {e.name: e for e in state.full.candidates if e.name in state.active}
 
+    def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
+        """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
+        size = found[parameter.name]
+        ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
+        passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
+        nearest = min(ends, key=lambda end: abs(end[0]))
+        return (0.0, nearest[1]) if passes else nearest
+
     def large_ones(bias: Mapping[str, tuple[float, float]]) -> list[str]:
         chosen = []
         for name in state.active:
             sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in found]
-            away = {p.name: _least_away(p, found[p.name], bias.get(p.name, (0.0, 0.0))) for p in sized}
+            away = {p.name: least_away(p, bias.get(p.name, (0.0, 0.0))) for p in sized}
             if large(added[name], away, state.settings.least_score):
                 chosen.append(name)
         return chosen
 
     causes = large_ones(largest_noise_bias(state, fit)) if large_ones({}) else []
     return tuple(causes), tuple(name for name in state.active if name not in causes)
-
-
-def _least_away(parameter: Parameter, size: Size, bias: tuple[float, float]) -> tuple[float, float]:
-    """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
-    ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
-    passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
-    nearest = min(ends, key=lambda end: abs(end[0]))
-    return (0.0, nearest[1]) if passes else nearest
 
 
 def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
@@ -419,7 +381,7 @@ def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: 
 def nats_gained(old: Extension, new: Extension) -> float:
     """Log likelihood that another extension gains, the colour counted, less what the choice of each addition costs."""
 
-    def deviance(state: SelectionState, fit: Fit) -> float:
+    def deviance(state: SelectionState, fit: RegressionFit) -> float:
         return fit.deviance + 2.0 * float(np.sum(np.log(state.noise_growth[state.inside])))
 
     additions = len(new.state.active) - len(old.state.active)

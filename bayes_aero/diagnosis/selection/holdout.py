@@ -1,10 +1,9 @@
-"""What an extension gains on data that it was not fitted to."""
+"""What an extension gains on data that it was not fitted to, however the model meets the record."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,15 +22,16 @@ def split_name(state: SelectionState) -> str:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Residuals of every fold at parameters fitted to the other folds; `inside` marks blocks that belong to a fold.
-
-    `names` are the outputs, c of them.
-    """
+    """Residuals of every fold (or flown segment) with parameters fitted to the others."""
 
     residual: Float[np.ndarray, "m c"]
     noise_growth: Float[np.ndarray, "m c"]
-    inside: Bool[np.ndarray, " m"]
-    names: tuple[str, ...]
+    inside: Bool[np.ndarray, " m"]  # rows that belong to a fold
+    names: tuple[str, ...]  # of the outputs
+    lengths: Sequence[int]  # rows of each part that is independent of the others
+    variance_inflation: float
+    by_output: bool = True  # False along the flight path: of its errors the coefficients say what they make worse
+    flyable: bool = True  # whether a simulation stays in the envelope
 
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
@@ -39,24 +39,20 @@ class LeftOut:
         import jax.numpy as jnp  # not before: `check` does not load JAX
 
         residual = np.zeros_like(state.residual)
-        keep = [state.responses.outputs.index(name) for name in state.outputs]
         for number, fold in enumerate(state.folds):
             others = [f for f in range(len(state.folds)) if f != number]
             theta = optimum(state, others, state.settings.hold_out_steps)
-            residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, keep][fold]
+            residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, state.kept_outputs][fold]
         return cls._of(state, residual)
 
     @classmethod
     def first_order(cls, state: SelectionState, effects: Sequence[str]) -> LeftOut:
-        """With only `effects` of those that are in, from the sensitivities where the state stands: a hundredth of
-        the time of `refitted`."""
-        gone = state.full.own_columns(*(e for e in state.active if e not in effects))
-        away = -state.departure[gone]
-        products, columns = state.products.shifted(gone, away), state.columns(effects)
+        """With only `effects` of those that are in, from the sensitivities: a hundredth of the time of `refitted`."""
+        fewer = state.without([e for e in state.active if e not in effects])
+        residual, columns = fewer.residual.copy(), fewer.columns()
         parameters = ~np.isin(columns, state.offsets)
-        residual = state.residual - state.S[:, :, gone] @ away
         for number, fold in enumerate(state.folds):
-            step = products.without(number).fit(columns, state.mean, state.precision).step
+            step = fewer.products.without(number).fit(columns, fewer.mean, fewer.precision).step
             residual[fold] -= state.S[fold][:, :, columns[parameters]] @ step[parameters]
         return cls._of(state, residual)
 
@@ -66,54 +62,49 @@ class LeftOut:
         offsets = state.S[:, :, state.offsets]
         if offsets.shape[2]:  # where a flight-path integral began is the left-out fold's own to find
             residual -= offsets @ (np.einsum("mco,mc->o", offsets, residual) / np.sum(offsets**2, axis=(0, 1)))
-        return cls(residual, state.noise_growth, state.inside, state.outputs)
+        lengths = [fold.stop - fold.start for fold in state.folds]
+        if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
+            lengths = [sum(lengths)]
+        path = state.outputs != state.responses.model.coefficients and state.responses.jackknife_blocks is None
+        growth, inflation = state.noise_growth, state.variance_inflation
+        return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output=not path)
 
     def density(self) -> Float[np.ndarray, " m"]:
-        """Log predictive density of every block, all outputs together."""
+        """Log predictive density of every row, all outputs together."""
         return self.densities().sum(axis=1)
 
     def densities(self) -> Float[np.ndarray, "m c"]:
-        """Log predictive density of every block by output.
-
-        Independent and normal, with the variance that the left-out residuals themselves have: the variance of the
-        fitted ones would punish a model for the other manoeuvre's stall, whatever its mean.
-        """
+        """Log predictive density of every row by output: independent and normal."""
+        # With the variance that the left-out residuals themselves have: the variance of the fitted ones would punish a
+        # model for the other manoeuvre's stall, whatever its mean.
         residual, noise_growth = self.residual[self.inside], self.noise_growth[self.inside]
         return log_density(residual, np.mean((residual / noise_growth) ** 2, axis=0) * noise_growth**2)
 
+    def gain(self, before: LeftOut) -> tuple[float, float]:
+        """Log density beyond `before`, over the variance inflation, and its deviation."""
+        return log_score_gain(before.density(), self.density(), self.variance_inflation, self.lengths)
+
+    def output_gains(self, before: LeftOut) -> dict[str, tuple[float, float]]:
+        """`gain` of each output by itself; empty where that says nothing."""
+        if not (self.by_output and before.flyable):
+            return {}
+        densities = before.densities(), self.densities()
+        return log_score_gains(self.names, *densities, self.variance_inflation, self.lengths)
+
     def scores(self, measured: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
         """Scores of each coefficient over everything left out, against what was recorded (blocks of about 5 Hz)."""
-        z, e = measured[self.inside], self.residual[self.inside]
-        return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(self.names)}
+        return scores_of(self.names, measured[self.inside], self.residual[self.inside])
+
+
+def scores_of(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
+    """Scores of measured coefficients `z` with residuals `e`."""
+    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}
 
 
 def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
     """Coefficients as the card reconstructs them from the record, averaged over blocks."""
     card = state.full.card_only(state.theta)
     return np.asarray(state.responses.block(state.responses.evaluate(card)[1]["measured"]))
-
-
-def holdout_gain(before: LeftOut, after: LeftOut, state: SelectionState) -> tuple[float, float]:
-    """Log density of unseen data that `after` has beyond `before`, over the variance inflation, and its deviation."""
-    return log_score_gain(before.density(), after.density(), state.variance_inflation, _lengths(state))
-
-
-def output_gains(before: LeftOut, after: LeftOut, state: SelectionState) -> dict[str, tuple[float, float]]:
-    """`holdout_gain` of each output by itself; empty along the flight path, where integrals wander: of its errors the
-    coefficients say what they make worse."""
-    if state.outputs != state.responses.model.coefficients and state.responses.jackknife_blocks is None:
-        return {}
-    return log_score_gains(
-        state.outputs, before.densities(), after.densities(), state.variance_inflation, _lengths(state)
-    )
-
-
-def _lengths(state: SelectionState) -> list[int]:
-    """Blocks of each part of the flights that is independent of the others."""
-    lengths = [fold.stop - fold.start for fold in state.folds]
-    if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
-        lengths = [sum(lengths)]
-    return lengths
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
@@ -123,58 +114,45 @@ def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
 
 
 def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out."""
-    narrow = state.columns() if narrow is None else narrow
-    return holdout_deviance(state, narrow) - holdout_deviance(state, wide)
-
-
-def holdout_deviance(state: SelectionState, columns: np.ndarray) -> float:
-    """Deviance of folds that were left out, each with these columns fitted to the others.
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
 
     From inner products alone, for thousands of fits; `LeftOut` has the residuals.
     """
-    used = np.unique(np.concatenate([columns, state.offsets]))
-    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
-    columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
 
-    def deviance(fold: int) -> float:
-        """n log(mean square) over outputs of the fold; offsets are its own."""
-        step = products.without(fold).fit(columns, mean, precision).step
-        parameters = ~np.isin(columns, offsets)
-        left = products.over([fold]).shifted(columns[parameters], step[parameters])
-        if len(offsets):
-            return left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance
-        n = float(left.count.sum())
-        return float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n)))
+    def deviance(columns: np.ndarray) -> float:
+        """n log(mean square) over folds and outputs; the offsets are each fold's own."""
+        used = np.unique(np.concatenate([columns, state.offsets]))
+        products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
+        columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
+        parameters, found = ~np.isin(columns, offsets), []
+        for fold in range(len(state.folds)):
+            step = products.without(fold).fit(columns, mean, precision).step
+            left = products.over([fold]).shifted(columns[parameters], step[parameters])
+            n = float(left.count.sum())
+            if len(offsets):
+                found.append(left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance)
+            else:
+                found.append(float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n))))
+        return float(np.sum(found))
 
-    return float(np.sum([deviance(fold) for fold in range(len(state.folds))]))
+    return deviance(state.columns() if narrow is None else narrow) - deviance(wide)
 
 
 def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
-    """Deviance that additions `wide` gain over those that are in on folds that were left out: `holdout_deviance_gain`,
-    or, where it is none and unlike manoeuvres may be why, `transferred_deviance_gain`."""
-    gain = holdout_deviance_gain(state, wide)
-    of_card = bool(
-        np.any(state.columns(()) < len(state.theta))
-    )  # sensors along the flight path have no such parameters
-    if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
-        return gain
-    return transferred_deviance_gain(state, wide)
-
-
-def transferred_deviance_gain(state: SelectionState, wide: np.ndarray) -> float:
-    """Deviance that additions `wide` gain over those that are in, if a fold knows of them what the other folds say,
-    and fits the parameters of the card by itself.
+    """Deviance that additions `wide` gain over those that are in on folds that were left out.
 
     Unlike manoeuvres do not predict each other: a doublet says nothing of the stall, and what the card's parameters
-    then miss of the stall covers what an addition gains. Here a fold is asked for the additions alone. Their estimate
-    from the other folds, with its uncertainty, is the fold's prior, and they are integrated out.
+    then miss of the stall covers what an addition gains. Where `holdout_deviance_gain` is none, a fold is asked for the
+    additions alone and fits the card's parameters by itself. The additions' estimate from the other folds, with its
+    uncertainty, is the fold's prior, and they are integrated out.
     """
-    card = state.columns(())
+    gain, card = holdout_deviance_gain(state, wide), state.columns(())
+    of_card = np.any(card < len(state.theta))  # sensors along the flight path have no such parameters
+    if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
+        return gain
     used = np.unique(np.concatenate([wide, state.columns(), card]))
-    products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
+    products, prior = state.products.only(used), (state.mean[used], state.precision[used])
     everything, active, card = (np.searchsorted(used, columns) for columns in (wide, state.columns(), card))
-    prior = mean, precision
 
     def deviance(fold: int, columns: np.ndarray) -> float:
         return integrated_deviance(products, fold, (columns, card), prior, state.variance_inflation)
@@ -218,42 +196,19 @@ def integrated_deviance(
 
 @dataclass(frozen=True)
 class Confirmation:
-    """`kept`: additions that unseen data miss. `missed`: the log density each is missed by, and its deviation.
+    """What unseen data say of additions; gains of log density with their deviations."""
 
-    `harmed`: of those not kept, outputs that are predicted worse with the addition, with that gain of log density.
-    """
-
-    kept: tuple[str, ...]
-    missed: Mapping[str, tuple[float, float]]
+    kept: tuple[str, ...]  # additions that unseen data miss
+    missed: Mapping[str, tuple[float, float]]  # what each is missed by
+    # Of those not kept, outputs that are predicted worse with the addition.
     harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
 
-T = TypeVar("T")
-
-
-@runtime_checkable
-class Predictions(Protocol[T]):
-    """Unseen data as the model with some of its additions predicts them: T is what is left of them."""
-
-    def first_order(self, effects: Sequence[str]) -> T:
-        """To first order, in no time."""
-        ...
-
-    def refitted(self, effects: Sequence[str]) -> T:
-        """Everything fitted again."""
-        ...
-
-    def holdout_gain(self, before: T, after: T) -> tuple[float, float]:
-        """Log density that `after` has beyond `before`, over the variance inflation, and its deviation."""
-        ...
-
-    def output_gains(self, before: T, after: T, /) -> Mapping[str, tuple[float, float]]:
-        """The same of each output."""
-        ...
+Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with some of its additions predicts them
 
 
 def backward_elimination(
-    additions: Sequence[str], unseen: Predictions[T], settings: DiagnosisSettings = DEFAULT
+    additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: DiagnosisSettings = DEFAULT
 ) -> Confirmation:
     """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
 
@@ -262,56 +217,40 @@ def backward_elimination(
     first order and degrade none, nothing is fitted again, and that is reported.
     """
 
-    def degraded(without: T, whole: T) -> dict[str, tuple[float, float]]:
-        return settings.degraded(unseen.output_gains(without, whole))
+    def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
+        return whole.gain(without) if without.flyable else (np.inf, 0.0)
+
+    def less(effects: Sequence[str], one: str) -> list[str]:
+        return [e for e in effects if e != one]
 
     plain = settings.hold_out_first_order
     kept, missed, waiting = list(additions), {}, list(additions)
     harmed: dict[str, Mapping[str, tuple[float, float]]] = {}
-    whole: T | None = None
+    whole: LeftOut | None = None
     while waiting:
-        near, less = unseen.first_order(kept), {e: unseen.first_order(_less(kept, e)) for e in waiting}
-        losses = {e: unseen.holdout_gain(less[e], near) for e in waiting}
-        harmful = [e for e in waiting if degraded(less[e], near)]
+        near, fewer = first_order(kept), {e: first_order(less(kept, e)) for e in waiting}
+        losses = {e: gain(fewer[e], near) for e in waiting}
+        harmful = [e for e in waiting if settings.degraded(near.output_gains(fewer[e]))]
         least = min(harmful or waiting, key=lambda e: losses[e][0] - plain * losses[e][1])
         if not harmful and losses[least][0] > plain * losses[least][1]:
             missed |= losses
             break
-        if whole is None:
-            whole = unseen.refitted(kept)
-        without = unseen.refitted(_less(kept, least))
-        missed[least] = unseen.holdout_gain(without, whole)
-        worse = degraded(without, whole)
+        whole = whole or refitted(kept)
+        without = refitted(less(kept, least))
+        missed[least] = gain(without, whole)
+        worse = settings.degraded(whole.output_gains(without))
         if worse or not missed[least][0] > settings.hold_out * missed[least][1]:
-            kept, whole = _less(kept, least), without
+            kept, whole = less(kept, least), without
             harmed |= {least: worse} if worse else {}
         waiting.remove(least)
     return Confirmation(tuple(kept), {e: missed[e] for e in additions}, harmed)
 
 
-@dataclass(frozen=True)
-class _Recorded:
-    """Outputs of a state, from sensitivities where the state stands or from fits of their own."""
-
-    state: SelectionState
-
-    def first_order(self, effects: Sequence[str]) -> LeftOut:
-        return LeftOut.first_order(self.state, effects)
-
-    def refitted(self, effects: Sequence[str]) -> LeftOut:
-        return LeftOut.refitted(truncated(self.state, effects))
-
-    def holdout_gain(self, before: LeftOut, after: LeftOut) -> tuple[float, float]:
-        return holdout_gain(before, after, self.state)
-
-    def output_gains(self, before: LeftOut, after: LeftOut) -> Mapping[str, tuple[float, float]]:
-        return output_gains(before, after, self.state)
-
-
 def confirmation(state: SelectionState) -> Confirmation:
     """What unseen data confirm of all additions of a state."""
-    return backward_elimination(state.active, _Recorded(state), state.settings)
-
-
-def _less(effects: Sequence[str], one: str) -> list[str]:
-    return [e for e in effects if e != one]
+    return backward_elimination(
+        state.active,
+        lambda effects: LeftOut.first_order(state, effects),
+        lambda effects: LeftOut.refitted(truncated(state, effects)),
+        state.settings,
+    )

@@ -8,7 +8,7 @@ record then does not decide between an unusual derivative and the other cause.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.regression import TINY, Fit, inverse, partialled
-from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
+from bayes_aero.diagnosis.screening.regression import TINY, RegressionFit, inverse, partialled
+from bayes_aero.diagnosis.screening.screening import uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.settings import DiagnosisSettings
@@ -35,19 +34,16 @@ AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the m
 
 @dataclass(frozen=True)
 class Absorbed:
-    """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up.
-
-    `estimate` and `usual` are its value in the fit and that of its prior, each with its deviation. `sizes`: by effect,
-    how large each would be, were it the whole cause and the parameter as usual, with a deviation that knows the prior's
-    width.
-    """
+    """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up."""
 
     effect: str
     parameter: str
     unit: str
     control: str
-    estimate: tuple[float, float]
-    usual: tuple[float, float]
+    estimate: tuple[float, float]  # its value in the fit, with its deviation
+    usual: tuple[float, float]  # that of its prior
+    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
+    # knows the prior's width.
     sizes: dict[str, Size]
 
     @property
@@ -66,28 +62,27 @@ def absorbed(found: Extension) -> tuple[Absorbed, ...]:
     state, fit, told = found.state, found.fit, []
     if state.outputs != state.responses.model.coefficients:
         return ()
+
+    def at_rest(column: int) -> bool:
+        """Whether what a parameter acts through stays where it is in all manoeuvres together, and not at zero."""
+        S = state.S[state.inside][:, :, column]
+        square = float(np.sum(S**2))
+        return square > 0.0 and float(np.sum((S - S.mean(axis=0)) ** 2)) < AT_REST**2 * square
+
     for effect in (e for e in state.full.model.effects if e.name in state.full.base):
         controls = [c for c in effect.channels if c in CONTROLS]
         for parameter in effect.parameters if len(controls) == 1 else ():
-            if parameter.name not in state.full.model.names:
+            name, unit = parameter.name, parameter.unit
+            if name not in state.full.model.names:
                 continue
-            column = int(state.full.columns([parameter.name])[0])
-            if column not in fit.columns or not _at_rest(state, column):
+            column = int(state.full.columns([name])[0])
+            if column not in fit.columns or not at_rest(column):
                 continue
             if sizes := _taken_up(found, column):
-                prior = state.full.priors.get(parameter.name, parameter.prior)
-                size = found.sizes[parameter.name]
-                estimate = float(state.theta[column]), size.sd
-                name, unit = parameter.name, parameter.unit
+                prior = state.full.priors.get(name, parameter.prior)
+                estimate = float(state.theta[column]), found.sizes[name].sd
                 told.append(Absorbed(effect.name, name, unit, controls[0], estimate, prior.normal, sizes))
     return tuple(told)
-
-
-def _at_rest(state: SelectionState, column: int) -> bool:
-    """Whether what a parameter acts through stays where it is in all manoeuvres together, and not at zero."""
-    S = state.S[state.inside][:, :, column]
-    square = float(np.sum(S**2))
-    return square > 0.0 and float(np.sum((S - S.mean(axis=0)) ** 2)) < AT_REST**2 * square
 
 
 def _taken_up(found: Extension, column: int) -> dict[str, Size]:
@@ -96,41 +91,29 @@ def _taken_up(found: Extension, column: int) -> dict[str, Size]:
     fewer, hidden = fit.columns[fit.columns != column], {}
 
     def deviations(at: int, size: float, columns: Int[np.ndarray, " k"]) -> float:
-        information = _information(state, columns, size * state.scaled[:, :, at], fit.variance)
+        """By how many an effect of this size is seen, `columns` free within their priors."""
+        A, weight = state.scaled[state.inside][:, :, columns], 1.0 / fit.variance
+        signal = size * state.scaled[state.inside][:, :, at]
+        normal = np.einsum("mci,c,mcj->ij", A, weight, A, optimize=True) + np.diag(state.precision[columns])
+        right = np.einsum("mci,c,mc->i", A, weight, signal, optimize=True)
+        information = float(np.einsum("mc,c,mc->", signal, weight, signal) - right @ inverse(normal) @ right)
         return float(np.sqrt(max(information, 0.0) / state.variance_inflation))
 
-    for effect in _simple(state):
+    scanned = {scan.effect for scan in state.scans}
+    for effect in state.full.candidates:  # those of one parameter, with a slope at neutral, and a size worth a name
+        if len(effect.parameters) != 1 or effect.name in (*state.active, *scanned):
+            continue
+        (parameter,) = effect.parameters
+        if parameter.name not in effect.sizes:
+            continue
         (at,) = state.full.own_columns(effect.name)
-        least, largest = effect.sizes[effect.parameters[0].name]
+        least, largest = effect.sizes[parameter.name]
         if not deviations(at, least, fit.columns) < state.settings.least_score <= deviations(at, least, fewer):
             continue
         mean, sd = _size(found, column, int(at), fewer)
         if least <= abs(mean) <= largest:
-            hidden[effect.name] = Size(mean, sd, effect.parameters[0].unit)
+            hidden[effect.name] = Size(mean, sd, parameter.unit)
     return hidden
-
-
-def _simple(state: SelectionState) -> list[Effect]:
-    """Candidates of one parameter that has a slope at neutral, and of which it is known what is worth a name."""
-    scanned = {scan.effect for scan in state.scans}
-    return [
-        e
-        for e in state.full.candidates
-        if e.name not in (*state.active, *scanned) and len(e.parameters) == 1 and e.parameters[0].name in e.sizes
-    ]
-
-
-def _information(
-    state: SelectionState,
-    columns: Int[np.ndarray, " k"],
-    signal: Float[np.ndarray, "m c"],
-    variance: Float[np.ndarray, " c"],
-) -> float:
-    """Information in a signal, `columns` free within their priors."""
-    A, weight, signal = state.scaled[state.inside][:, :, columns], 1.0 / variance, signal[state.inside]
-    normal = np.einsum("mci,c,mcj->ij", A, weight, A, optimize=True) + np.diag(state.precision[columns])
-    right = np.einsum("mci,c,mc->i", A, weight, signal, optimize=True)
-    return float(np.einsum("mc,c,mc->", signal, weight, signal) - right @ inverse(normal) @ right)
 
 
 def _size(found: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
@@ -152,10 +135,7 @@ def _size(found: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) 
 
 @dataclass(frozen=True)
 class CancellingPair:
-    """The combination `parameters[0] + factor parameters[1]` of two effects, with its deviation, SI.
-
-    `correlation` is that of the two estimates; departures from neutral are meant.
-    """
+    """The combination `parameters[0] + factor parameters[1]` of two effects' departures from neutral, SI."""
 
     effects: tuple[str, str]
     parameters: tuple[str, str]
@@ -163,27 +143,46 @@ class CancellingPair:
     mean: float
     sd: float
     unit: str
-    correlation: float
+    correlation: float  # of the two estimates
 
 
 def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
-    """Pairs of the named causes whose estimates are correlated and whose contributions cancel."""
-    state = extension.state
-    found = []
+    """Pairs of the named causes whose estimates are correlated and whose contributions cancel, each with its
+    combination of least variance; a sum or a difference where that is nearly it."""
+    state, found = extension.state, []
     for effects, names, C in _correlated_parameters(extension, causes):
-        i, j = (int(state.full.columns([name])[0]) for name in names)
-        if _cancel(state, i, j):
-            found.append(_together(state, effects, names, C))
+        i, j = map(int, state.full.columns(names))
+        weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
+        moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
+        moved = [x - x.mean(axis=0) for x in moved]
+        one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
+        if both >= min(one, other):  # what they do to the outputs, means aside, is less together than either alone
+            continue
+        units = [state.full.model.free[c].unit for c in (i, j)]
+        factor = -float(C[0, 1] / C[1, 1])
+        if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
+            factor = float(np.sign(factor))
+        variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
+        mean, sd = float(state.departure[i] + factor * state.departure[j]), float(np.sqrt(max(variance, 0.0)))
+        found.append(CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C)))
     return tuple(found)
 
 
 def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Additions whose estimates are correlated, each with its partners and the correlation: the size of one holds only
-    beside that of the other."""
+    """Additions whose estimates are correlated, each with its partners and the correlation: no size holds alone."""
     found: dict[str, dict[str, float]] = {}
     for (one, other), _, C in _correlated_parameters(extension, effects):
         found.setdefault(one, {})[other] = found.setdefault(other, {})[one] = _correlation(C)
     return found
+
+
+def without_hold(found: Extension) -> dict[str, Mapping[str, float]]:
+    """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
+    with such a one; each with its partners and the correlation."""
+    state, joint = found.state, correlated(found, found.state.active)
+    out = {n for n in state.active if any(found.sizes[p].at_bound for p in state.full.parameters_of(n))}
+    out |= set(found.implausible)
+    return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 
 def _correlated_parameters(
@@ -193,7 +192,7 @@ def _correlated_parameters(
     state, fit = extension.state, extension.fit
     if len(effects) < 2:
         return
-    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
+    covariance = uncertainty(state, fit)
     at = {int(c): k for k, c in enumerate(fit.columns)}
     for one, other in combinations(effects, 2):
         for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
@@ -205,28 +204,6 @@ def _correlated_parameters(
 
 def _correlation(C: np.ndarray) -> float:
     return float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
-
-
-def _cancel(state: SelectionState, i: int, j: int) -> bool:
-    """Whether what two parameters do to the outputs, means aside, is less together than either alone."""
-    weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
-    moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
-    moved = [x - x.mean(axis=0) for x in moved]
-    one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
-    return both < min(one, other)
-
-
-def _together(state: SelectionState, effects: tuple[str, str], names: tuple[str, str], C: np.ndarray) -> CancellingPair:
-    """The combination of least variance; a sum or a difference where that is nearly it."""
-    i, j = (int(state.full.columns([name])[0]) for name in names)
-    units = [state.full.model.free[c].unit for c in (i, j)]
-    factor = -float(C[0, 1] / C[1, 1])
-    if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
-        factor = float(np.sign(factor))
-    variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
-    mean = float(state.departure[i] + factor * state.departure[j])
-    sd = float(np.sqrt(max(variance, 0.0)))
-    return CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C))
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
@@ -244,10 +221,8 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     Args:
         found: the search along the flight path, ended by `widened`.
     """
-    state = found.state
-    effects = [e for e in state.full.candidates if _felt(state, e)]
-    gram, right = _information_of_errors(state, found.fit, effects)
-    columns = _columns(state, effects)
+    state, settings = found.state, found.state.settings
+    effects, columns, gram, right = _information_of_errors(state, found.fit)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
     covariance = inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
@@ -256,66 +231,53 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
     told = []
     for place, effect in enumerate(effects):
         parameter = effect.parameters[0]
-        standing = None if effect.name in state.active else screening.of(effect.name)
-        asked = standing is not None and _asked(state, effect, standing)
-        mean, sd = _size_of_error(found, effect, standing)
-        wide = max(sd, float(among[place]))
         least, _ = effect.sizes[parameter.name]
+        standing = None if effect.name in state.active else screening.of(effect.name)
+        if standing is None:
+            mean, sd, asked = found.sizes[parameter.name].mean, found.sizes[parameter.name].sd, False
+        else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
+            mean, sd = float(standing.step[0]), float(standing.sd[0])
+            clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
+            asked = clear and explained(state, standing) >= settings.open_share
+        wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
-        imitators, share = _imitators(gram, effects, place, state.settings, there)
-        decided = standing is None and abs(jointly[place]) >= state.settings.least_score * wide
-        if decided or state.settings.least_score * wide < least:  # nobody hides an error that is worth a name
-            imitators, share = (), 0.0
-        if not (asked or imitators):
-            continue
-        told.append(
-            OpenError(
-                name=effect.name,
-                unit=parameter.unit,
-                mean=mean,
-                sd=sd,
-                among=wide,
-                asked=asked,
-                imitators=imitators,
-                share=share,
-            )
+        imitators, share = next(
+            (one for one in _nearest(gram, effects, place, settings, there) if one[1] >= settings.imitated), ((), 0.0)
         )
+        decided = standing is None and abs(jointly[place]) >= settings.least_score * wide
+        if decided or settings.least_score * wide < least:  # nobody hides an error that is worth a name
+            imitators, share = (), 0.0
+        if asked or imitators:
+            told.append(OpenError(effect.name, parameter.unit, mean, sd, wide, asked, imitators, share))
     rank = {standing.effect: k for k, standing in reversed(list(enumerate(screening.candidate_scores)))}
     return tuple(sorted(told, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
 
-def _felt(state: SelectionState, effect: Effect) -> bool:
-    """Whether an effect has one parameter, no break point, and moves the flight path."""
-    if len(effect.parameters) != 1 or effect.scan or not effect.sizes:
-        return False
-    return bool(np.any(state.S[:, :, state.full.own_columns(effect.name)] != 0.0))
-
-
-def _columns(state: SelectionState, effects: Sequence[Effect]) -> Int[np.ndarray, " k"]:
-    """Columns of the one parameter of each effect."""
-    return state.full.columns([e.parameters[0].name for e in effects])
-
-
 def _information_of_errors(
-    state: SelectionState, fit: Fit, effects: Sequence[Effect]
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Information on one parameter of each effect, where integrals begin being free, and the right side of what is
-    left."""
-    X, begin = (state.scaled[state.inside][:, :, own] for own in (_columns(state, effects), state.offsets))
+    state: SelectionState, fit: RegressionFit
+) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Effects of one parameter without break point that move the flight path; their columns, the information on them
+    where integrals begin being free, and the right side of what is left."""
+    effects = [
+        e
+        for e in state.full.candidates
+        if len(e.parameters) == 1 and not e.scan and e.sizes and np.any(state.S[:, :, state.full.own_columns(e.name)])
+    ]
+    columns = state.full.columns([e.parameters[0].name for e in effects])
+    X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
     weight = 1.0 / fit.variance
     X = partialled(X, begin, weight)
     right = np.einsum("mci,c,mc->i", X, weight, state.left(fit)[state.inside])
-    return np.einsum("mci,c,mcj->ij", X, weight, X), right
+    return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
 
 
-def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionState, Fit]:
+def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
     """The state with an addition exchanged for several errors that together do nearly the same, where these explain the
     record decisively better.
 
     Offset and scale of an airspeed come one by one. Neither gains what an offset of its pitot pressure does.
     """
-    effects = [e for e in state.full.candidates if _felt(state, e)]
-    gram, _ = _information_of_errors(state, fit, effects)
+    effects, _, gram, _ = _information_of_errors(state, fit)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:
             continue
@@ -332,52 +294,26 @@ def with_several_instead(state: SelectionState, fit: Fit) -> tuple[SelectionStat
     return state, fit
 
 
-def _asked(state: SelectionState, effect: Effect, standing: CandidateScore) -> bool:
-    """Whether an error of a size worth a name would explain much of what is left, were it only confirmed."""
-    least = effect.sizes[effect.parameters[0].name][0]
-    clear = standing.score >= state.settings.least_score and standing.log_bayes > 0.0 and abs(standing.step[0]) >= least
-    return clear and explained(state, standing) >= state.settings.open_share
-
-
-def _size_of_error(found: Extension, effect: Effect, standing: CandidateScore | None) -> tuple[float, float]:
-    """What the record says of an error, were it the only one."""
-    if standing is not None:
-        return float(standing.step[0]), float(standing.sd[0])
-    size = found.sizes[effect.parameters[0].name]
-    return size.mean, size.sd
-
-
-def _imitators(
-    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
-) -> tuple[tuple[str, ...], float]:
-    """The fewest other errors, each of a size that sensors have, that do what one of this size does; and their share
-    of it."""
-    nearest = _nearest(gram, effects, place, settings, size)
-    return next((one for one in nearest if one[1] >= settings.imitated), ((), 0.0))
-
-
 def _nearest(
     gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """One other error, two, and so on, that do most of what one error does; and their share of it."""
+    """One other error, two, and so on, each of a size that sensors have, that do most of what one error of this size
+    does; and their share of it."""
+
+    def share(others: Sequence[int]) -> float:
+        """Share of what the error does that `others` do; none if they must be too large."""
+        at = np.array(others)
+        factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
+        largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
+        if np.any(np.abs(factors) * size > largest):
+            return 0.0
+        return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)
+
     chosen: list[int] = []
     for _ in range(settings.imitators):
-        others = [k for k in range(len(effects)) if k != place and k not in chosen]
-        shares = {k: _share(gram, effects, place, [*chosen, k], size) for k in others}
+        shares = {k: share([*chosen, k]) for k in range(len(effects)) if k != place and k not in chosen}
         if not shares:
             return
         best = max(shares, key=lambda k: shares[k])
         chosen.append(best)
         yield tuple(effects[k].name for k in chosen), shares[best]
-
-
-def _share(
-    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, others: Sequence[int], size: float
-) -> float:
-    """Share of what an error of this size does that `others` do; none if they must be too large."""
-    at = np.array(others)
-    factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
-    largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
-    if np.any(np.abs(factors) * size > largest):
-        return 0.0
-    return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)

@@ -9,64 +9,52 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.special import chdtrc
 
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.screening.regression import Products, inverse
-from bayes_aero.diagnosis.screening.screening import CandidateScore, screen, uncertainty
+from bayes_aero.diagnosis.screening.screening import screen, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import Component, SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension, removed
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.structure.changes import (
-    Sought,
-    chance_of,
-    families,
+    FoundChange,
+    FoundComponent,
     holdout_gain_of,
-    in_batches,
-    null_shares,
-    parts_of,
-    share_of,
     sought_change,
     testable,
     told,
-    with_components,
 )
-from bayes_aero.diagnosis.terms.columns import term_of
+from bayes_aero.diagnosis.structure.components import (
+    Trial,
+    chance_of,
+    families,
+    in_batches,
+    null_shares,
+    parts_of,
+    term_of,
+)
 from bayes_aero.inference.covariance import nats
 
 
 @dataclass(frozen=True)
 class Left:
-    """Unknown structure, named causes that were only its proxies, parameters that change, and the functions by which
-    the structure was found."""
+    """What the catalogue does not explain."""
 
     unknown: tuple[UnexplainedStructure, ...]
-    replaced: tuple[str, ...]
+    replaced: tuple[str, ...]  # named causes that were only its proxies
     changes: tuple[ParameterChange, ...] = ()
-    functions: tuple[Component, ...] = ()
-
-
-class _Found(NamedTuple):
-    """A component that is taken for real: the state in which it was found, its share, its p-value; `change`: of a
-    parameter, if it is one."""
-
-    state: SelectionState
-    component: Component
-    share: float
-    p_value: float
-    change: Sought | None = None
+    functions: tuple[Component, ...] = ()  # by which the structure was found
 
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, found = extension.state, list[_Found]()
+    state, found = extension.state, list[FoundComponent]()
     for number in range(max(state.settings.unnamed_most, len(state.outputs))):
         one = _best(state, [f.component for f in found], seed + number)
         if one is None:
@@ -75,17 +63,22 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         state = one.state
     if found:
         replaced = superfluous(state, extension.causes, [f.component for f in found])
-        labels = {f.component.label for f in found}
-        return _left(extension, found, tuple(name for name in replaced if not _is_line(state, name, labels)))
-    stand_in = _proxies(extension, seed)
-    return Left((), ()) if stand_in is None else _left(extension, [stand_in], extension.causes)
+        over = {(f.component.coefficient, f.component.channel) for f in found}
+        lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
+        line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
+        return _left(extension, found, tuple(name for name in replaced if name not in line))
+    # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
+    # coefficients together: they were then stand-ins for something that is in no catalogue.
+    proxies = [] if not extension.causes else [_changing_in(extension, seed), _standing_in(extension)]
+    margins = [proxy for proxy in proxies if proxy is not None]
+    if not margins:
+        return Left((), ())
+    return _left(extension, [max(margins, key=lambda margin: margin[0])[1]], extension.causes)
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient whose constant differs between manoeuvres beyond chance, and additions that explain it as well.
-
-    Terms explain the `idle` ones.
-    """
+    """Each coefficient not among the `idle` ones, which terms explain, whose constant differs between manoeuvres beyond
+    chance, and additions that explain it as well."""
     state, found = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
@@ -93,10 +86,9 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
-        columns = constants_of(state, name)
-        at = [int(np.flatnonzero(fit.columns == column)[0]) for column in columns]
+        at = fit.places(constants_of(state, name))
         from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
-        covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))[np.ix_(at, at)]
+        covariance = uncertainty(state, fit)[np.ix_(at, at)]
         size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
         p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
         if p > state.settings.block_false_alarm_rate:
@@ -116,156 +108,87 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
     return state.offsets[first : first + width]
 
 
-def _left(extension: Extension, found: Sequence[_Found], replaced: tuple[str, ...]) -> Left:
+def _left(extension: Extension, found: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
     """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in found]
-    bare = taken_out(found[-1].state, [name for name in replaced if name in found[-1].state.active])
+    bare = found[-1].state.without([name for name in replaced if name in found[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
     election = None if last is None or last.chosen is not None else last.screening
     for one in found:
-        if one.change is not None:
-            change = told(bare, one.change, chosen, election)
+        if isinstance(one, FoundChange):
+            change = told(bare, one, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
-            coefficient, channel = one.component.label.split(" over ")
-            unknown.append(UnexplainedStructure(coefficient, channel, one.share, one.p_value))
-    functions = tuple(one.component for one in found if one.change is None)
+            of = one.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, one.share, one.p_value))
+    functions = tuple(one.component for one in found if not isinstance(one, FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
-def _is_line(state: SelectionState, effect: str, labels: set[str]) -> bool:
-    """Whether an effect is a term of a channel, of which a function of the same channel has all."""
-    term = term_of(state, effect)
-    if term is None:
-        return False
-    coefficient = term.component.label.split(" over ")[0]
-    return any(f"{coefficient} over {channel}" in labels for channel in term.term.channels)
-
-
 def _constants(state: SelectionState) -> set[str]:
-    """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres: what these explain
-    as well is no change, for the drag due to lift follows an offset of the lift."""
+    """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres."""
+    # What these explain as well is no change, for the drag due to lift follows an offset of the lift.
     outputs = [state.outputs.index(name) for name in state.apart]
     S = state.S[:, outputs][:, :, : len(state.theta)]
     constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
     return {name for name, own in zip(state.full.model.names, constant, strict=True) if own}
 
 
-def taken_out(state: SelectionState, effects: Sequence[str]) -> SelectionState:
-    """The state with some of its additions at neutral, to first order."""
-    if not effects:
-        return state
-    own = state.full.own_columns(*effects)
-    away, theta, mean = state.departure[own], state.theta.copy(), state.mean.copy()
-    theta[own], mean[own] = state.full.neutral_vector[own], mean[own] + away
-    residual = state.residual + state.S[:, :, own] @ away
-    active = tuple(e for e in state.active if e not in effects)
-    products = state.products.shifted(own, -away)
-    return replace(state, theta=theta, mean=mean, residual=residual, products=products, active=active)
-
-
 def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
     """Named causes of which little is left once the components are in: they had stood in for them."""
-    deviance, count = _with(state, chosen)
-    least, dropped = state.least_share(state.settings.unnamed_share), []
+    wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
+    dropped, deviance, count = [], wide.fit().deviance, float(wide.products.count.sum())
     for name in causes:
-        rest, _ = _with(removed(state, name), chosen)
+        rest = removed(state, name).with_components((), chosen).fit().deviance
         if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
             dropped.append(name)
     return tuple(dropped)
 
 
 def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
-    """Causes of which little is left beside what is unexplained lose their names: nuisances, in the model as before.
-
-    `sizes` are those of the other causes beside what is unexplained.
-    """
+    """Causes `names` of which little is left beside what is unexplained become nuisances; `sizes` are the others'."""
     causes = tuple(name for name in found.causes if name not in names)
     minor = (*found.minor, *(name for name in found.causes if name in names))
     return replace(found, causes=causes, minor=minor, sizes={**found.sizes, **sizes})
 
 
-def _with(state: SelectionState, chosen: Sequence[Component]) -> tuple[float, float]:
-    """Deviance of the active effects and the chosen components together, and the number of blocks."""
-    wide = with_components(state, (), chosen, state.folds)
-    return wide.fit().deviance, float(wide.products.count.sum())
-
-
-def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The component, or the change of a parameter, that explains what is left, is beyond chance and predicts what was
     left out. Of both, the one that predicts it better."""
     smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
-    if change is None:
-        return smooth
-    found = _Found(change.state, change.change.component, change.share, change.p_value, change)
-    if smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen):
-        return found
+    if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
+        return change
     return smooth
 
 
-def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> _Found | None:
+def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
     """The best function of a channel or of time."""
     tried = state.settings.unnamed_tried
     for folds, components, least in families(state):
-        batches = in_batches(state, components, folds)
-        leaders = [(one, standing) for one in batches for standing in _leaders(state, one, chosen, folds, seed)]
-        leaders.sort(key=lambda found: -found[1].score)
-        for batch, standing in leaders[:tried]:
-            component = next(c for c in batch if c.label == standing.effect)
-            trial = with_components(state, [component], chosen, folds)
-            own = trial.component_columns[0]
-            wide = np.concatenate([trial.columns(), own])
-            gained, share = holdout_deviance_gain(trial, wide), share_of(trial, own)
-            if gained <= 0.0 or share < least:
+        batches, leaders = in_batches(state, components, folds), []
+        for batch in batches:
+            trials = state.with_components(batch, chosen, folds)
+            scores = screen(trials, trials.fit(), seed=seed, nulls=False).candidate_scores[:tried]
+            leaders += [(standing.score, next(c for c in batch if c.label == standing.effect)) for standing in scores]
+        leaders.sort(key=lambda leader: -leader[0])
+        for _, component in leaders[:tried]:
+            trial = Trial(state, component, chosen, folds)
+            if trial.gain <= 0.0 or trial.share < least:
                 continue
-            wider = trial.products.fit(wide, trial.mean, trial.precision)
-            noise = autocorrelation_of(trial.left(wider), folds), wider.variance
-            p = _p_value(state, batches, chosen, folds, noise, share, seed)
+            # How often noise alone lets some component explain so large a share.
+            noise = trial.colour, trial.fit.variance, seed
+            nulls = [null_shares(state.with_components(batch, chosen, folds), *noise) for batch in batches]
+            p = chance_of(trial.share, np.max(nulls, axis=0))
             if p <= state.settings.unnamed_false_alarm_rate:
-                return _Found(state, component, share, p)
+                return FoundComponent(state, component, trial.share, p)
     return None
 
 
-def _leaders(
-    state: SelectionState, batch: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice], seed: int
-) -> Sequence[CandidateScore]:
-    trial = with_components(state, batch, chosen, folds)
-    return screen(trial, trial.fit(), seed=seed, nulls=False).candidate_scores[: state.settings.unnamed_tried]
-
-
-def _p_value(
-    state: SelectionState,
-    batches: Sequence[Sequence[Component]],
-    chosen: Sequence[Component],
-    folds: Sequence[slice],
-    noise: tuple[Autocorrelation, Float[np.ndarray, " c"]],
-    share: float,
-    seed: int,
-) -> float:
-    """How often noise alone, of an autocorrelation and variances, lets some component explain so large a share."""
-    trials = (with_components(state, batch, chosen, folds) for batch in batches)
-    return chance_of(share, np.max([null_shares(trial, *noise, seed) for trial in trials], axis=0))
-
-
-def _proxies(extension: Extension, seed: int) -> _Found | None:
-    """A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
-    coefficients together.
-
-    The causes were then stand-ins for something that is in no catalogue. Effects are taken out to first order.
-    """
-    if not extension.causes:
-        return None
-    function, change = _standing_in(extension), _changing_in(extension, seed)
-    if change is None or (function is not None and function[0] > change[0]):
-        return None if function is None else function[1]
-    return change[1]
-
-
-def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None:
+def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
     """A change in place of the causes, and by how much more than they must it predicts."""
     state = extension.state
-    bare = taken_out(state, extension.causes)
+    bare = state.without(extension.causes)
     if not testable(bare):
         return None
     parts = parts_of(state, state.settings.change_parts)
@@ -276,8 +199,7 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, _Found] | None
     if found is None:
         return None
     margin = _margin(state, found.gained, known)
-    one = _Found(found.state, found.change.component, found.share, found.p_value, found)
-    return None if margin <= 0.0 else (margin, one)
+    return (margin, found) if margin > 0.0 else None
 
 
 def _margin(state: SelectionState, gained: float, known: float) -> float:
@@ -285,18 +207,16 @@ def _margin(state: SelectionState, gained: float, known: float) -> float:
     return gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation
 
 
-def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
-    """The same of a function, of whose share a part must be left where the causes are in.
-
-    A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts less
-    than a function of its own channel where the parameters of the model beside it extrapolate.
-    """
+def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
+    """The same of a function, of whose share a part must be left where the causes are in."""
+    # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
+    # less than a function of its own channel where the parameters of the model beside it extrapolate.
     state = extension.state
     own = state.full.own_columns(*state.active)
     best = None
     parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
     for folds, components, least in parts:
-        trial = with_components(state, components, (), folds)
+        trial = state.with_components(components, (), folds)
         bare = trial.columns(())
         products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
@@ -308,14 +228,14 @@ def _standing_in(extension: Extension) -> tuple[float, _Found] | None:
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
             columns = trial.component_columns[i]
             gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
-            margin, share = _margin(state, gained, known), share_of(taken_out, columns)
-            left = share_of(trial, columns) if margin > 0.0 and share >= least else 0.0
+            margin = _margin(state, gained, known)
+            share = taken_out.share_of(columns)
+            left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
-                best = (margin, _Found(state, components[i], share, float("nan")))
+                best = (margin, FoundComponent(state, components[i], share, float("nan")))
     return best
 
 
 def left_beside(alone: float, beside: float, settings: DiagnosisSettings) -> bool:
-    """Whether a function is more than its causes: its share of the variance `beside` them is no small part of that
-    `alone`, as its gain on hold-out data must exceed theirs."""
+    """Whether the share that a function explains `beside` its causes is no small part of that `alone`, without them."""
     return beside >= (settings.stand_in - 1.0) * alone

@@ -28,27 +28,23 @@ LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
 
 
 @dataclass(frozen=True)
-class Factor:
-    """A quantity x of which terms are products.
-
-    `code` is the expression of signals `s`, aircraft `a` and `known` in an effect file; None where it has a state.
-    `cost` counts as so many factors where two terms are equally good. `lateral` factors change sign with the wings.
-    """
+class TermFactor:
+    """A quantity x of which terms are products."""
 
     name: str
-    code: str | None
+    code: str | None  # expression of signals `s`, aircraft `a`, `known` in an effect file; None where it has a state
     channels: tuple[str, ...]
     evaluate: Callable[[Signals, Aircraft], Float[np.ndarray, " n"]]
-    lateral: bool = False
-    cost: int = 1
+    lateral: bool = False  # it changes sign with the wings
+    cost: int = 1  # counts as so many factors where two terms are equally good
     unit: str = "1"
 
 
 @dataclass(frozen=True)
-class Term:
+class ProductTerm:
     """A product of factors, those of several powers repeated."""
 
-    factors: tuple[Factor, ...]
+    factors: tuple[TermFactor, ...]
 
     @property
     def name(self) -> str:
@@ -84,28 +80,26 @@ class Term:
         return np.prod([f.evaluate(signals, aircraft) for f in self.factors], axis=0)
 
 
-def _channel(name: str, *, lateral: bool = False) -> Factor:
+def _channel(name: str, *, lateral: bool = False) -> TermFactor:
     unit = "1" if name == "mach" else "rad"
-    return Factor(name, f's["{name}"]', (name,), lambda s, _: np.asarray(s[name]), lateral, unit=unit)
+    return TermFactor(name, f's["{name}"]', (name,), lambda s, _: np.asarray(s[name]), lateral, unit=unit)
 
 
-def _rate(name: str, channel: str, *, lateral: bool = False) -> Factor:
+def _rate(name: str, channel: str, *, lateral: bool = False) -> TermFactor:
     by = reduced_lateral if lateral else reduced
     code = f'{by.__name__}(s["{channel}"], s["airspeed"], a)'
-    return Factor(name, code, (channel, "airspeed"), lambda s, a: np.asarray(by(s[channel], s["airspeed"], a)), lateral)
+    return TermFactor(
+        name, code, (channel, "airspeed"), lambda s, a: np.asarray(by(s[channel], s["airspeed"], a)), lateral
+    )
 
 
-def _thrust(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
-    return np.asarray(s["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area))
-
-
-THRUST = Factor(
+THRUST = TermFactor(
     "CT",
     's["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area)',
     ("thrust", "density", "airspeed"),
-    _thrust,
+    lambda s, a: np.asarray(s["thrust"] / (0.5 * s["density"] * s["airspeed"] ** 2 * a.wing_area)),
 )
-SEPARATED = Factor("(1 - X)", '(1.0 - known["X"])', (), lambda s, _: 1.0 - np.asarray(s["X"]))
+SEPARATED = TermFactor("(1 - X)", '(1.0 - known["X"])', (), lambda s, _: 1.0 - np.asarray(s["X"]))
 QUANTITIES = (
     _channel("alpha"), _rate("qhat", "q"), _channel("elevator"), _channel("stabilizer"), _channel("flap"),
     _channel("spoiler"), _channel("dlc"), _channel("canard"), _channel("mach"), THRUST,
@@ -117,40 +111,35 @@ MEMORY = ("alpha", "beta", "elevator", "aileron", "rudder")
 CURVED = ("alpha", "beta")  # quantities whose own effect may break; that of alpha may have a bump
 
 
-def _beyond(quantity: Factor, at: float) -> str:
+def _beyond(quantity: TermFactor, at: float) -> str:
     return f"{quantity.name} {'-' if at >= 0.0 else '+'} {abs(at):g}"
 
 
-def _break(quantity: Factor, at: float) -> Factor:
-    """What the quantity is beyond a value, on either side for one that changes sign with the wings: its slope is
-    another one there."""
-    if quantity.lateral:
-        code = f"xp.sign({quantity.code}) * xp.maximum(xp.abs({quantity.code}) - {at!r}, 0.0)"
-        name = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)"
-
-        def beyond(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
-            x = quantity.evaluate(s, a)
-            return np.sign(x) * np.maximum(np.abs(x) - at, 0.0)
-
-        return Factor(name, code, quantity.channels, beyond, True, 2, quantity.unit)
-    code = f"xp.maximum({quantity.code} - {at!r}, 0.0)"
+def _break(quantity: TermFactor, at: float) -> TermFactor:
+    """What the quantity is beyond a value, on either side if `lateral`: its slope is another one there."""
+    own, lateral = quantity.code, quantity.lateral
+    code = f"xp.maximum({f'xp.abs({own})' if lateral else own} - {at!r}, 0.0)"
     name = f"max({_beyond(quantity, at)}, 0)"
-    return Factor(
-        name, code, quantity.channels, lambda s, a: np.maximum(quantity.evaluate(s, a) - at, 0.0),
-        quantity.lateral, 2, quantity.unit,
-    )  # fmt: skip
+    if lateral:
+        name, code = f"sign({quantity.name}) max(|{quantity.name}| - {at:g}, 0)", f"xp.sign({own}) * {code}"
+
+    def evaluate(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
+        x = quantity.evaluate(s, a)
+        return np.sign(x) * np.maximum(np.abs(x) - at, 0.0) if lateral else np.maximum(x - at, 0.0)
+
+    return TermFactor(name, code, quantity.channels, evaluate, lateral, 2, quantity.unit)
 
 
-def _bump(quantity: Factor, at: float, width: float) -> Factor:
+def _bump(quantity: TermFactor, at: float, width: float) -> TermFactor:
     code = f"xp.exp(-0.5 * (({quantity.code} - {at!r}) / {width!r}) ** 2)"
     name = f"exp(-(({_beyond(quantity, at)})/{width:g})^2/2)"
-    return Factor(
+    return TermFactor(
         name, code, quantity.channels,
         lambda s, a: np.exp(-0.5 * ((quantity.evaluate(s, a) - at) / width) ** 2), quantity.lateral, 3,
     )  # fmt: skip
 
 
-def _lagged(quantity: Factor, chords: float) -> Factor:
+def _lagged(quantity: TermFactor, chords: float) -> TermFactor:
     """The quantity as a first-order lag of so many chords passes it, at the median airspeed."""
 
     def evaluate(s: Signals, a: Aircraft) -> Float[np.ndarray, " n"]:
@@ -162,39 +151,35 @@ def _lagged(quantity: Factor, chords: float) -> Factor:
         parts = np.split(x, first[1:].astype(int))
         return np.concatenate([lfilter([1.0 - keep], [1.0, -keep], p, zi=[keep * p[0]])[0] for p in parts])
 
-    return Factor(
+    return TermFactor(
         f"lag({quantity.name}, {chords:g} c/V)", None, quantity.channels, evaluate, quantity.lateral, 2, quantity.unit
     )
 
 
 def library(
     signals: Signals, aircraft: Aircraft, able: Callable[[str], bool], *, lateral: bool, separated: bool
-) -> tuple[Term, ...]:
-    """Terms of a coefficient that these flights can tell.
+) -> tuple[ProductTerm, ...]:
+    """Terms of a coefficient that these flights can tell, which change sign with the wings as it does (`lateral`).
 
-    Args:
-        signals: corrected channels of all flights end to end, `X` and the marks of manoeuvres, each (n,).
-        aircraft: its reference lengths.
-        able: whether a channel was recorded and moves.
-        lateral: whether the coefficient changes sign with the wings; its terms do as it does.
-        separated: whether the flow separates in these flights.
+    `signals` are those of all flights end to end, `X` and the marks of manoeuvres among them, each (n,); `able` says
+    whether a channel was recorded and moves, `separated` whether the flow separates.
     """
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
     factors = [*quantities, *([SEPARATED] if separated else [])]
-    found = [Term(t) for k in range(1, ORDER + 1) for t in combinations_with_replacement(factors, k)]
+    found = [ProductTerm(t) for k in range(1, ORDER + 1) for t in combinations_with_replacement(factors, k)]
     terms = [t for t in found if t.factors.count(SEPARATED) <= 1]
     for q in quantities:
         x = q.evaluate(signals, aircraft)
         if q.name in CURVED:
             least = CLEAR * noise_of(*np.split(x, np.unique(np.asarray(signals["first"]))[1:].astype(int)))
             places = [at for at in _places(np.abs(x), BREAKS) if at > least] if q.lateral else _places(x, BREAKS)
-            terms += [Term((_break(q, at),)) for at in places]
+            terms += [ProductTerm((_break(q, at),)) for at in places]
         if q.name in CURVED and not q.lateral:
             reach = float(np.ptp(np.quantile(x, (0.02, 0.98))))
             widths = [float(np.round(share * reach, 4)) for share in WIDTHS]
-            terms += [Term((_bump(q, at, w),)) for at in _places(x, BUMPS) for w in widths if w > 0.0]
+            terms += [ProductTerm((_bump(q, at, w),)) for at in _places(x, BUMPS) for w in widths if w > 0.0]
         if q.name in MEMORY:
-            terms += [Term((_lagged(q, chords),)) for chords in LAGS]
+            terms += [ProductTerm((_lagged(q, chords),)) for chords in LAGS]
     return tuple(t for t in terms if (sum(f.lateral for f in t.factors) % 2 == 1) == lateral)
 
 

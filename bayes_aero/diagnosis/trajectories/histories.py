@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.selection.block_jackknife import theil_parts
+from bayes_aero.diagnosis.screening.accuracy import normal_draws
 from bayes_aero.diagnosis.trajectories.results import (
     Error,
     GustHistory,
     ProcessNoise,
     SimulatedManoeuvre,
     TrajectoryFit,
+    theil_parts,
 )
 from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
@@ -26,12 +27,11 @@ from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.inference.likelihood.output_error import fit_disturbed, one_by_one, trajectories
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.inference.one_step import one_step
 from bayes_aero.inference.posterior.nuts import sample_innovations
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.scores import OneStep
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
@@ -48,26 +48,6 @@ def label(flown: SegmentTrajectories, row: int) -> str:
     return f"{name}, {'first' if row == 0 else 'second'} half"
 
 
-def paths_of(
-    fit: OutputErrorResult,
-    flown: SegmentTrajectories,
-    model: str,
-    split: str,
-    departure: Float[np.ndarray, "w s"],
-    tolerances: Mapping[str, float],
-    *,
-    drawn: bool = False,
-    variance_inflation: float = 1.0,
-    seed: int = 0,
-) -> list[SimulatedManoeuvre]:
-    """Every segment of `flown` that counts, simulated with the parameters of `fit`; `drawn`: with its posterior, too,
-    under a likelihood that counts each sample for one in `variance_inflation`."""
-    draws = None
-    if drawn and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
-        draws = posterior_draws(fit, variance_inflation, seed)
-    return simulated(fit.estimate, flown, model, split, departure, tolerances, draws)
-
-
 def simulated(
     estimate: Float[np.ndarray, " k"],
     flown: SegmentTrajectories,
@@ -77,17 +57,19 @@ def simulated(
     tolerances: Mapping[str, float],
     draws: Float[np.ndarray, "m k"] | None = None,
 ) -> list[SimulatedManoeuvre]:
-    """The same with given parameters; with `draws` of them, too, the chance to stay inside the tolerances."""
+    """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
     shown, every = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure))
     paths = []
     for row, found in every.items():
         keep = flown.inside[row]
         measured, residual = np.asarray(found.measured[0])[keep], np.asarray(found.residual[0])[keep]
         chance = {} if draws is None else _probabilities(replace(flown, outputs=shown).part([row]), draws, tolerances)
-        errors = {
-            name: _error(measured[:, c], residual[:, c], tolerances.get(name), chance.get(name))
-            for c, name in enumerate(shown)
-        }
+        errors = {}
+        for name, z, e in zip(shown, measured.T, residual.T, strict=True):
+            tolerance, size = tolerances.get(name), np.abs(e)
+            within = None if tolerance is None else float(np.mean(size <= tolerance))
+            rms, parts = float(np.sqrt(np.mean(e**2))), theil_parts(z, z - e)
+            errors[name] = Error(rms, float(size.max()), parts, tolerance, within, chance.get(name))
         paths.append(
             SimulatedManoeuvre(
                 manoeuvre=label(flown, row),
@@ -103,18 +85,6 @@ def simulated(
     return paths
 
 
-def _error(measured: np.ndarray, residual: np.ndarray, tolerance: float | None, probability: float | None) -> Error:
-    size = np.abs(residual)
-    return Error(
-        rms=float(np.sqrt(np.mean(residual**2))),
-        largest=float(size.max()),
-        theil=theil_parts(measured, measured - residual),
-        tolerance=tolerance,
-        within=None if tolerance is None else float(np.mean(size <= tolerance)),
-        probability=probability,
-    )
-
-
 def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.ndarray, "k k"]:
     """Of the parameters, under a likelihood that counts each sample for one in `inflation`, and their priors."""
     return inflation * fit.covariance
@@ -126,22 +96,14 @@ def posterior_draws(
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
     covariance = posterior_covariance(fit, variance_inflation)[np.ix_(moving, moving)]
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    white = np.random.default_rng(seed).standard_normal((count, len(moving)))
-    thetas = np.tile(fit.estimate, (count, 1))
-    thetas[:, moving] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
-    lower, upper = (np.array([p.bounds[i] for p in fit.parameters], float) for i in (0, 1))
-    return np.clip(thetas, lower, upper)
+    return normal_draws(fit.estimate, moving, covariance, fit.parameters, seed, count)
 
 
 def _probabilities(
     alone: SegmentTrajectories, draws: Float[np.ndarray, "m k"], tolerances: Mapping[str, float]
 ) -> dict[str, float]:
-    """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope.
-
-    Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
-    """
+    """Share of draws whose whole trajectory, of one segment, stays inside each tolerance and the envelope."""
+    # Draw by draw: a simulation of all of them together would have to be compiled, and takes half as long only.
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
@@ -162,10 +124,7 @@ def _probabilities(
 def fly_given(
     flights: Flights, model: Model, values: Mapping[str, float], tolerances: Mapping[str, float]
 ) -> tuple[SimulatedManoeuvre, ...]:
-    """Every manoeuvre from its measured initial state, with `values` (SI) by parameter; others have their start.
-
-    Nothing is fitted to the flight.
-    """
+    """Every manoeuvre from its measured initial state, with `values` (SI) of parameters; nothing is fitted."""
     dynamics = aircraft_dynamics(model, flights)
     theta = np.array([values.get(p.name, p.start) for p in dynamics.free])
     whole = segments(flights, dynamics, substeps=dynamics.substeps(theta, flights))
@@ -181,11 +140,8 @@ def fly_given(
 def with_process_noise(
     flown: TrajectoryFit,
 ) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
-    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared.
-
-    Returns:
-        What the fit says, and what samples its posterior from a seed by a sampler.
-    """
+    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared; also what
+    samples its posterior from a seed by a sampler."""
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
@@ -206,6 +162,10 @@ def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErr
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
     converged = found.status is PredictionErrorStatus.CONVERGED
+    predicted = None
+    if converged:
+        errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found))
+        predicted = one_step(found.found, errors, found.outputs)
     theirs = [i for i, name in enumerate(found.names) if name in own]
     return ProcessNoise(
         found.status.value,
@@ -217,14 +177,9 @@ def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErr
         dict(zip(found.outputs, map(float, neighbour_correlation(found.found)), strict=True)),
         {name: value for name, value in estimates.items() if name not in own},
         _histories(gusty, found),
-        _predictions(gusty, found) if converged else None,
+        predicted,
         found.covariance[np.ix_(theirs, theirs)],
     )
-
-
-def _predictions(gusty: SegmentTrajectories, found: PredictionErrorResult) -> OneStep:
-    errors = prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found)
-    return one_step(found.found, np.asarray(errors), found.outputs)
 
 
 _smoothed = eqx.filter_jit(jax.vmap(smooth))

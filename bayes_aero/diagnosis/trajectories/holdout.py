@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel, finite, lag_of
 from bayes_aero.diagnosis.selection.forward_selection import Extension, large
-from bayes_aero.diagnosis.selection.holdout import Confirmation, backward_elimination
+from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.histories import paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.histories import posterior_covariance, posterior_draws, simulated
 from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_biases import with_biases_of
@@ -28,21 +28,20 @@ from bayes_aero.inference.likelihood.mle import solve
 from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
 from bayes_aero.inference.likelihood.output_error import SeparatedFlow, fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import THINNING, OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.scores import log_density, log_score_gain, log_score_gains
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import departure
 
 
 @dataclass(frozen=True)
-class Noise:
+class FlightNoise:
     """What a first fit tells of residuals: their variance inflation, how they grow in the stall."""
 
     variance_inflation: float
     parts: SeparatedFlow | None
 
     @classmethod
-    def of(cls, fit: OutputErrorResult) -> Noise:
+    def of(cls, fit: OutputErrorResult) -> FlightNoise:
         """From a fit to all."""
         return cls(trajectory_variance_inflation(fit), SeparatedFlow.of(fit))
 
@@ -58,28 +57,20 @@ class Noise:
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A model fitted to all segments; `held` parameters are never fitted, `own` are those of its causes.
-
-    `weighed`: samples count by the noise_growth of what is missed.
-    """
+    """A model fitted to all segments."""
 
     name: str
     fit: OutputErrorResult
-    own: frozenset[str] = frozenset()
-    held: Mapping[str, float] = field(default_factory=dict)
-    weighed: bool = True
+    own: frozenset[str] = frozenset()  # parameters of its causes
+    held: Mapping[str, float] = field(default_factory=dict)  # parameters that are never fitted
+    weighed: bool = True  # samples count by the noise_growth of what is missed
 
     def silent(self, segment: int, unidentified: float) -> dict[str, float]:
-        """Parameters of causes whose standard error without this segment is `unidentified` times the joint one; joint
-        values."""
+        """Joint values of causes' parameters whose standard error without this segment is `unidentified` times more."""
         if not self.own:
             return {}
-        part = fit_output_error(
-            masked(self.fit.flown, segment, keep=False),
-            start=self.fit.estimate,
-            departure=self.fit.departure,
-            max_iterations=0,
-        )
+        others = masked(self.fit.flown, segment, keep=False)
+        part = fit_output_error(others, start=self.fit.estimate, departure=self.fit.departure, max_iterations=0)
         told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):
             return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
@@ -92,12 +83,9 @@ def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTr
 
 
 def left_out(
-    contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: Noise
+    contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: FlightNoise
 ) -> Iterator[tuple[str, OutputErrorResult]]:
-    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held.
-
-    Two fits keep as many cores busy as one with twice the segments, so several are made at once.
-    """
+    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held."""
     count = len(contenders[0].fit.flown.index)
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
@@ -110,6 +98,7 @@ def left_out(
         rest = masked(weighed, k, keep=False)
         return contender.name, fit_output_error(rest, start=fit.estimate, held=held, **options)
 
+    # Two fits keep as many cores busy as one with twice the segments, so several are made at once.
     with ThreadPoolExecutor(max(1, cores() // max(1, count - 1))) as pool:
         try:
             yield from pool.map(one, jobs)
@@ -127,61 +116,30 @@ def holdout_fits(
 ) -> list[SimulatedManoeuvre]:
     """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
     posterior, too, where there are tolerances to stay inside."""
-    flown, still, name = contender.fit.flown, np.zeros_like(contender.fit.departure), contender.name
-    options = {"drawn": bool(tolerances), "variance_inflation": variance_inflation, "seed": seed}
-    alone = [masked(flown, k, keep=True) for k in range(len(fits))]
-    found = [
-        paths_of(f, one, name, "hold_out", still, tolerances, **options) for f, one in zip(fits, alone, strict=True)
-    ]
-    return [path for paths in found for path in paths]
+    flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
+    found = []
+    for k, fit in enumerate(fits):
+        known = bool(tolerances) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE
+        draws = posterior_draws(fit, variance_inflation, seed) if known else None
+        alone = masked(flown, k, keep=True)
+        found += simulated(fit.estimate, alone, contender.name, "hold_out", still, tolerances, draws)
+    return found
 
 
-# --- Log score of a simulation on hold-out flights.
+def left_out_of(paths: Sequence[SimulatedManoeuvre], flown: SegmentTrajectories, variance_inflation: float) -> LeftOut:
+    """What simulations, in order, miss of every segment of `flown`."""
+    left = [np.stack([p.measured[n] - p.simulated[n] for n in flown.outputs], axis=1) for p in paths]
+    scaled = [x / s for x, s in zip(left, flown.growth, strict=True)]
+    return _left_out(scaled, flown, variance_inflation, flyable=all(p.inside for p in paths))
 
 
-@dataclass(frozen=True)
-class HoldoutScore:
-    """What is missed of every segment, flown by a fit to the others, divided by `noise_growth`.
-
-    `inside`: the flight stayed in the envelope.
-    """
-
-    residual: tuple[Float[np.ndarray, "_ c"], ...]
-    inside: bool = True
-
-    @classmethod
-    def of(
-        cls,
-        paths: Sequence[SimulatedManoeuvre],
-        outputs: Sequence[str],
-        noise_growth: Sequence[Float[np.ndarray, "_ c"]],
-    ) -> HoldoutScore:
-        """From simulated segments, in order."""
-        left = [np.stack([p.measured[n] - p.simulated[n] for n in outputs], axis=1) for p in paths]
-        return cls(tuple(x / s for x, s in zip(left, noise_growth, strict=True)), all(p.inside for p in paths))
-
-    def density(self) -> Float[np.ndarray, " m"]:
-        """Log density of every sample, all outputs together."""
-        return self.densities().sum(axis=1)
-
-    def densities(self) -> Float[np.ndarray, "m c"]:
-        """Log density of every sample by output but for what the noise_growth adds: normal, with the variance that the
-        residuals themselves have."""
-        r = np.concatenate(self.residual)
-        return log_density(r, np.mean(r**2, axis=0))
-
-
-def holdout_gain(before: HoldoutScore, after: HoldoutScore, variance_inflation: float) -> tuple[float, float]:
-    """Log density that `after` has beyond `before` on the same segments, over the variance inflation; deviation."""
-    return log_score_gain(before.density(), after.density(), variance_inflation, [len(r) for r in before.residual])
-
-
-def output_gains(
-    names: Sequence[str], before: HoldoutScore, after: HoldoutScore, variance_inflation: float
-) -> dict[str, tuple[float, float]]:
-    """`holdout_gain` of each output by itself."""
-    lengths = [len(r) for r in before.residual]
-    return log_score_gains(names, before.densities(), after.densities(), variance_inflation, lengths)
+def _left_out(
+    scaled: Sequence[Float[np.ndarray, "_ c"]], flown: SegmentTrajectories, inflation: float, *, flyable: bool = True
+) -> LeftOut:
+    """From residuals by segment that are divided by the noise growth already."""
+    residual, lengths = np.concatenate(scaled), [len(r) for r in scaled]
+    everywhere = np.ones(len(residual), bool)
+    return LeftOut(residual, np.ones_like(residual), everywhere, flown.outputs, lengths, inflation, flyable=flyable)
 
 
 # --- A lag of the separation point that coefficients leave open, asked of trajectories.
@@ -206,7 +164,7 @@ def with_lag(
     model: Model,
     effect: Effect,
     extended: CandidateFit,
-    noise: Noise,
+    noise: FlightNoise,
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
 ) -> tuple[CandidateFit, LagTest]:
@@ -214,63 +172,40 @@ def with_lag(
 
     Hysteresis that is left at none is held there: the lag stands in for it.
     """
-    model = _without_lead(model)
-    dynamics = with_biases_of(extended.fit.flown.dynamics, aircraft_dynamics(model, flights))
+    hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
+    neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
+    # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.
+    bounded = [
+        replace(p, bounds=(max(neutral[p.name], p.bounds[0]), p.bounds[1])) if p.name in neutral else p
+        for p in model.parameters
+    ]
+    dynamics = aircraft_dynamics(replace(model, parameters=tuple(bounded)), flights)
+    dynamics = with_biases_of(extended.fit.flown.dynamics, dynamics)
     fitted = dict(zip(extended.fit.names, map(float, extended.fit.estimate), strict=True))
     start = np.array([fitted.get(p.name, p.start) for p in dynamics.free])
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
-    fit = fit_output_error(whole, start=start, prior_weight=noise.variance_inflation)
+    inflation = noise.variance_inflation
+    fit = fit_output_error(whole, start=start, prior_weight=inflation)
     found = dict(zip(fit.names, fit.estimate, strict=True))
-    none = {n: x for n, x in _hysteresis(model).items() if n in fit.at_bound and found[n] == x}
+    none = {n: x for n, x in neutral.items() if n in fit.at_bound and found[n] == x}
     if none:
-        fit = fit_output_error(
-            whole, start=fit.estimate, departure=fit.departure, held=none, prior_weight=noise.variance_inflation
-        )
+        again = {"start": fit.estimate, "departure": fit.departure, "held": none}
+        fit = fit_output_error(whole, **again, prior_weight=inflation)
     gain = -np.inf
     if fit.status in SETTLED and extended.fit.status in SETTLED:
-        gain = (extended.fit.cost - fit.cost) / noise.variance_inflation
-    own = extended.own | {p.name for p in effect.parameters}
-    slight = np.isfinite(gain) and not large(effect, _away(effect, fit, noise.variance_inflation), settings.least_score)
-    lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=bool(slight), decisive=settings.decisive)
-    return CandidateFit("lagged", fit, own, none), lag
-
-
-def _away(effect: Effect, fit: OutputErrorResult, inflation: float) -> dict[str, tuple[float, float]]:
-    """By parameter of which the effect says what is worth a name: how far from neutral it is, and the deviation."""
+        gain = (extended.fit.cost - fit.cost) / inflation
     sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
-    told = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
-    return {p.name: p.away(*told[p.name]) for p in effect.parameters if p.name in effect.sizes}
+    estimates = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
+    away = {p.name: p.away(*estimates[p.name]) for p in effect.parameters if p.name in effect.sizes}
+    slight = bool(np.isfinite(gain) and not large(effect, away, settings.least_score))
+    lag = LagTest(effect.name, float(gain), instead=tuple(none), slight=slight, decisive=settings.decisive)
+    return CandidateFit("lagged", fit, extended.own | {p.name for p in effect.parameters}, none), lag
 
 
-def confirmed(
-    lag: LagTest,
-    without: Sequence[SimulatedManoeuvre],
-    lagged: Sequence[SimulatedManoeuvre],
-    outputs: Sequence[str],
-    noise_growth: Sequence[Float[np.ndarray, "_ c"]],
-    variance_inflation: float,
-    hold_out: float = DEFAULT.hold_out,
-) -> LagTest:
+def confirmed(lag: LagTest, without: LeftOut, lagged: LeftOut, hold_out: float = DEFAULT.hold_out) -> LagTest:
     """Kept if hold-out prediction degrades without the lag, as for any cause; both predict the same manoeuvres."""
-    before, after = (HoldoutScore.of(paths, outputs, noise_growth) for paths in (without, lagged))
-    told = holdout_gain(before, after, variance_inflation)
-    return replace(lag, unseen=told, kept=bool(after.inside and told[0] > hold_out * told[1]))
-
-
-def _hysteresis(model: Model) -> Mapping[str, float]:
-    """Parameters of the quasi-steady flow's hysteresis and their neutral values."""
-    own = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
-    return {name: x for e in own for name, x in e.neutral_values.items()}
-
-
-def _without_lead(model: Model) -> Model:
-    """Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing."""
-    own = _hysteresis(model)
-    bounded = [
-        replace(p, bounds=(max(own[p.name], p.bounds[0]), p.bounds[1])) if p.name in own else p
-        for p in model.parameters
-    ]
-    return replace(model, parameters=tuple(bounded))
+    gain, sd = lagged.gain(without)
+    return replace(lag, unseen=(gain, sd), kept=bool(lagged.flyable and gain > hold_out * sd))
 
 
 # --- Which causes flight misses: those without which unseen manoeuvres are flown as well are taken out.
@@ -280,15 +215,12 @@ def _without_lead(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class Elimination:
-    """The contender with what flight misses, its fits to all segments but one each, and what each cause is missed by.
-
-    Parameters that are `gone` are held at neutral: those of causes that were taken out.
-    """
+    """The contender with what flight misses, its fits to all segments but one each, and by what each is missed."""
 
     contender: CandidateFit
     fits: Sequence[OutputErrorResult]
     confirmation: Confirmation
-    gone: frozenset[str] = frozenset()
+    gone: frozenset[str] = frozenset()  # parameters of causes that were taken out, held at neutral
 
 
 def eliminate(
@@ -296,22 +228,20 @@ def eliminate(
     fits: Sequence[OutputErrorResult],
     causes: Sequence[Effect],
     silent: Mapping[int, Mapping[str, float]],
-    noise: Noise,
+    noise: FlightNoise,
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
     """Test every one of `causes` on hold-out flights.
 
-    `fits` are those to all segments but one each, `silent` the parameters held at their joint values there.
-
-    A cause with such parameters is not tested and stays: with a joint value the segment is not held out.
+    `fits` are those to all segments but one each, `silent` the parameters held at their joint values there. A cause
+    with such parameters is not tested and stays: with a joint value the segment is not held out.
     """
     unheard = {name for held in silent.values() for name in held}
-    neutral = {e.name: e.neutral_values for e in causes}
-    neutral = {name: values for name, values in neutral.items() if not unheard & set(values)}
-    flight = _Flight(contender, neutral, silent, noise, {tuple(neutral): fits})
-    if not flight.refitted(tuple(neutral)).inside:  # what cannot be flown is no measure of anything
+    neutral = {e.name: e.neutral_values for e in causes if not unheard & set(e.neutral_values)}
+    flight = HeldOutFlights(contender, neutral, silent, noise, {tuple(neutral): fits})
+    if not flight.refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
         return Elimination(contender, fits, Confirmation((), {}))
-    found = backward_elimination(tuple(neutral), flight, settings)
+    found = backward_elimination(tuple(neutral), flight.first_order, flight.refitted, settings)
     less = flight.without(found.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
@@ -322,14 +252,14 @@ def eliminate(
 
 
 @dataclass(frozen=True)
-class _Flight:
-    """Segments as a contender with some of its causes flies them, unseen. `fits` are kept by the causes that are in."""
+class HeldOutFlights:
+    """Segments as a contender with some of its causes flies them, unseen."""
 
     contender: CandidateFit
     neutral: Mapping[str, Mapping[str, float]]  # parameters of the causes that are asked, by cause
     silent: Mapping[int, Mapping[str, float]]
-    noise: Noise
-    fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]
+    noise: FlightNoise
+    fits: dict[tuple[str, ...], Sequence[OutputErrorResult]]  # kept by the causes that are in
 
     def without(self, effects: Sequence[str]) -> CandidateFit:
         """The contender, of what is asked only `effects` in."""
@@ -347,7 +277,7 @@ class _Flight:
         equations, measured = NormalEquations(fit.flown, fit.priors), np.zeros_like(fit.departure)
         return equations.evaluate(fit.estimate, fit.departure), equations.evaluate(fit.estimate, measured)
 
-    def first_order(self, effects: Sequence[str]) -> HoldoutScore:
+    def first_order(self, effects: Sequence[str]) -> LeftOut:
         """Residuals linear in the parameters where all segments are fitted; parameters at a bound stay there."""
         fit, (fitted, measured) = self.contender.fit, self.equations_at_optimum
         A, g, _ = segment_equations(fitted, fit.priors)
@@ -357,39 +287,22 @@ class _Flight:
             others = np.arange(len(A)) != k
             information = A[others].sum(axis=0) + np.diag(fit.priors.precision)
             gradient = g[others].sum(axis=0) - fit.priors.precision * (fit.estimate - fit.priors.mean)
-            step = self._step(effects, k, information, gradient)
+            held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.contender.held, **self._gone(effects)}
+            stated = {n: x for n, x in held.items() if x is not None}
+            away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
+            step = np.array([away.get(n, 0.0) for n in fit.names])
+            moving = np.array([n not in held for n in fit.names])
+            step[moving] = solve(information[np.ix_(moving, moving)], (gradient - information @ step)[moving], 0.0)
             left.append((columns[k, ..., 0] - columns[k, ..., 1 : 1 + len(step)] @ step)[inside])
-        return HoldoutScore(tuple(left))
+        return _left_out(left, fit.flown, self.noise.variance_inflation)
 
-    def _step(self, effects: Sequence[str], k: int, A: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"]):
-        """From the joint optimum to that of all segments but one."""
-        fit = self.contender.fit
-        held = {**dict.fromkeys(fit.at_bound), **self.silent[k], **self.contender.held, **self._gone(effects)}
-        stated = {n: x for n, x in held.items() if x is not None}
-        away = {n: -departure(x, stated[n]) for n, x in zip(fit.names, fit.estimate, strict=True) if n in stated}
-        step = np.array([away.get(n, 0.0) for n in fit.names])
-        moving = np.array([n not in held for n in fit.names])
-        step[moving] = solve(A[np.ix_(moving, moving)], (g - A @ step)[moving], 0.0)
-        return step
-
-    def refitted(self, effects: Sequence[str]) -> HoldoutScore:
+    def refitted(self, effects: Sequence[str]) -> LeftOut:
         """Every segment flown by a fit to the others."""
         key, less = tuple(effects), self.without(effects)
         if key not in self.fits:
             self.fits[key] = [fit for _, fit in left_out([less], {less.name: self.silent}, self.noise)]
         paths = holdout_fits(less, self.fits[key], {})
-        flown = self.contender.fit.flown
-        return HoldoutScore.of(paths, flown.outputs, flown.growth)
-
-    def holdout_gain(self, before: HoldoutScore, after: HoldoutScore) -> tuple[float, float]:
-        if not before.inside:  # without it the flight leaves its envelope
-            return np.inf, 0.0
-        return holdout_gain(before, after, self.noise.variance_inflation)
-
-    def output_gains(self, before: HoldoutScore, after: HoldoutScore) -> Mapping[str, tuple[float, float]]:
-        if not before.inside:
-            return {}
-        return output_gains(self.contender.fit.flown.outputs, before, after, self.noise.variance_inflation)
+        return left_out_of(paths, self.contender.fit.flown, self.noise.variance_inflation)
 
 
 # --- Variance inflation of a fit to trajectories.

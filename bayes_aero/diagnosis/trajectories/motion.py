@@ -11,9 +11,10 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from bayes_aero.diagnosis.candidate_set import manoeuvres
 from bayes_aero.diagnosis.trajectories.results import HALF, FlownMode, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.dynamics.linear import LinearDynamics
-from bayes_aero.dynamics.modes import MotionMode, Steady, modes
+from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.errors import InputError
 from bayes_aero.flight.atmosphere import altitude_of_density
@@ -32,10 +33,9 @@ def steady_of(flights: Flights) -> Steady:
         if name not in flights.channels:
             return otherwise
         x, parts = np.asarray(flights.channels[name], float), []
-        for order in range(len(flights.lengths)):
-            own = np.flatnonzero(flights.manoeuvre == order)
-            first = flights.time[own] <= flights.time[own[0]] + BEGIN
-            parts.append(np.median(x[own[first]]))
+        for part in manoeuvres(flights.manoeuvre):
+            time = flights.time[part]
+            parts.append(np.median(x[part][time <= time[0] + BEGIN]))
         return float(np.median(parts))
 
     density = begin("density", math.nan)
@@ -44,21 +44,17 @@ def steady_of(flights: Flights) -> Steady:
 
 
 def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise | None = None) -> tuple[FlownMode, ...]:
-    """The modes of the fitted model.
-
-    Args:
-        fit: a fit that converged.
-        steady: the flight about which motion is linearised.
-        filtered: a fit of the same model with process noise, whose estimates take the place of those of `fit`.
-
-    Raises:
-        InputError: there is no such flight, or the model has no motion of its own.
-    """
+    """The modes of a model whose fit converged, about `steady` flight; with the estimates of `filtered` in place of
+    those of `fit`. Raises `InputError` where there is no such flight, or the model has no motion of its own."""
     dynamics, aircraft = unbiased(fit.flown.dynamics), fit.flown.flights.aircraft
     count = len(dynamics.free)
     theta, covariance = np.asarray(fit.estimate[:count]), np.asarray(fit.corrected)[:count, :count]
     if filtered is not None:
-        theta, covariance = _filtered(filtered, dynamics.names)
+        order = [list(filtered.estimates).index(name) for name in dynamics.names]
+        theta = np.array([filtered.estimates[name][0] for name in dynamics.names])
+        covariance = (
+            np.zeros((count, count)) if filtered.covariance is None else filtered.covariance[np.ix_(order, order)]
+        )
     found = modes(dynamics, dynamics.values(theta), aircraft, steady)
     slopes = np.zeros((len(found), 2, count))
     scale = np.sqrt(np.diag(covariance))
@@ -73,7 +69,10 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
         except InputError:
             slopes[:, :, k] = math.nan
             continue
-        change = np.array([_nearest(one, ends[0]) - _nearest(one, ends[1]) for one in found]) / (2.0 * step[k])
+        near = [
+            [min((m.eigenvalue for m in end), key=lambda x: abs(x - one.eigenvalue)) for end in ends] for one in found
+        ]
+        change = np.array([plus - minus for plus, minus in near]) / (2.0 * step[k])
         slopes[:, :, k] = np.stack([change.real, change.imag], axis=1)
     moved = np.any(np.abs(slopes[:, :, unknown]) > 1e-9, axis=(1, 2))
     return tuple(
@@ -82,28 +81,21 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
     )
 
 
-def _filtered(fit: ProcessNoise, names: tuple[str, ...]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Estimates of these parameters and their covariance."""
-    own = list(fit.estimates)
-    order = [own.index(name) for name in names]
-    theta = np.array([fit.estimates[name][0] for name in names])
-    return theta, np.zeros((len(names),) * 2) if fit.covariance is None else fit.covariance[np.ix_(order, order)]
-
-
-def _nearest(mode: MotionMode, others: tuple[MotionMode, ...]) -> complex:
-    return min((one.eigenvalue for one in others), key=lambda value: abs(value - mode.eigenvalue))
-
-
 def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 2"]) -> FlownMode:
     """A mode of this eigenvalue (1/s) whose real and imaginary part have this covariance (2, 2)."""
-    sd_real, sd_imaginary = (_root(float(x)) for x in np.diag(covariance))
+
+    def root(variance: float) -> float:
+        """A standard error; infinite where nothing is known."""
+        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
+
+    sd_real, sd_imaginary = (root(float(x)) for x in np.diag(covariance))
     s, w = eigenvalue.real, eigenvalue.imag
 
     def told(value: float, slope: tuple[float, float]) -> tuple[float, float]:
         along = np.array(slope)
         kept = along != 0.0  # infinite errors of what it does not depend on
         part = covariance[np.ix_(kept, kept)]
-        return value, _root(float(along[kept] @ part @ along[kept])) if np.all(np.isfinite(part)) else math.inf
+        return value, root(float(along[kept] @ part @ along[kept])) if np.all(np.isfinite(part)) else math.inf
 
     quantities = {}
     if w > 0.0:
@@ -118,19 +110,12 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
     return FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
 
 
-def _root(variance: float) -> float:
-    """A standard error; infinite where nothing is known."""
-    return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
-
-
 # --- Modes of motion of a fit to trajectories.
 
 
 def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motion | None:
-    """Modes with standard errors, of the estimates with process noise where that fit is `preferred`.
-
-    None without a model of the aircraft, and where the fit did not converge.
-    """
+    """Modes with standard errors, of the estimates with process noise where that fit is `preferred`; None without a
+    model of the aircraft, and where the fit did not converge."""
     if flown.of_path or not flown.converged:
         return None
     steady = steady_of(flown.fit.flown.flights)

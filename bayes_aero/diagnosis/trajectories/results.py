@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.result import NOT_NOISE
-from bayes_aero.diagnosis.selection.block_jackknife import TheilParts
 from bayes_aero.diagnosis.selection.holdout import Confirmation
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.dynamics.flight import AircraftDynamics
@@ -25,31 +24,50 @@ START, FITTED = "start", "fitted"
 
 
 @dataclass(frozen=True)
-class Error:
-    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts.
+class TheilParts:
+    """Theil's inequality coefficient and the shares of bias, variance and covariance in the mean square error."""
 
-    `within` is the share of samples inside the tolerance, `probability` the posterior's that all of them are.
-    """
+    # Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 11; the shares add up to one.
+
+    theil: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+def theil_parts(measured: Float[np.ndarray, " n"], modelled: Float[np.ndarray, " n"]) -> TheilParts:
+    """U = rms(z - y)/(rms z + rms y); shares (mean z - mean y)^2, (sd z - sd y)^2, 2(1 - r) sd z sd y of the MSE."""
+    z, y = np.asarray(measured), np.asarray(modelled)
+    mse = float(np.mean((z - y) ** 2))
+    if mse == 0.0:
+        return TheilParts(0.0, 0.0, 0.0, 0.0)
+    sz, sy = z.std(), y.std()
+    covariance = float(np.mean((z - z.mean()) * (y - y.mean())))
+    theil = np.sqrt(mse) / (np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)))
+    parts = ((z.mean() - y.mean()) ** 2, (sz - sy) ** 2, 2.0 * (sz * sy - covariance))
+    return TheilParts(float(theil), *(float(part / mse) for part in parts))
+
+
+@dataclass(frozen=True)
+class Error:
+    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts."""
 
     rms: float
     largest: float
     theil: TheilParts
     tolerance: float | None
-    within: float | None
-    probability: float | None
+    within: float | None  # share of samples inside the tolerance
+    probability: float | None  # the posterior's that all of them are
 
 
 @dataclass(frozen=True)
 class SimulatedManoeuvre:
-    """One simulated manoeuvre. `split` is fitted (jointly, initial state too) or unseen (from the measured state).
-
-    A fit by itself (`flown_fit`) has the model `start` or `fitted`, and the split of the same name; parameters from
-    elsewhere (`flown_given`) have the model and the split `given`.
-    """
+    """One simulated manoeuvre."""
 
     manoeuvre: str
-    model: str  # card or extended
-    split: str
+    # card or extended; of a fit by itself (`fit_trajectories`) start or fitted, of parameters from elsewhere given
+    model: str
+    split: str  # fitted (jointly, initial state too) or hold_out (from the measured state); else as the model
     inside: bool  # the flight envelope
     errors: Mapping[str, Error]
     time: Float[np.ndarray, " n"]
@@ -59,19 +77,14 @@ class SimulatedManoeuvre:
 
 @dataclass(frozen=True)
 class LagTest:
-    """The test of a separation lag: the gain in log density of the joint fit, and on hold-out flights.
-
-    Both are divided by the variance inflation. `unseen` is the hold-out gain with its standard error, NaN where the
-    joint fit gains too little for the test. `kept`: hold-out flights confirm the lag. `instead`: parameters of
-    hysteresis that it replaces. `slight`: the lag is too small to be named.
-    """
+    """The test of a separation lag: gains in log density, divided by the variance inflation."""
 
     effect: str
-    gain: float
-    kept: bool = False
-    unseen: tuple[float, float] = (float("nan"), float("nan"))
-    instead: tuple[str, ...] = ()
-    slight: bool = False
+    gain: float  # of the joint fit
+    kept: bool = False  # hold-out flights confirm the lag
+    unseen: tuple[float, float] = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
+    instead: tuple[str, ...] = ()  # parameters of hysteresis that it replaces
+    slight: bool = False  # too small to be named
     decisive: float = DEFAULT.decisive  # nats that the joint fit must gain
 
     @property
@@ -81,7 +94,7 @@ class LagTest:
 
 
 @dataclass(frozen=True)
-class Estimates:
+class TrajectoryEstimates:
     """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
 
     values: Mapping[str, float]
@@ -91,7 +104,7 @@ class Estimates:
     held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
 
     @classmethod
-    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> Estimates:
+    def of(cls, fit: OutputErrorResult, gone: Collection[str] = ()) -> TrajectoryEstimates:
         """The estimates of a fit without the parameters that are `gone`."""
         values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
         units = {p.name: p.unit for p in fit.parameters if p.name in values}
@@ -103,16 +116,14 @@ class Trajectories:
     """What simulations say of the card's model and of the extended one."""
 
     paths: tuple[SimulatedManoeuvre, ...]
-    card: Estimates
-    extended: Estimates
+    card: TrajectoryEstimates
+    extended: TrajectoryEstimates
     deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
     variance_inflation: float  # how many times the colour multiplies variances
     held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
     fitted: tuple[str, ...]  # outputs
     outputs: tuple[str, ...]  # all that were recorded
-    noise_growth: Mapping[str, float] = field(
-        default_factory=dict
-    )  # by fitted output: how many times more is missed in wholly separated flow
+    noise_growth: Mapping[str, float] = field(default_factory=dict)  # missed in separated flow, by fitted output
     lag: LagTest | None = None  # of the separation point, if it was tried
     asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
 
@@ -246,44 +257,30 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class GustHistory:
-    """The gusts that one manoeuvre met, given all of its samples: time in s from its start (n,), and of every gust its
-    mean and standard deviation (n,), m/s."""
+    """The gusts that one manoeuvre met, given all of its samples."""
 
     manoeuvre: str
-    time: Float[np.ndarray, " n"]
-    gusts: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
+    time: Float[np.ndarray, " n"]  # s from its start
+    gusts: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]  # mean and standard deviation, m/s
 
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """A fit with process noise, SI and radians, standard errors for white innovations.
+    """A fit with process noise, SI and radians, standard errors for white innovations."""
 
-    Attributes:
-        status: how the fit ended.
-        converged: whether its numbers mean something.
-        gain: log likelihood beyond that of output error, nats.
-        estimates: parameters by name, each with its standard error.
-        F: process noise by state, unit of the state per square root of a second.
-        noise_sd: standard deviation of the measurement noise by output.
-        autocorrelation: of neighbouring innovations by output; 0 if the disturbance is as modelled.
-        gusts: intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
-            name of the parameter, with standard errors.
-        histories: what was met, by manoeuvre; empty where no gust has an intensity.
-        one_step: whether one-step predictions are calibrated; None where the fit did not converge.
-        covariance: of the `estimates`, in their order (k, k).
-    """
-
-    status: str
-    converged: bool
-    gain: float
-    estimates: Mapping[str, tuple[float, float]]
-    F: Mapping[str, float]
-    noise_sd: Mapping[str, float]
-    autocorrelation: Mapping[str, float]
+    status: str  # how the fit ended
+    converged: bool  # whether its numbers mean something
+    gain: float  # log likelihood beyond that of output error, nats
+    estimates: Mapping[str, tuple[float, float]]  # by parameter, each with its standard error
+    F: Mapping[str, float]  # process noise by state, unit of the state per square root of a second
+    noise_sd: Mapping[str, float]  # standard deviation of the measurement noise by output
+    autocorrelation: Mapping[str, float]  # of neighbouring innovations; 0 if the disturbance is as modelled
+    # Intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
+    # parameter, with standard errors.
     gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    histories: tuple[GustHistory, ...] = ()
-    one_step: OneStep | None = None
-    covariance: Float[np.ndarray, "k k"] | None = None
+    histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; empty where no gust has an intensity
+    one_step: OneStep | None = None  # whether one-step predictions are calibrated; None without convergence
+    covariance: Float[np.ndarray, "k k"] | None = None  # of the `estimates`, in their order
 
     @property
     def preferred(self) -> bool:
@@ -298,32 +295,22 @@ HALF = math.log(2.0)
 
 @dataclass(frozen=True)
 class FlownMode:
-    """A mode with its uncertainty.
+    """A mode with its uncertainty."""
 
-    Attributes:
-        name: short period, phugoid, Dutch roll, roll, spiral; other where no name fits.
-        eigenvalue: 1/s; of a pair the one of positive imaginary part.
-        sd: standard errors of its real and imaginary part, 1/s.
-        quantities: period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard
-            error. What the data do not tell apart from none is left out.
-    """
-
-    name: str
-    eigenvalue: complex
-    sd: tuple[float, float]
+    name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
+    eigenvalue: complex  # 1/s; of a pair the one of positive imaginary part
+    sd: tuple[float, float]  # standard errors of its real and imaginary part, 1/s
+    # Period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard error. What the
+    # data do not tell apart from none is left out.
     quantities: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Modes about straight level flight (airspeed m/s, altitude m; NaN of linear cards).
+    """Modes about straight level flight."""
 
-    `filtered`: the modes are of the estimates with process noise, not of output error. `why_not` says why there are no
-    modes.
-    """
-
-    airspeed: float
-    altitude: float
+    airspeed: float  # m/s; NaN of linear cards
+    altitude: float  # m
     modes: tuple[FlownMode, ...] = ()
-    why_not: str = ""
-    filtered: bool = False
+    why_not: str = ""  # why there are no modes
+    filtered: bool = False  # the modes are of the estimates with process noise, not of output error

@@ -7,8 +7,10 @@ extended model misses grows as the flow separates, and counts for less there (se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,14 +18,15 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.flight_path_check import sensor_noise
 from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
-from bayes_aero.diagnosis.trajectories.histories import label, paths_of, posterior_covariance
+from bayes_aero.diagnosis.trajectories.histories import label, posterior_covariance, simulated
 from bayes_aero.diagnosis.trajectories.holdout import (
     CandidateFit,
-    Noise,
+    FlightNoise,
     confirmed,
     eliminate,
     holdout_fits,
     left_out,
+    left_out_of,
     open_lag,
     with_lag,
 )
@@ -31,11 +34,11 @@ from bayes_aero.diagnosis.trajectories.results import (
     FITTED,
     START,
     Disagreement,
-    Estimates,
+    LagTest,
     ProcessNoise,
     Setting,
-    SimulatedManoeuvre,
     Trajectories,
+    TrajectoryEstimates,
     TrajectoryFit,
 )
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics
@@ -71,58 +74,48 @@ def compare_trajectories(
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
 
-    The extended model has the causes that hold-out coefficients confirm and hold-out flights need (see `flown_needed`).
-    It has a separation lag if the coefficients do not decide on one and hold-out flights need it (see `flown_lag`).
+    The extended model has the causes that hold-out coefficients confirm and hold-out flights need (see `eliminate`),
+    and a separation lag if the coefficients do not decide on one and hold-out flights need it (see `with_lag`).
     `biases`: outputs recorded with a constant error in each manoeuvre; they are fitted with the rest. Hold-out flights
     are compared with the record as it is.
     """
-    whole = diagnosis.aerodynamics.state.full
-    causes = [c.name for c in diagnosis.causes if c.confirmed]
-    added = [e for e in whole.model.effects if e.name in causes]
-    base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
-    found = dict(zip(whole.model.names, diagnosis.theta, strict=True))
-    model = _extended(whole.model, [*base, *added])
 
     def tell(text: str, share: float) -> None:
         if progress:
             progress(f"trajectories: {text}", share)
 
-    tell("extended model", 0.0)
-    ours = _side(model, flights, found, biases)
-    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
-    noise = Noise.of(joint)
-    options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
-    joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
-    extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
-    lagged, lag, effect = None, None, open_lag(whole, diagnosis.aerodynamics, model)
-    if effect is not None:
-        tell("separation lag", 0.2)
-        lagged, lag = with_lag(
-            _extended(whole.model, [*base, *added, effect]), effect, extended, noise, flights, whole.settings
-        )
-        lagged = lagged if lag.gains else None
-    tell("card's model", 0.3)
-    card = _card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, flights, biases)
-    contenders = [c for c in (extended, lagged, card) if c is not None]
-    fits, silent = _left_out(contenders, noise, whole.settings.unidentified, tell)
-    best = extended
-    if lag is not None and lagged is not None:
-        without, within = (holdout_fits(c, fits[c.name], {}) for c in (extended, lagged))
-        flown, hold_out = joint.flown, whole.settings.hold_out
-        lag = confirmed(lag, without, within, flown.outputs, flown.growth, noise.variance_inflation, hold_out)
-        best = lagged if lag.kept else extended
+    settings, causes = diagnosis.aerodynamics.state.full.settings, [c.name for c in diagnosis.causes if c.confirmed]
+    added = [e for e in diagnosis.aerodynamics.state.full.model.effects if e.name in causes]
+    contenders, lag, noise = _contenders(diagnosis, added, flights, biases, tell)
+    best = extended = contenders["extended"]
+    tell("left out", 0.5)
+    count, inflation = len(extended.fit.flown.index), noise.variance_inflation
+    silent = {name: {k: c.silent(k, settings.unidentified) for k in range(count)} for name, c in contenders.items()}
+    fits: dict[str, list[OutputErrorResult]] = {name: [] for name in contenders}
+    for number, (name, fit) in enumerate(left_out(tuple(contenders.values()), silent, noise), start=1):
+        fits[name].append(fit)
+        tell("left out", 0.5 + 0.3 * number / (count * len(contenders)))
+    if lag is not None and "lagged" in contenders:
+        unseen = [holdout_fits(contenders[name], fits[name], {}) for name in ("extended", "lagged")]
+        without, within = (left_out_of(paths, extended.fit.flown, inflation) for paths in unseen)
+        lag = confirmed(lag, without, within, settings.hold_out)
+        best = contenders["lagged"] if lag.kept else extended
     tell("causes that hold-out flights need", 0.8)
-    flies = eliminate(best, fits[best.name], added, silent[best.name], noise, whole.settings)
+    flies = eliminate(best, fits[best.name], added, silent[best.name], noise, settings)
     tell("errors", 0.9)
-    paths = _paths({"card": card, "extended": flies.contender}, (fits["card"], flies.fits), noise, tolerances, seed)
+    paths, shown = [], {"card": (contenders["card"], fits["card"]), "extended": (flies.contender, flies.fits)}
+    for name, (c, _) in shown.items():
+        paths += simulated(c.fit.estimate, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
+    for name, (c, without) in shown.items():
+        paths += [replace(p, model=name) for p in holdout_fits(c, without, tolerances, inflation, seed)]
     fit, gone = flies.contender.fit, flies.gone
-    sd = np.sqrt(np.diag(posterior_covariance(fit, noise.variance_inflation)))
+    sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
     return Trajectories(
         paths=tuple(paths),
-        card=Estimates.of(card.fit),
-        extended=Estimates.of(fit, gone),
+        card=TrajectoryEstimates.of(contenders["card"].fit),
+        extended=TrajectoryEstimates.of(fit, gone),
         deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
-        variance_inflation=noise.variance_inflation,
+        variance_inflation=inflation,
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
         fitted=fit.flown.outputs,
         outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),
@@ -132,34 +125,30 @@ def compare_trajectories(
     )
 
 
-def _left_out(
-    contenders: Sequence[CandidateFit], noise: Noise, unidentified: float, tell: Progress
-) -> tuple[dict[str, list], dict[str, dict]]:
-    """By contender: its fits to all segments but one each, and by that segment what the others say nothing of."""
-    tell("left out", 0.5)
-    count = len(contenders[0].fit.flown.index)
-    silent = {c.name: {k: c.silent(k, unidentified) for k in range(count)} for c in contenders}
-    fits: dict[str, list[OutputErrorResult]] = {c.name: [] for c in contenders}
-    for number, (name, fit) in enumerate(left_out(contenders, silent, noise), start=1):
-        fits[name].append(fit)
-        tell("left out", 0.5 + 0.3 * number / (count * len(contenders)))
-    return fits, silent
-
-
-def _paths(
-    models: Mapping[str, CandidateFit],
-    without: Sequence[Sequence[OutputErrorResult]],
-    noise: Noise,
-    tolerances: Mapping[str, float],
-    seed: int,
-) -> list[SimulatedManoeuvre]:
-    """What is shown of every model: fitted to all, then by each of its fits `without` a segment, on that segment."""
-    paths = []
-    for name, c in models.items():
-        paths += paths_of(c.fit, c.fit.flown, name, "fitted", c.fit.departure, tolerances)
-    for (name, c), fits in zip(models.items(), without, strict=True):
-        paths += [replace(p, model=name) for p in holdout_fits(c, fits, tolerances, noise.variance_inflation, seed)]
-    return paths
+def _contenders(
+    diagnosis: Diagnosis, added: Sequence[Effect], flights: Flights, biases: Mapping[str, Prior] | None, tell: Progress
+) -> tuple[dict[str, CandidateFit], LagTest | None, FlightNoise]:
+    """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
+    whole = diagnosis.aerodynamics.state.full
+    base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
+    found, model = dict(zip(whole.model.names, diagnosis.theta, strict=True)), _extended(whole.model, [*base, *added])
+    tell("extended model", 0.0)
+    side = partial(_side, flights, biases)
+    ours = side(model, found)
+    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
+    noise = FlightNoise.of(joint)
+    options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
+    joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
+    extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
+    contenders, lag, effect = [extended], None, open_lag(whole, diagnosis.aerodynamics, model)
+    if effect is not None:
+        tell("separation lag", 0.2)
+        wider = _extended(whole.model, [*base, *added, effect])
+        lagged, lag = with_lag(wider, effect, extended, noise, flights, whole.settings)
+        contenders += [lagged] if lag.gains else []
+    tell("card's model", 0.3)
+    contenders.append(_card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, side))
+    return {c.name: c for c in contenders}, lag, noise
 
 
 def _card(
@@ -168,30 +157,25 @@ def _card(
     ours: _Side,
     added: Sequence[Effect],
     extended: CandidateFit,
-    noise: Noise,
-    flights: Flights,
-    biases: Mapping[str, Prior] | None,
+    noise: FlightNoise,
+    side: Callable[[Model, Mapping[str, float]], _Side],
 ) -> CandidateFit:
-    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it.
-
-    Every sample counts the same: what it misses is not confined to the stall.
-    """
+    """The card's model, the causes at neutral; from its own start and from what the extended one shares with it."""
     base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.full.neutral
     before = dict(zip(base.full.model.names, base.theta, strict=True))
     held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
     first = {p.name: p.start for p in ours.whole.dynamics.free} | before | held
-    theirs = replace(ours, start=np.array([first[name] for name in ours.whole.dynamics.names]))
+    theirs = ours._replace(start=np.array([first[name] for name in ours.whole.dynamics.names]))
     if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
-        theirs, held = _side(bare, flights, before, biases), {}
+        theirs, held = side(bare, before), {}
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
     shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
     starts = [theirs.start, shared]  # a model with something missing may have several optima
     fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.variance_inflation)
-    return CandidateFit("card", fit, held=held, weighed=False)
+    return CandidateFit("card", fit, held=held, weighed=False)  # what it misses is not confined to the stall
 
 
-@dataclass(frozen=True)
-class _Side:
+class _Side(NamedTuple):
     """One model, cut for its fits: windows first, then whole manoeuvres (or the halves of a single one)."""
 
     window: SegmentTrajectories
@@ -199,13 +183,11 @@ class _Side:
     start: Float[np.ndarray, " k"]
 
 
-def _side(
-    model: Model, flights: Flights, values: Mapping[str, float], biases: Mapping[str, Prior] | None = None
-) -> _Side:
+def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, values: Mapping[str, float]) -> _Side:
     dynamics = biased_dynamics(aircraft_dynamics(model, flights), flights, biases or {})
     start = np.array([values.get(p.name, p.start) for p in dynamics.free])
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
-    half = _half(flights) if len(flights.lengths) == 1 else None
+    half = 0.5 * flights.lengths[0] * float(flights.channels["dt"][0]) if len(flights.lengths) == 1 else None
     finer = dynamics.substeps(start, flights)
     window, whole = (segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half))
     return _Side(window, whole, start)
@@ -217,10 +199,6 @@ def _extended(whole: Model, effects: Sequence) -> Model:
     parameters = {p.name: p for p in whole.parameters}
     model = Model.of(effects, {k: v for k, v in whole.fixed if k in own}, whole.axes)
     return replace(model, parameters=tuple(parameters[p.name] for p in model.parameters))
-
-
-def _half(flights: Flights) -> float:
-    return 0.5 * flights.lengths[0] * float(flights.channels["dt"][0])
 
 
 # --- One model fitted to trajectories: parameters, initial states, variance inflation, errors by flight.
@@ -242,7 +220,7 @@ def fit_trajectories(
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
 
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other, as `trajectory.fly_both` does. `biases`: outputs recorded with a constant
+    by the one and its samples by the other, as `compare_trajectories` does. `biases`: outputs recorded with a constant
     error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
     what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
     """
@@ -271,15 +249,15 @@ def fit_trajectories(
     inflation, noise_growth = math.nan, {}
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
-        noise = Noise.of(fit)
+        noise = FlightNoise.of(fit)
         inflation, whole, noise_growth = noise.variance_inflation, noise.on(whole), noise.told(whole.outputs)
         weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
     bands, still = tolerances or {}, np.zeros_like(fit.departure)
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
-        paths = paths_of(replace(fit, estimate=first), whole, START, START, still, bands)
-        paths += paths_of(fit, whole, FITTED, FITTED, fit.departure, bands)
+        paths = simulated(first, whole, START, START, still, bands)
+        paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, bands)
     return TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting
     )
@@ -303,14 +281,8 @@ def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[s
 
 
 def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
-    """The diagnosis with what the simulation still misses, and a verdict that claims no more than that.
-
-    Args:
-        found: by trajectories alone, its causes judged on hold-out flights.
-        flown: its extended model, flown; None where that was not done.
-        records: what it rests on.
-        card: states the sensors' noise; a usual installation's where it does not.
-    """
+    """The diagnosis by trajectories alone, judged on hold-out flights, with what the simulation still misses, and a
+    verdict that claims no more than that. `flown` is its extended model, flown; None where that was not done."""
     tested = Tested({} if flown is None else beyond_noise(flown, records, card))
     return replace(found, tested=tested, verdict=verdict_of(found.causes, found.left, tested))
 
@@ -319,23 +291,21 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
     """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
     noises = [sensor_noise(channels_of(record, card), card).white for record in records]
     lengths = [record.n for record in records]
+
+    def rms(output: str, split: str) -> float:
+        """Over all flights of one split."""
+        paths = [p for p in flown.paths if (p.model, p.split) == ("extended", split)]
+        squares, samples = [p.errors[output].rms ** 2 for p in paths], [len(p.time) for p in paths]
+        return float(np.sqrt(np.average(squares, weights=samples))) if paths else float("nan")
+
     return {
         name: OutputMiss(
             noise=float(np.sqrt(np.average([n.get(name, 0.0) ** 2 for n in noises], weights=lengths))),
-            fitted=_rms(flown, name, "fitted"),
-            unseen=_rms(flown, name, "hold_out"),
+            fitted=rms(name, "fitted"),
+            unseen=rms(name, "hold_out"),
         )
         for name in flown.fitted
     }
-
-
-def _rms(flown: Trajectories, output: str, split: str) -> float:
-    """Root mean square error of the extended model over all its flights of one split."""
-    paths = [p for p in flown.paths if (p.model, p.split) == ("extended", split)]
-    if not paths:
-        return float("nan")
-    squares = [p.errors[output].rms ** 2 for p in paths]
-    return float(np.sqrt(np.average(squares, weights=[len(p.time) for p in paths])))
 
 
 # --- The same parameters from the coefficients and from trajectories: where the two fits of one record disagree.
@@ -350,10 +320,7 @@ def still_apart(found: Sequence[Disagreement], fit: ProcessNoise | None) -> tupl
 
 
 def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
-    """Parameters about which the fits differ beyond chance and by more than `WORTH`, the furthest first.
-
-    Those at a bound are left out.
-    """
+    """Parameters, none at a bound, about which the fits differ beyond chance and by more than `WORTH`."""
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
     fit, found = flown.fit, []

@@ -12,14 +12,15 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH, Cause, Diagnosis
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
+from bayes_aero.diagnosis.screening.accuracy import normal_draws
+from bayes_aero.diagnosis.screening.autocorrelation import lag1_within
 from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.screening import ScreeningResult, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
-from bayes_aero.diagnosis.selection.block_jackknife import Profile, details, profiles, theil_parts
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
-from bayes_aero.diagnosis.selection.holdout import LeftOut, measured_blocks, truncated
+from bayes_aero.diagnosis.selection.holdout import LeftOut, measured_blocks, scores_of, truncated
+from bayes_aero.diagnosis.trajectories.results import theil_parts
 from bayes_aero.diagnosis.view.results import (
     LEVELS,
     Compared,
@@ -30,11 +31,12 @@ from bayes_aero.diagnosis.view.results import (
     ParameterMove,
     RankedCandidate,
     Ranking,
+    ResidualProfile,
     View,
 )
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.identification import Stall
-from bayes_aero.inference.scores import Scores, score
+from bayes_aero.inference.scores import score
 from bayes_aero.inference.stall import stall_of
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
@@ -45,28 +47,29 @@ RESPONSES = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")  # what the forces mak
 
 def view_of(diagnosis: Diagnosis) -> DiagnosisView:
     """What is shown of a diagnosis, whichever way the model met the record."""
-    return coefficient_view(diagnosis) if diagnosis.by_coefficients else _trajectory_view(diagnosis)
-
-
-def _trajectory_view(diagnosis: Diagnosis) -> DiagnosisView:
-    """Of the card's parameters before, the standard errors are not known."""
+    if diagnosis.by_coefficients:
+        return coefficient_view(diagnosis)
     units = {p.name: p.unit for p in diagnosis.aerodynamics.state.full.model.free}
-    moves = {
+    moves = {  # of the card's parameters before, the standard errors are not known
         name: ParameterMove(a, b, float("nan"), sd, units[name]) for name, (a, b, sd) in diagnosis.base_moves.items()
     }
-    last = diagnosis.aerodynamics
     deviations = {name: move.sd_after for name, move in moves.items()}
     return DiagnosisView(
         diagnosis=diagnosis,
-        rankings=tuple(rankings_of(diagnosis)),
+        rankings=rankings_of(diagnosis),
         moves=moves,
-        covariance=joint_covariance(last.state, last.fit, deviations, diagnosis.causes),
+        covariance=joint_covariance(diagnosis.aerodynamics, deviations, diagnosis.causes),
     )
 
 
 def coefficient_view(diagnosis: Diagnosis) -> View:
     """Refit the card's model without any correction of the sensors, and evaluate both models at the recorded rate."""
-    before, after = _card(diagnosis), _extended(diagnosis)
+    last, sensors = diagnosis.aerodynamics, diagnosis.sensors
+    before, after = (last.base, last.base_fit), (last.state, last.fit)
+    if sensors is not None and sensors.state.active:
+        before = refitted(moved(last.base, last.base.full.at_neutral(last.base.theta, sensors.state.active)))
+    if set(diagnosis.kept) != set(last.state.active):  # the part of the extension that hold-out data confirm
+        after = refitted(truncated(last.state, diagnosis.kept))
     flights = diagnosis.aerodynamics.state.responses.flights
     begin = np.cumsum([0, *flights.lengths[:-1]])
     signals = details(before[0])
@@ -82,10 +85,15 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
         names=flights.names,
         channels=channels,
         parameters=card.state.full.model.parameters,
-        rankings=tuple(rankings_of(diagnosis)),
+        rankings=rankings_of(diagnosis),
         moves=_moves(card, extended),
-        covariance=joint_covariance(extended.state, extended.fit, {}, diagnosis.causes),
+        covariance=joint_covariance(extended, {}, diagnosis.causes),
     )
+
+
+def details(state: SelectionState) -> Mapping[str, np.ndarray]:
+    """Signals, X, measured, modelled and residual coefficients at the recorded rate."""
+    return {key: np.asarray(value) for key, value in state.responses.evaluate(state.theta)[1].items()}
 
 
 def with_stalls(view: View) -> View:
@@ -94,90 +102,70 @@ def with_stalls(view: View) -> View:
     return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
 
 
-def _card(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
-    base, sensors = diagnosis.aerodynamics.base, diagnosis.sensors
-    if sensors is None or not sensors.state.active:
-        return base, diagnosis.aerodynamics.base_fit
-    theta = base.theta.copy()
-    for effect in sensors.state.active:
-        for name in base.full.parameters_of(effect):
-            theta[base.full.columns([name])[0]] = base.full.neutral[name]
-    return refitted(moved(base, theta))
-
-
-def _extended(diagnosis: Diagnosis) -> tuple[SelectionState, Fit]:
-    """The part of the extension that hold-out data confirm."""
-    last = diagnosis.aerodynamics
-    if set(diagnosis.kept) == set(last.state.active):
-        return last.state, last.fit
-    return refitted(truncated(last.state, diagnosis.kept))
-
-
-def _fitted(state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]) -> Fitted:
+def _fitted(
+    state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]
+) -> Fitted:
+    """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces, and over what
+    follows from it."""
     signals = details(state)
     residual = signals["residual"][:, : len(state.outputs)]
-    return Fitted(
-        residual,
-        signals,
-        _composition(state, fit, measured, residual),
-        _profiles(state, residual, channels),
-        state,
-        fit,
-    )
-
-
-def _profiles(
-    state: SelectionState, residual: Float[np.ndarray, "n c"], channels: Mapping[str, Any]
-) -> tuple[tuple[Profile, ...], ...]:
-    """By coefficient, the mean residual over each recorded channel that makes forces, and over what follows from it."""
     block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
     names = [name for name in recorded if name in channels and name not in RESPONSES]
     blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
-    return tuple(
-        tuple(profiles(np.asarray(block(jnp.asarray(residual[:, c]))), blocks, state.variance_inflation))
-        for c in range(residual.shape[1])
+    over = tuple(
+        tuple(profiles(np.asarray(block(jnp.asarray(x))), blocks, state.variance_inflation)) for x in residual.T
     )
+    return Fitted(residual, signals, _composition(state, fit, measured, residual), over, state, fit)
 
 
-def _deviations(fitted: Fitted) -> dict[str, float]:
-    columns, covariance = covariance_of(fitted.state, fitted.fit)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    free = fitted.state.full.model.names
-    return {free[c]: float(x) for c, x in zip(columns, sd, strict=True)}
+BINS = 12
+LEAST = 1e-3  # of the residual's size, that a deviation counts as at least: a simulation at rest has none
+
+
+def profiles(
+    residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
+) -> list[ResidualProfile]:
+    """How the residual depends on each channel, the clearest first."""
+    found, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks at least, that they have a deviation
+    for name, x in channels.items():
+        if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):
+            continue
+        parts = np.array_split(np.argsort(x, kind="stable"), bins)
+        mean = np.array([residual[p].mean() for p in parts])
+        sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
+        found.append(ResidualProfile(name, np.array([x[p].mean() for p in parts]), mean, sd))
+    least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
+    return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
 
 
 def _stall(fitted: Fitted) -> Stall:
     """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
-    state = fitted.state
-    columns, covariance = covariance_of(fitted.state, fitted.fit)
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    white = np.random.default_rng(0).standard_normal((DRAWS, len(columns)))
-    draws = np.tile(state.theta, (DRAWS, 1))
-    draws[:, columns] += (white * np.sqrt(np.maximum(values, 0.0))) @ vectors.T * scale
-    lower, upper = (np.array([p.bounds[i] for p in state.full.model.free], float) for i in (0, 1))
-    lower, upper = np.minimum(lower, state.theta), np.maximum(upper, state.theta)
-    model, flights = state.full.model, state.responses.flights
+    model, flights = fitted.state.full.model, fitted.state.responses.flights
+    draws = normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
     signals = {name: fitted.signals[name] for name in fitted.signals if name not in NOT_SIGNALS}
-    return stall_of(model, np.clip(draws, lower, upper), signals, flights.aircraft)
+    return stall_of(model, draws, signals, flights.aircraft)
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
     """Parameters of the card's own effects."""
-    full = after.state.full
-    sds = _deviations(before), _deviations(after)
+
+    def deviations(fitted: Fitted) -> dict[str, float]:
+        columns, covariance = covariance_of(fitted)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return {fitted.state.full.model.names[c]: float(x) for c, x in zip(columns, sd, strict=True)}
+
+    full, sd, sd_after = after.state.full, deviations(before), deviations(after)
     found = {}
-    for effect in full.base:
-        for name in full.parameters_of(effect):
-            if name in sds[0] and name in sds[1]:
-                i = full.columns([name])[0]
-                values = float(before.state.theta[i]), float(after.state.theta[i])
-                found[name] = ParameterMove(*values, sds[0][name], sds[1][name], full.model.free[i].unit)
+    for p, i in (
+        (p, full.columns([p])[0]) for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after
+    ):
+        values = float(before.state.theta[i]), float(after.state.theta[i])
+        found[p] = ParameterMove(*values, sd[p], sd_after[p], full.model.free[i].unit)
     return found
 
 
 def _composition(
-    state: SelectionState, fit: Fit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
+    state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
 ) -> dict[str, dict[str, Any]]:
     """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
 
@@ -190,6 +178,7 @@ def _composition(
     for c, name in enumerate(state.outputs):
         z, e = measured[:, c], residual[:, c]
         scores, parts = score(z, z - e), theil_parts(z, z - e)
+        bands = {f"{p:g}": np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
         found[name] = {
             "r": scores.r,
             "rmse": scores.rmse,
@@ -198,47 +187,30 @@ def _composition(
             "theil_bias": parts.bias,
             "theil_variance": parts.variance,
             "theil_covariance": parts.covariance,
-            "lag1": _lag1(e, manoeuvre),
-            "calibration": {
-                f"{level:g}": float(np.mean(np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + level / 2)))
-                for level in LEVELS
-            },
+            "lag1": lag1_within(e, manoeuvre),
+            "calibration": {level: float(np.mean(within)) for level, within in bands.items()},
         }
     return found
-
-
-def _lag1(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
-    """Correlation of neighbouring samples, within manoeuvres."""
-    parts = [residual[manoeuvre == k] - residual[manoeuvre == k].mean() for k in range(int(manoeuvre[-1]) + 1)]
-    return float(sum(np.sum(p[1:] * p[:-1]) for p in parts) / sum(np.sum(p**2) for p in parts))
 
 
 # --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
 
 
-def covariance_of(state: SelectionState, fit: Fit) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
-    own = np.flatnonzero(fit.columns < len(state.theta))
-    covariance = uncertainty(state, fit, autocorrelation_of(state.left(fit), state.folds))
-    return fit.columns[own], covariance[np.ix_(own, own)]
+    own = np.flatnonzero(model.fit.columns < len(model.state.theta))
+    return model.fit.columns[own], uncertainty(model.state, model.fit)[np.ix_(own, own)]
 
 
 def joint_covariance(
-    state: SelectionState, fit: Fit, deviations: Mapping[str, float], causes: Sequence[Cause]
+    model: Fitted | Extension, deviations: Mapping[str, float], causes: Sequence[Cause]
 ) -> JointCovariance:
-    """Of all parameters of the extended model, as its standard errors are reported.
-
-    A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors and
-    the scatter between stretches count, too. What is beyond is independent of the other parameters.
-
-    Args:
-        state: the extended model at its optimum.
-        fit: there.
-        deviations: reported standard errors of the card's parameters, SI.
-        causes: those of the diagnosis, with the reported standard errors of their parameters.
-    """
-    columns, covariance = covariance_of(state, fit)
-    names = tuple(state.full.model.names[c] for c in columns)
+    """Of all parameters of the extended model, as standard errors are reported: those of the card's parameters (SI) in
+    `deviations`, those of `causes` with them."""
+    # A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors
+    # and the scatter between stretches count, too. What is beyond is independent of the other parameters.
+    columns, covariance = covariance_of(model)
+    names = tuple(model.state.full.model.names[c] for c in columns)
     reported = dict(deviations) | {name: size.sd for cause in causes for name, size in cause.parameters.items()}
     variance = np.diag(covariance)
     beyond = [max(reported.get(name, 0.0) ** 2 - own, 0.0) for name, own in zip(names, variance, strict=True)]
@@ -257,8 +229,8 @@ def holdout_scores(view: View) -> HoldoutScores:
     for k, manoeuvre in enumerate(view.names):
         here = (state.responses.manoeuvre == k) & left["extended"].inside
         for model, fitted in models.items():
-            scores[model, "fitted", k] = _scores(state.outputs, measured[here], fitted.state.residual[here])
-            scores[model, "hold_out", k] = _scores(state.outputs, measured[here], left[model].residual[here])
+            for split, residual in (("fitted", fitted.state.residual), ("hold_out", left[model].residual)):
+                scores[model, split, k] = scores_of(state.outputs, measured[here], residual[here])
         found = compared(left["card"], left["extended"], state, measured, k)
         gains |= {(manoeuvre, name): gain for name, gain in found.items()}
     return HoldoutScores(view.names, scores, gains, state.settings.hold_out)
@@ -291,41 +263,29 @@ def compared(
     }
 
 
-def _scores(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
-    """Of measured coefficients with these residuals."""
-    return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}
-
-
 # --- The candidates of every stage in the order of their scores, as tables and figures show them.
 
 
-def stages(diagnosis: Diagnosis) -> list[tuple[str, Extension]]:
-    """Stages of the diagnosis by the names that its causes carry."""
-    found = [(FLIGHT_PATH, diagnosis.sensors)] if diagnosis.sensors is not None else []
-    return [*found, (diagnosis.compared, diagnosis.aerodynamics)]
-
-
-def rankings_of(diagnosis: Diagnosis) -> list[Ranking]:
+def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
     """Candidates of every stage."""
-    found = []
-    for stage, extension in stages(diagnosis):
-        if extension.steps:
+    found, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
+    for stage, extension in stages.items():
+        if extension is not None and extension.steps:
             screening = extension.steps[0].screening
             level = extension.state.settings.false_alarm_rate
-            standings = tuple(_standings(extension, screening))
-            found.append(Ranking(stage, standings, screening.threshold(level), level))
-    return found
+            found.append(Ranking(stage, _ranked(extension, screening), screening.threshold(level), level))
+    return tuple(found)
 
 
-def _standings(extension: Extension, screening: ScreeningResult) -> list[RankedCandidate]:
+def _ranked(extension: Extension, screening: ScreeningResult) -> tuple[RankedCandidate, ...]:
     full, found = extension.base.full, {}
     for s in screening.candidate_scores:
         if s.effect in found:
             continue
         effect = next(e for e in full.model.effects if e.name == s.effect)
-        at = [extension.base.theta[i] for i in full.columns(full.parameters_of(s.effect))]
+        at = [extension.base.theta[i] for i in full.own_columns(s.effect)]
         sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
         found[s.effect] = RankedCandidate(
             s.effect, effect.kind.value, s.score, screening.p_value(s.score), explained(extension.base, s), sizes
         )
-    return sorted(found.values(), key=lambda s: -s.score)
+    return tuple(sorted(found.values(), key=lambda s: -s.score))

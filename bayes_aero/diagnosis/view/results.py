@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.regression import Fit
+from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.block_jackknife import Profile
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.inference.identification import Stall
 from bayes_aero.inference.scores import Scores
@@ -24,24 +23,26 @@ LEVELS = (0.5, 0.9, 0.95)
 
 
 @dataclass(frozen=True)
+class ResidualProfile:
+    """Mean residual of a coefficient in bins of equal count of a channel, and the deviation of each mean."""
+
+    channel: str
+    centre: Float[np.ndarray, " b"]
+    mean: Float[np.ndarray, " b"]
+    deviation: Float[np.ndarray, " b"]
+
+
+@dataclass(frozen=True)
 class Fitted:
-    """One model fitted to all manoeuvres.
+    """One model fitted to all manoeuvres."""
 
-    Attributes:
-        residual: of the coefficients at the recorded rate, (n, c).
-        signals: what explains the coefficients, by name, (n,).
-        composition: by coefficient, scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
-        profiles: by coefficient, the mean residual over each channel, the clearest dependence first.
-        state: the regression problem at its optimum.
-        fit: the regression there.
-    """
-
-    residual: Float[np.ndarray, "n c"]
-    signals: Mapping[str, np.ndarray]
+    residual: Float[np.ndarray, "n c"]  # of the coefficients at the recorded rate
+    signals: Mapping[str, np.ndarray]  # what explains the coefficients, by name, (n,)
+    # By coefficient: scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
     composition: Mapping[str, Mapping[str, Any]]
-    profiles: tuple[tuple[Profile, ...], ...]
-    state: SelectionState
-    fit: Fit
+    profiles: tuple[tuple[ResidualProfile, ...], ...]  # by coefficient, the clearest dependence first
+    state: SelectionState  # the regression problem at its optimum
+    fit: RegressionFit
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,14 @@ class JointCovariance:
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """One candidate of a stage's first screening, at its best value: `estimate` and `sd` by parameter.
-
-    `explains` is the share of the remaining variance that it would take away, by which candidates are taken in turn.
-    """
+    """One candidate of a stage's first screening, at its best value."""
 
     effect: str
     kind: str
     score: float
     p_value: float
-    explains: float
-    estimate: Mapping[str, tuple[float, float]]
+    explains: float  # share of the remaining variance that it would take away, by which candidates are taken in turn
+    estimate: Mapping[str, tuple[float, float]]  # and standard error, by parameter
 
 
 @dataclass(frozen=True)
@@ -96,33 +94,23 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Compared:
-    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation.
+    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation."""
 
-    `elpd`: log density, nats, the colour's cost counted, where noise grows with separated flow as it was found to.
-    `r2`: difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall.
-    """
-
-    elpd: float
+    elpd: float  # log density, nats, the colour's cost counted, where noise grows with separated flow as it was found
     elpd_sd: float
-    r2: float
+    r2: float  # difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall
     r2_sd: float
 
 
 @dataclass(frozen=True)
 class HoldoutScores:
-    """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz).
+    """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz)."""
 
-    Attributes:
-        names: of the manoeuvres.
-        scores: of each coefficient, by model (`card`, `extended`), data (`fitted`, `unseen`) and manoeuvre's number.
-        gains: of the extended model over the card's on hold-out data, by manoeuvre and coefficient.
-        hold_out: standard errors of a loss that is significant.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the manoeuvres
+    # Of each coefficient, by model (`card`, `extended`), data (`fitted`, `hold_out`) and the manoeuvre's number.
     scores: Mapping[tuple[str, str, int], Mapping[str, Scores]]
-    gains: Mapping[tuple[str, str], Compared]
-    hold_out: float
+    gains: Mapping[tuple[str, str], Compared]  # of the extended model, on hold-out data, by manoeuvre and coefficient
+    hold_out: float  # standard errors of a loss that is significant
 
     def worse(self) -> list[tuple[str, str]]:
         """Manoeuvres and coefficients for which the extended model loses log density significantly (one-sided, 5 %)."""
@@ -151,22 +139,18 @@ class DiagnosisView:
 
 @dataclass(frozen=True, kw_only=True)
 class View(DiagnosisView):
-    """A diagnosis by coefficients; `measured` (n, c) are those that the card reconstructs.
-
-    `channels` (n,) are all that was recorded or derived, as the card's model has them. `stalls` is by model: card, and
-    extended where it differs. `holdout` is None where it was not computed.
-    """
+    """A diagnosis by coefficients."""
 
     card: Fitted
     extended: Fitted
-    measured: Float[np.ndarray, "n c"]
+    measured: Float[np.ndarray, "n c"]  # coefficients that the card reconstructs
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
     names: tuple[str, ...]
-    channels: Mapping[str, Any]
+    channels: Mapping[str, Any]  # (n,) all that was recorded or derived, as the card's model has them
     parameters: tuple[Parameter, ...]
-    stalls: Mapping[str, Stall] = field(default_factory=dict)
-    holdout: HoldoutScores | None = None
+    stalls: Mapping[str, Stall] = field(default_factory=dict)  # by model: card, and extended where it differs
+    holdout: HoldoutScores | None = None  # None where it was not computed
 
     @property
     def coefficients(self) -> tuple[str, ...]:

@@ -1,0 +1,547 @@
+"""The searches for missing effects in coefficients, in trajectories and in innovations, and what each has found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
+from bayes_aero.diagnosis.consistency import check_sensors, widened
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    FLIGHT_PATH,
+    INNOVATIONS,
+    TRAJECTORIES,
+    FoundTerm,
+    ParameterChange,
+    UnexplainedStructure,
+)
+from bayes_aero.diagnosis.screening.accuracy import filtered_channels
+from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport, lag1_within
+from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, refitted
+from bayes_aero.diagnosis.screening.screening import screen
+from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
+from bayes_aero.diagnosis.selection.forward_selection import (
+    Extension,
+    SelectionStep,
+    between_p_value,
+    nats_gained,
+    plausible_selection,
+    removed,
+    selected,
+    sized,
+)
+from bayes_aero.diagnosis.selection.rivals import without_hold
+from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.structure.components import has_chunks, offsets_left
+from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
+from bayes_aero.diagnosis.terms.forms import Forms, described, flown_forms, forms_of
+from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.segments import segments
+from bayes_aero.effect import Effect, Stage
+from bayes_aero.errors import InputError, attempted
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.covariance import nats
+from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_disturbed, fit_output_error
+from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.parameter import Prior
+from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.progress import Progress
+from bayes_aero.residuals.base import WINDOW, too_few_windows
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.residuals.filter_error import FilterError
+from bayes_aero.residuals.flight_path import FlightPathError
+from bayes_aero.residuals.output_error import OutputError
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What a search for missing effects has found, whichever way the model meets the record."""
+
+    full: CandidateModel
+    stages: tuple[tuple[str, Extension], ...]  # extensions by stage, the model's own last
+    unknown: tuple[UnexplainedStructure, ...]
+    noise: NoiseReport
+    notes: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
+    testable_now: bool = True  # whether hold-out data can be asked at once; trajectories ask them when compared
+    changes: tuple[ParameterChange, ...] = ()
+    terms: tuple[FoundTerm, ...] = ()
+    forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
+
+    @property
+    def model(self) -> Extension:
+        """The extension of the model itself."""
+        return self.stages[-1][1]
+
+    @property
+    def sensors(self) -> Extension | None:
+        """The extension of the flight path, by errors of sensors."""
+        return self.stages[0][1] if len(self.stages) > 1 else None
+
+    @property
+    def not_testable(self) -> Mapping[str, str]:
+        """Why effects could not be tested: a lag is tested where the search has tried it and added it."""
+        added = {name for _, one in self.stages for name in one.state.active}
+        return {name: why for name, why in self.full.not_testable.items() if name not in added}
+
+    @property
+    def by_stage(self) -> Mapping[str, Extension]:
+        """The extensions by name of the stage."""
+        return dict(self.stages)
+
+
+def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
+    """Channels that coefficients need and some record does not have: trajectories are compared then."""
+    given = {*card.sums, *card.constants, *card.derived, *card.tables}
+    return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))
+
+
+def noise_report(found: Extension, outliers: Mapping[str, int], *, of_innovations: bool = False) -> NoiseReport:
+    """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
+    state, names = found.state, found.state.outputs
+    if names == state.responses.model.coefficients:
+        left = np.asarray(state.responses.evaluate(state.theta)[1]["residual"])[:, : len(names)]
+        blocks, manoeuvre = np.asarray(state.responses.block(left)), state.responses.manoeuvre
+        lag1 = [lag1_within(x, manoeuvre) for x in blocks.T]
+        growth = [float(x) for x in state.noise_growth.max(axis=0)]
+    else:
+        left = state.left(found.fit)
+        lag1 = [float(np.sum(x[1:] * x[:-1]) / np.sum(x**2)) for x in left.T]
+        growth = [1.0] * len(names)
+    deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
+    colour, grown = (dict(zip(names, x, strict=True)) for x in (lag1, growth))
+    return NoiseReport(colour, deviation, grown, dict(outliers), of_innovations)
+
+
+@dataclass(frozen=True)
+class Search:
+    """The search for effects that `model` misses in records; `extra` candidates stand beside the catalogue's."""
+
+    records: Sequence[FlightRecord]
+    card: Card
+    model: Model
+    extra: Sequence[Effect]
+    settings: DiagnosisSettings
+    seed: int
+    progress: Progress | None = None
+
+    def made(self, *, by_innovations: bool) -> SearchResult:
+        """By innovations, or by coefficients where the records have what these need, or by trajectories."""
+        if by_innovations:
+            return self.innovations()
+        return self.trajectories() if lacking(self.records, self.card) else self.coefficients()
+
+    def coefficients(self) -> SearchResult:
+        """Where coefficients can be formed."""
+        flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
+        full = candidate_model(self.model, flights, self.extra, self.settings)
+        mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
+        theta = full.neutral_vector
+        for name, value in zip(mle.names, mle.estimate, strict=True):
+            if name in full.model.names:
+                theta[full.columns([name])[0]] = value
+        responses = EquationError.of(flights, full.model)
+        both = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
+        left, failures = attempted(
+            "Unexplained structure was not sought",
+            lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
+            Left((), ()),
+        )
+        found, failed = attempted(
+            "The form of unexplained structure was not sought",
+            lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
+            Forms((), ()),
+        )
+        aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced), found.sizes)
+        notes = []
+        if filtered := filtered_channels(flights):
+            notes.append(
+                f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes "
+                "are not corrected for the bias from such noise, and their intervals do not include it."
+            )
+        if not has_chunks(aerodynamics.state):
+            notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
+        notes += [
+            f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
+            "coefficients by more than the flight path gains, so it is not made."
+            for name in both.denied
+        ]
+        named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
+        return SearchResult(
+            full,
+            (*named, (COEFFICIENTS, aerodynamics)),
+            (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
+            noise_report(aerodynamics, outliers),
+            tuple(notes),
+            (*failures, *failed),
+            changes=left.changes,
+            terms=found.terms,
+            forms=found.rivals,
+        )
+
+    def innovations(self) -> SearchResult:
+        """What a filter does not foresee of all recorded outputs, in air that is not at rest.
+
+        Gusts, noise of the states and of the sensors are estimated with the card's model. Their filter then follows
+        each flight sample by sample, and what it does not foresee is compared with every candidate of the catalogue,
+        errors of sensors beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor
+        does. In what is left then, terms of the library are sought.
+        """
+        if self.progress:
+            self.progress("process noise", 0.0)
+        flights, outliers = despiked(join(self.records, self.card, FLIGHT))
+        base = aircraft_dynamics(self.model, flights)
+        # A start is enough. Gusts move a flight away from its simulation by less the shorter that is.
+        start = np.array([p.start for p in base.free])
+        brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
+        fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
+        full = without_lags(candidate_model(self.model, flights, self.extra, self.settings))
+        known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+        found, status = _searched(_Filtered(full, flights, base, fit.R), known, self.seed, self.progress)
+        notes = [
+            "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
+            "channel or of time."
+        ]
+        if status is not PredictionErrorStatus.CONVERGED:
+            notes.append(f"Process noise: {status.value}.")
+        return self._with_terms(INNOVATIONS, found, flights, outliers, notes)
+
+    def trajectories(self) -> SearchResult:
+        """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
+
+        Accelerations are compared too where they were recorded. The card's model is flown through the recorded inputs
+        in windows; the selection is that of the coefficients. Less is seen than there: a trajectory integrates what a
+        coefficient shows at once. A lag of the separation point that the card does not have would be a state of its
+        own: it is tried where something is missing.
+        """
+        if why := too_few_windows(self.records):
+            raise InputError(why)
+        flights, outliers = despiked(join(self.records, self.card, FLIGHT))
+        base = aircraft_dynamics(self.model, flights)
+        fit = self._inside(in_windows(flights, base))
+        whole = candidate_model(self.model, flights, self.extra, self.settings)
+        state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
+        found = plausible_selection(state, seed=self.seed, progress=self.progress)
+        lagged, failures = _asked_of_a_lag(whole, found, self.seed, self.progress)
+        notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
+        if absent := lacking(self.records, self.card):
+            notes.append(
+                f"Without {', '.join(absent)} no coefficients can be formed: the diagnosis rests on simulated "
+                "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
+                "channel or of time."
+            )
+        return self._with_terms(TRAJECTORIES, lagged or found, flights, outliers, notes, failures)
+
+    def _inside(self, fit: OutputErrorResult) -> OutputErrorResult:
+        """A fit whose simulation stays in the envelope."""
+        if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+            raise InputError(f"card {self.card.name}: {fit.status.value}")
+        return fit
+
+    def _with_terms(
+        self,
+        stage: str,
+        found: Extension,
+        flights: Flights,
+        outliers: Mapping[str, int],
+        notes: list[str],
+        failures: Sequence[str] = (),
+    ) -> SearchResult:
+        """The result of a search in trajectories or innovations, with terms of the library for what is left."""
+        left, failed = attempted(
+            "The form of what the catalogue does not explain was not sought",
+            lambda: flown_forms(found, seed=self.seed + 3000, progress=self.progress),
+            Forms((), ()),
+        )
+        if still := taken_as_zero(flights):
+            notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
+        found = withdrawn(found, left.replaced, left.sizes)
+        return SearchResult(
+            found.state.full,
+            ((stage, found),),
+            (*left.unknown, *offsets_found(found, left.idle)),
+            noise_report(found, outliers, of_innovations=stage == INNOVATIONS),
+            tuple(notes),
+            (*failures, *failed),
+            testable_now=stage != TRAJECTORIES,
+            terms=left.terms,
+            forms=left.rivals,
+        )
+
+    # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
+
+
+# The flight path names errors of sensors that the coefficients would silently absorb. In gusts it may name one that is
+# not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
+
+
+class Stages(NamedTuple):
+    """Both elections; `sensors` is None without a flight path, `denied` what it named and the coefficients deny."""
+
+    sensors: Extension | None
+    aerodynamics: Extension
+    denied: tuple[str, ...] = ()
+
+
+def search_in_stages(
+    full: CandidateModel,
+    responses: EquationError,
+    theta: Float[np.ndarray, " k"],
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Stages:
+    """The flight path first, where it was recorded; the coefficients with sensors corrected; then what these deny."""
+
+    def coefficients(sensors: Extension | None) -> Extension:
+        if progress:
+            progress("coefficients", 0.0)
+        begin = theta
+        if sensors is not None:
+            off = (*sensors.state.full.base, *without_hold(sensors))
+            begin = sensors.state.full.at_neutral(sensors.state.theta, off)
+        state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
+        found = plausible_selection(state, seed=seed + 1000, progress=progress)
+        if left := offsets_left(found.state, seed=seed + 1500):
+            state = moved(state, begin, apart=(*found.state.apart, *left))
+            found = plausible_selection(state, seed=seed + 1000, progress=progress)
+        return found
+
+    path = FlightPathError.of(responses.flights, responses.model)
+    if not path.outputs:
+        return Stages(None, coefficients(None))
+    if progress:
+        progress("sensors", 0.0)
+    sensors = check_sensors(full, path, theta, seed=seed)
+    aerodynamics, denied = coefficients(sensors), []
+    while (name := _denied(sensors, aerodynamics)) is not None:
+        fewer = widened(sensors, *refitted(removed(sensors.state, name)))
+        other = coefficients(fewer)
+        if nats_gained(aerodynamics, other) < _path_gain(sensors, name) + full.settings.decisive:
+            break
+        denied, sensors, aerodynamics = [*denied, name], fewer, other
+    # Errors that the coefficients named and the flight path feels: it must be judged with them, not beside them.
+    felt = {block[0] for block in sensors.state.blocks}
+    known = tuple(name for name in aerodynamics.state.active if name in felt)
+    if sensors.state.active and known:
+        sizes = {p: aerodynamics.sizes[p] for e in known for p in aerodynamics.state.full.parameters_of(e)}
+        priors = {p: Prior("normal", x.mean, x.sd, "coefficients of the same record") for p, x in sizes.items()}
+        begin = theta.copy()
+        begin[full.columns(list(priors))] = [prior.normal[0] for prior in priors.values()]
+        again = check_sensors(full, path, begin, seed=seed, known=known, priors=priors)
+        if len(again.state.active) < len(sensors.state.active):  # one of them had stood in for it
+            other = coefficients(again)
+            if nats_gained(aerodynamics, other) > -full.settings.decisive:
+                sensors, aerodynamics = again, other
+    return Stages(sensors, aerodynamics, tuple(denied))
+
+
+def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
+    """What the coefficients may still add, once the flight path has named its sensors; what this says of those that it
+    did not elect is their prior, for the coefficients must not contradict it."""
+    if sensors is None:
+        return replace(full, priors={})
+    taken = {*sensors.state.active, *(n for larger in sensors.larger for n in without_hold(larger))}
+    priors, own = {}, {p.name: p.prior for p in full.model.free}
+    for standing in sensors.steps[-1].screening.candidate_scores if sensors.steps else ():
+        for name, step, sd in zip(full.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
+            mean, deviation = own[name].normal
+            weight = deviation**-2.0 + sd**-2.0
+            combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
+            priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")
+    return replace(full, candidates=tuple(e for e in full.candidates if e.name not in taken), priors=priors)
+
+
+def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
+    """The sensor error whose correction costs the card's fit of the coefficients most, if it is more than it gains."""
+    card = aerodynamics.base
+
+    def deviance(without: Sequence[str]) -> float:
+        """Of the coefficients under the card's effects alone, these corrections of sensors taken back."""
+        state = moved(card, card.full.at_neutral(card.theta, without))
+        columns, folds = state.columns(), range(len(state.folds))
+        best = optimum(state, folds)
+        return local_fit(state, best, columns[columns < len(best)], folds)[1]
+
+    whole = deviance(())
+    losses = {e: nats(whole - deviance((e,)), card.variance_inflation) for e in sensors.state.active}
+    worst = max(losses, key=lambda name: losses[name], default=None)
+    return worst if worst and losses[worst] > _path_gain(sensors, worst) + card.settings.decisive else None
+
+
+def _path_gain(sensors: Extension, name: str) -> float:
+    """What the flight path gains by an error of a sensor, nats, its colour counted."""
+    own = screen(sensors.state, sensors.fit, seed=0, nulls=False, without=name).of(name)
+    return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
+
+
+# --- Innovations and trajectories.
+
+FIRST = (10.0, 5.0, 2.5)  # s, of first windows, tried until a fit converges: begun far off, long ones may stray
+START_STEPS = 8  # of output error, from which the filter begins: its last ones settle what the filter moves again
+
+
+class _Filtered(NamedTuple):
+    """What is searched: candidates, flights, the card's dynamics, and the variances of output error."""
+
+    full: CandidateModel
+    flights: Flights
+    base: AircraftDynamics
+    R: Float[np.ndarray, " c"]
+
+    def state(
+        self,
+        known: Mapping[str, float],
+        active: tuple[str, ...],
+        before: PredictionErrorResult | None,
+        progress: Progress | None,
+    ) -> tuple[SelectionState, PredictionErrorResult]:
+        """The filter's fit with these additions, from the one `before`, and the problem linearised there, all other
+        candidates neutral."""
+        if progress:
+            progress("process noise", 0.0)
+        full, names = self.full, self.full.model.names
+        out = {p.name for e in full.model.effects if e.name not in (*full.base, *active) for p in e.parameters}
+        held = tuple((name, full.neutral[name]) for name in names if name in out)
+        dynamics = replace(self.base, model=replace(full.model, fixed=(*full.model.fixed, *held)))
+        start = np.array([known[name] for name in names if name not in out])
+        whole = segments(self.flights, dynamics, substeps=dynamics.substeps(start, self.flights))
+        gusty, filtered = fit_disturbed(whole, start, self.R, exact=False, similar=before)
+        if filtered.status is PredictionErrorStatus.DIVERGED:
+            raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
+        assert isinstance(gusty.dynamics, AircraftDynamics)
+        # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
+        effects = gusty.dynamics.model.effects
+        gusts = [e for e in effects if e.disturbance is not None and e not in full.model.effects]
+        full = replace(full, model=full.model.extended(*gusts))
+        values = full.neutral | dict(zip(filtered.names, filtered.estimate, strict=True))
+        theta = np.array([values[name] for name in full.model.names])
+        dynamics = replace(self.base, model=full.model)
+        responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
+        return linearised(full, responses, responses.outputs, theta, active), filtered
+
+
+def _searched(
+    flown: _Filtered,
+    known: Mapping[str, float],
+    seed: int,
+    progress: Progress | None,
+    before: Extension | None = None,
+    barred: tuple[str, ...] = (),
+) -> tuple[Extension, PredictionErrorStatus]:
+    """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
+
+    Before, the noise of states had to stand for what was missing. `known` are parameters to start from. What is larger
+    than aircraft have is `barred`, and all is sought again (see `plausible_selection`); `before` it was in.
+    """
+    begin = known
+    active: tuple[str, ...] = ()
+    apart: tuple[str, ...] = ()
+    steps: tuple[SelectionStep, ...] = ()
+    first: Extension | None = None
+    filtered: PredictionErrorResult | None = None
+    while True:
+        state, filtered = flown.state(known, active, filtered, progress)
+        state = moved(state, state.theta, apart=apart)
+        room = flown.full.settings.max_effects - len(active)
+        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress, barred=barred)
+        first, steps = first or found, (*steps, *found.steps)
+        chosen = found.state.active
+        # An addition that another one has replaced ends the search: the two would replace each other for ever.
+        if chosen == active or set(active) - set(chosen):
+            found = replace(found, base=first.base, base_fit=first.base_fit, steps=steps)
+            extension = replace(sized(found), too_large=before)
+            if not extension.implausible:
+                return extension, filtered.status
+            return _searched(flown, begin, seed, progress, extension, (*barred, *extension.implausible))
+        known = dict(zip(state.full.model.names, found.state.theta, strict=True))
+        apart, active = found.state.apart, chosen
+
+
+def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:
+    """The card's model fitted to windows of `WINDOW` s: the first fit that converges, or the best."""
+    start = np.array([p.start for p in dynamics.free])
+    finer = dynamics.substeps(start, flights)
+    found = []
+    for seconds in FIRST:
+        first, windows = (segments(flights, dynamics, window=w, substeps=finer) for w in (seconds, WINDOW))
+        found.append(fit_cascade([first, windows], [start]))
+        if found[-1].status is OutputErrorStatus.CONVERGED:
+            return found[-1]
+    return min(found, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
+
+
+def _first_state(
+    full: CandidateModel,
+    flights: Flights,
+    base: AircraftDynamics,
+    values: Mapping[str, float],
+    active: tuple[str, ...] = (),
+) -> SelectionState:
+    """The problem linearised where these parameters have these values and all others are neutral."""
+    theta = np.array([values.get(name, full.neutral[name]) for name in full.model.names])
+    dynamics = replace(base, model=full.model)
+    responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
+    return linearised(full, responses, responses.outputs, theta, active)
+
+
+def _asked_of_a_lag(
+    whole: CandidateModel, found: Extension, seed: int, progress: Progress | None
+) -> tuple[Extension | None, tuple[str, ...]]:
+    """`_with_lag`; or the sentence of a failure, which is no answer. Numbers that overflow are one."""
+    what = "Whether the separation point lags was not tested"
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        return attempted(what, lambda: _with_lag(whole, found, seed, progress), None)
+
+
+def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+    """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
+    lag = lag_of(whole)
+    if lag is None or not found.state.active:
+        return None
+    if progress:
+        progress("lag of the separation point", 0.0)
+    base = found.base
+    values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
+    responses = base.responses
+    assert isinstance(responses, OutputError)
+    dynamics = responses.windows.dynamics
+    assert isinstance(dynamics, AircraftDynamics)
+    state, fit = refitted(_first_state(whole, responses.flights, dynamics, values, (lag.name,)))
+    among = found.steps[0].screening
+    gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
+    settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
+    if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
+        return None  # a lag that is none leaves nothing to linearise
+    other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
+    if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
+        return None
+    p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
+    step = SelectionStep(lag.name, p, among, np.nan)
+    return replace(other, base=base, base_fit=found.base_fit, steps=(step, *other.steps))
+
+
+def without_lags(full: CandidateModel) -> CandidateModel:
+    """Without effects that need a state of their own."""
+    lags = [e for e in full.candidates if e.stage is Stage.LAG]
+    neutral = [pair for e in lags for pair in e.neutral_values.items()]
+    why = "a lag is a state of its own, tried only where something is missing; give it on the card"
+    return replace(
+        full,
+        model=replace(full.model, fixed=(*full.model.fixed, *neutral)),
+        candidates=tuple(e for e in full.candidates if e not in lags),
+        not_testable={**full.not_testable, **{e.name: why for e in lags}},
+    )
