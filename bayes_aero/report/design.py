@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
-from bayes_aero.report.html.page import Block, bullets
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import Block, bullets, page_table
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import several
 from bayes_aero.units import number

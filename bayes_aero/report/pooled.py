@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
+from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.report.tables.comparison import (
     alone,
     apart,
@@ -40,13 +40,20 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     """Sentences on differences beyond `limit` standard errors; none if the intervals explain them."""
     names = ordered(identification.mle.names, identification.mle.parameters)
     compared = [n for n in names if len(alone(identification, n)) > 1]
-    beyond = {
-        label: {n: z for n in compared if (z := _largest(identification, n, kind)[0]) > limit}
-        for kind, label in _kinds(identification).items()
-    }
+    kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
+    for engine in list(chosen_posteriors(identification))[:1]:
+        kinds[engine] = f"the {noise_label(identification.noise)} posterior's width"
+    beyond, counts = {}, []
+    for kind, label in kinds.items():
+        far = {n: z for n in compared if (z := _largest(identification, n, kind)[0]) > limit}
+        listed = several(f"{name} ({z:.1f})" for name, z in far.items()) or "none"
+        if len(far) > 6:
+            worst = max(far, key=lambda n: far[n])
+            listed = f"{len(far)} of {len(compared)} parameters (up to {far[worst]:.0f}, {worst})"
+        beyond[label] = far
+        counts.append(f"{label}: {listed}")
     if not any(beyond.values()):
         return []
-    counts = [f"{label}: {_listed(found, len(compared))}" for label, found in beyond.items()]
     sentences = [
         f"Fitted alone, manoeuvres differ by more than {limit:.0f} standard errors of the difference, by "
         + "; by ".join(counts)
@@ -56,9 +63,14 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     unexplained = [n for n in compared if wider and any(n in found for found in wider)]
     always = [n for n in compared if wider and all(n in found for found in wider)]
     if unexplained:
-        shown = always or unexplained
+        numbers = []
+        for name in always or unexplained:
+            (_, *pair), single = _largest(identification, name, "crb"), alone(identification, name)
+            values = " and ".join(f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in pair)
+            bound = max(single[m][1] for m in pair)
+            numbers.append(f"{name} is {values}, with Cramér-Rao standard errors up to {bound:.2g}")
         sentences.append(
-            f"No noise model alone explains this: {'; '.join(_numbers(identification, n) for n in shown)}. "
+            f"No noise model alone explains this: {'; '.join(numbers)}. "
             "The model lacks an effect, the conditions of the manoeuvres differ in a way that it does not contain, or "
             "filters act differently on the measured and the modelled side. The intervals of the joint fit assume one "
             "value for all manoeuvres and cover none of these."
@@ -66,43 +78,15 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     return sentences
 
 
-def _kinds(identification: Identification) -> dict[str, str]:
-    """Kinds of interval by key, as they are named in a sentence."""
-    kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
-    for engine in list(chosen_posteriors(identification))[:1]:
-        kinds[engine] = f"the {noise_label(identification.noise)} posterior's width"
-    return kinds
-
-
 def _largest(identification: Identification, name: str, kind: str) -> tuple[float, str, str]:
-    """Largest difference of two manoeuvres in standard errors of the difference, and which two.
-
-    A posterior's deviation for a manoeuvre alone is its Cramer-Rao one times the joint ratio of posterior to bound:
-    the manoeuvres were not sampled one by one.
-    """
+    """Largest difference of two manoeuvres in standard errors of the difference, and which two."""
+    # manoeuvres were not sampled one by one: their Cramer-Rao deviations times the joint ratio of posterior to bound
     single = alone(identification, name)
     by_key = {m.key: m.estimates for m in methods(identification)}
     estimate = by_key[kind].get(name)
     widen = estimate.sd / by_key["crb"][name].sd if estimate else np.nan
     sd = {m: corrected if kind == "crb_corrected" else widen * crb for m, (_, crb, corrected) in single.items()}
     return max((apart(single[a][0], single[b][0], sd[a], sd[b]), a, b) for a, b in combinations(single, 2))
-
-
-def _listed(found: dict[str, float], total: int) -> str:
-    if not found:
-        return "none"
-    if len(found) > 6:
-        worst = max(found, key=lambda n: found[n])
-        return f"{len(found)} of {total} parameters (up to {found[worst]:.0f}, {worst})"
-    return several(f"{name} ({z:.1f})" for name, z in found.items())
-
-
-def _numbers(identification: Identification, name: str) -> str:
-    _, a, b = _largest(identification, name, "crb")
-    single = alone(identification, name)
-    texts = [f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in (a, b)]
-    bound = max(single[a][1], single[b][1])
-    return f"{name} is {texts[0]} and {texts[1]}, with Cramér-Rao standard errors up to {bound:.2g}"
 
 
 # --- Joint fit, manoeuvres alone and pooled, scatter between them and next flight: the table, and what it says.
@@ -119,12 +103,10 @@ NOTE = (
 
 
 def next_flight_table(run: Identification) -> Table:
-    """A row for each parameter, SI and radians.
-
-    Raises:
-        ValueError: the run has not pooled its manoeuvres.
-    """
-    found = _of(run)
+    """A row for each parameter, SI and radians; ValueError if the run has not pooled its manoeuvres."""
+    found = run.next_flight
+    if found is None:
+        raise ValueError("the manoeuvres of this run are not pooled")
     names = ordered(found.aircraft, found.parameters)
     few = len(found.manoeuvres) <= ON_TERMINAL
     joint = bounds(run.mle, run.mle.crb_corrected)
@@ -135,7 +117,9 @@ def next_flight_table(run: Identification) -> Table:
     ]
     for m in found.manoeuvres:
         one_by_one = len(found.manoeuvres) <= ON_PAGE
-        for kind, values in (("alone", _alone(found, m, names)), ("pooled", _marginals(found.pooled[m], names))):
+        own = found.alone[m]
+        single = [Estimate.normal(*own[n]) if n in own else None for n in names]
+        for kind, values in (("alone", single), ("pooled", [Estimate.of(found.pooled[m][n]) for n in names])):
             heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
             columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
     for key, head, numbers, forms in (
@@ -144,7 +128,8 @@ def next_flight_table(run: Identification) -> Table:
         ("next_flight", "next flight\n95 %", found.following, (_digits, _digits)),
     ):
         files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
-        columns.append(Column(_marginals(numbers, names), files, head, head.splitlines()[0], *forms))
+        values = [Estimate.of(numbers[n]) for n in names]
+        columns.append(Column(values, files, head, head.splitlines()[0], *forms))
     narrowed = [found.narrowed[n] for n in names]
     columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
     note = "In brackets: standard deviation in units of the last digit; scatter and next flight: 95 % intervals."
@@ -184,7 +169,7 @@ def _widest(run: Identification, found: NextFlight) -> str:
     if not finite:
         return "the joint fit has no intervals beside which to put its own"
     name = sorted(finite, key=lambda n: finite[n])[len(finite) // 2]
-    numbers = [from_to(e.low, e.high, e.sd) for e in (_estimate(found.following[name]), joint[name])]
+    numbers = [from_to(e.low, e.high, e.sd) for e in (Estimate.of(found.following[name]), joint[name])]
     return (
         f"intervals are {finite[name]:.1f} times as wide as those of the joint fit (median over parameters; "
         f"{name} {numbers[0]}, joint fit {numbers[1]})"
@@ -201,25 +186,6 @@ def _doubts(found: NextFlight) -> Iterator[str]:
         yield f"{m} is left out of the next flight: {reason}."
     if found.status is not PosteriorStatus.CONVERGED:
         yield f"Scatter between manoeuvres, NUTS: {found.status.value}."
-
-
-def _of(run: Identification) -> NextFlight:
-    if run.next_flight is None:
-        raise ValueError("the manoeuvres of this run are not pooled")
-    return run.next_flight
-
-
-def _estimate(m: Marginal) -> Estimate:
-    return Estimate(m.mean, m.sd, *m.ci95)
-
-
-def _marginals(found: dict[str, Marginal], names: list[str]) -> list[Estimate]:
-    return [_estimate(found[n]) for n in names]
-
-
-def _alone(found: NextFlight, manoeuvre: str, names: list[str]) -> list[Estimate | None]:
-    own = found.alone[manoeuvre]
-    return [Estimate.normal(*own[n]) if n in own else None for n in names]
 
 
 def _digits(e: Estimate) -> str:

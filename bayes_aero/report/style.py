@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
@@ -111,6 +111,22 @@ def grid_of(count: int, columns: int, cell: tuple[float, float], **options: Any)
     for spare in flat[count:]:
         spare.remove()
     return figure, flat[:count]
+
+
+def name_panels(axes: np.ndarray, heads: Iterable[str] = (), below: str = "time from start of record [s]") -> None:
+    """Heads above the columns of a grid of panels, the axis below it, and aligned labels on its left."""
+    for ax, head in zip(axes[0], heads, strict=False):
+        ax.set_title(head)
+    for ax in axes[-1]:
+        ax.set_xlabel(below)
+    axes[0, 0].figure.align_ylabels(list(axes[:, 0]))
+
+
+def legend_below(figure: Figure, ax: Axes, columns: int = 0, **options: Any) -> None:
+    """One legend for all panels, of what `ax` shows; in one row unless the `columns` are given."""
+    handles, labels = ax.get_legend_handles_labels()
+    columns = columns or max(1, len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, **options)
 
 
 def column_width(columns: int) -> float:

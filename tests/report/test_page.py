@@ -18,8 +18,18 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html.page import Fold, HtmlTable, Page, Picture, Plot, Text, put_page, render, section
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import (
+    Fold,
+    HtmlTable,
+    Page,
+    Picture,
+    Plot,
+    Text,
+    page_table,
+    put_page,
+    render,
+    section,
+)
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
 from bayes_aero.report.page_context import PageContext

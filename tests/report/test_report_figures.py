@@ -20,8 +20,7 @@ from bayes_aero.report.figures import every_figure as figures
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all, write_figures
 from bayes_aero.report.figures.posterior import pit_histogram, pit_words
-from bayes_aero.report.html.page import Fold, Picture
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import Fold, Picture, page_table
 from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, close, save

@@ -25,14 +25,14 @@ from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.comparison import next_flight
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import page_table
 from bayes_aero.report.pooled import next_flight_sentences, next_flight_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.across_cases import holdout_table
 from bayes_aero.report.tables.comparison import ordered, scatter
 from bayes_aero.report.tables.fly import error_table, gust_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
-from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
+from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.report.text.phrases import concise, plus_minus, size_text
 from bayes_aero.units import number
 
@@ -46,7 +46,7 @@ def printed(two_rows: Table, width: int = 80) -> str:
 @pytest.fixture(scope="module")
 def two_rows() -> Table:
     """Two parameters, one without an estimate; a page has the parts of the change, a terminal both in one."""
-    ends, changes = ("estimate", "sd", "low"), [Change(0.25, 0.5), Change(None, 1.0 / 3.0)]
+    ends, changes = ("estimate", "sd", "low"), [BeforeAfter(0.25, 0.5), BeforeAfter(None, 1.0 / 3.0)]
     return Table(
         [
             Column(["a", "b"], "name", "parameter", ""),
@@ -98,7 +98,7 @@ def test_what_is_no_number_is_a_dash(value, form):
 
 def test_a_narrow_terminal_loses_no_digit_and_shows_units():
     head = [f"output {k} [m/s]" for k in range(6)]
-    columns = [Column([Change(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
+    columns = [Column([BeforeAfter(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
     text = printed(Table([Column(["flight"], "name", None, "manoeuvre"), *columns]))
     assert "…" not in text
     assert all(f"{12.25 + k:.3f}" in text for k in range(6))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import arviz_base as azb
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise
-from bayes_aero.inference.identification import Identification, PitResult
+from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour
@@ -20,12 +19,14 @@ from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient
 from bayes_aero.report.style import (
+    Drawing,
     NotDrawn,
     arviz_plots,
     close,
     column_width,
     grid_of,
     housed,
+    legend_below,
     panels,
     quiet_pyplot,
     refuse_many,
@@ -42,17 +43,10 @@ MOST_PAIRED = 6  # parameters of a figure that chooses them
 CHAIN_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7"]
 
 
-def _posterior(identification: Identification, engine: str) -> Posterior:
-    if engine not in identification.posteriors:
-        raise NotDrawn(f"this run has no posterior by {engine_label(engine)}")
-    return identification.posteriors[engine]
-
-
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
     """The posterior group with draws of `names`, thinned evenly to at most `most` a chain."""
     dataset = posterior.tree["posterior"].to_dataset()[names]
-    step = max(1, -(-dataset.sizes["draw"] // most))
-    thin = dataset.isel(draw=slice(None, None, step))
+    thin = dataset.isel(draw=slice(None, None, max(1, -(-dataset.sizes["draw"] // most))))
     values = {name: np.asarray(thin[name].transpose("chain", "draw")) for name in names}
     return azb.from_dict({"posterior": values})
 
@@ -69,10 +63,6 @@ def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: An
     return figure
 
 
-def _size(count: int, columns: int) -> tuple[float, float]:
-    return 3.7 * min(count, columns), 2.1 * -(-count // columns) + 0.6
-
-
 def _title(identification: Identification, engine: str, what: str) -> str:
     p = identification.posteriors[engine]
     worst_rhat = max(m.rhat for m in p.marginals.values())
@@ -83,71 +73,42 @@ def _title(identification: Identification, engine: str, what: str) -> str:
     )
 
 
-def _trace(identification: Identification, engine: str) -> Figure:
-    posterior = _posterior(identification, engine)
-    names = ordered(posterior.names, identification.mle.parameters)
-    tree = _thinned(posterior, names, TRACE_DRAWS)
-    figure = _draw(
-        "trace",
-        tree,
-        _size(len(names), 4),
-        col_wrap=4,
-        aes={"color": ["chain"]},
-        color=CHAIN_COLOURS,
-        visuals={"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False},
-    )
-    thinned = tree["posterior"].sizes["draw"] < posterior.tree["posterior"].sizes["draw"]
-    along = ("draw, walkers end to end" if engine == "emcee" else "draw") + (", thinned [-]" if thinned else " [-]")
-    axes = [ax for ax in figure.axes if ax.has_data()]
-    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
-        if number >= len(names) - 4:
-            ax.set_xlabel(along)
-    figure.suptitle(_title(identification, engine, "Trace"))
-    return figure
+def _chains(kind: str, engine: str) -> Drawing:
+    """The figure of `arviz_plots` of every parameter's chains by an engine: their traces, or their ranks.
 
+    A rank plot is the difference of the ECDF of ranks from uniform; one line or colour a chain or ensemble.
+    """
 
-def _rank(identification: Identification, engine: str) -> Figure:
-    posterior = _posterior(identification, engine)
-    names = ordered(posterior.names, identification.mle.parameters)
-    independent = min(m.ess_bulk for m in posterior.marginals.values())
-    chains = posterior.tree["posterior"].sizes["chain"]
-    tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / chains))))
-    figure = _draw("rank", tree, _size(len(names), 4), col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
-    axes = [ax for ax in figure.axes if ax.has_data()]
-    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        ax.set_title(name)
-        ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
-        if number >= len(names) - 4:
-            ax.set_xlabel("fractional rank [-]")
-    figure.suptitle(
-        _title(identification, engine, "Rank") + "\nthinned to independent draws; band: 99 % for chains that agree"
-    )
-    return figure
+    def drawn(identification: Identification) -> Figure:
+        if engine not in identification.posteriors:
+            raise NotDrawn(f"this run has no posterior by {engine_label(engine)}")
+        posterior = identification.posteriors[engine]
+        names, sizes = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes
+        size = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+        if kind == "trace":
+            tree = _thinned(posterior, names, TRACE_DRAWS)
+            how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
+            figure = _draw("trace", tree, size, col_wrap=4, aes={"color": ["chain"]}, color=CHAIN_COLOURS, visuals=how)
+            thinned = ", thinned [-]" if tree["posterior"].sizes["draw"] < sizes["draw"] else " [-]"
+            below, title = ("draw, walkers end to end" if engine == "emcee" else "draw") + thinned, "Trace"
+        else:
+            independent = min(m.ess_bulk for m in posterior.marginals.values())
+            tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / sizes["chain"]))))
+            figure = _draw("rank", tree, size, col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
+            below, title = "fractional rank [-]", "Rank"
+        for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
+            if kind == "trace":
+                ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
+            else:
+                ax.set_title(name)
+                ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
+            if number >= len(names) - 4:
+                ax.set_xlabel(below)
+        band = "\nthinned to independent draws; band: 99 % for chains that agree" if kind == "rank" else ""
+        figure.suptitle(_title(identification, engine, title) + band)
+        return figure
 
-
-@housed
-def trace_emcee(identification: Identification) -> Figure:
-    """Trace of every parameter by emcee, one colour per ensemble."""
-    return _trace(identification, "emcee")
-
-
-@housed
-def trace_nuts(identification: Identification) -> Figure:
-    """Trace of every parameter by NUTS, one colour per chain."""
-    return _trace(identification, "nuts")
-
-
-@housed
-def rank_emcee(identification: Identification) -> Figure:
-    """Rank plot (difference of the ECDF of ranks from uniform) of every parameter, one line per ensemble."""
-    return _rank(identification, "emcee")
-
-
-@housed
-def rank_nuts(identification: Identification) -> Figure:
-    """Rank plot (difference of the ECDF of ranks from uniform) of every parameter, one line per chain."""
-    return _rank(identification, "nuts")
+    return housed(drawn)
 
 
 @housed
@@ -161,7 +122,16 @@ def pair(identification: Identification) -> Figure:
     if len(names) < 2:
         raise NotDrawn("a pair plot needs two parameters")
     figure = _pair(engine, posterior, names)
-    _label_matrix(identification, figure, names)
+    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    labels = [f"{name} {bracket(unit_of(identification, name))}" for name in names]
+    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
+        last = row == len(names) - 1
+        ax.locator_params(nbins=3)
+        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
+        if row == column:
+            ax.set_yticks([])
+        ax.set_xlabel(labels[column] if last else "")
+        ax.set_ylabel(("density" if row == 0 else labels[row]) if column == 0 else "")
     figure.suptitle(_title(identification, engine, "Posterior of the model's parameters"))
     return figure
 
@@ -173,8 +143,6 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
         raise NotDrawn("there is no posterior")
     engine, posterior = next(iter(posteriors.items()))
     figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
-    for axis in [axis for axis in figure.axes if not axis.has_data()]:
-        axis.remove()
     figure.suptitle(
         f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
     )
@@ -182,35 +150,18 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 
 
 def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
+    """A matrix of panels without the empty ones."""
     side = 1.15 * len(names) + 1.0
     style = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
-    return _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
-
-
-def _label_matrix(identification: Identification, figure: Figure, names: list[str]) -> None:
-    """Names with units on the outer axes of a lower-triangular pair plot, and tick labels there only."""
+    figure = _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
     for ax in [ax for ax in figure.axes if not ax.has_data()]:
         ax.remove()
-    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
-    for ax, (row, column) in zip(figure.axes, places, strict=True):
-        last = row == len(names) - 1
-        ax.locator_params(nbins=3)
-        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
-        if row == column:
-            ax.set_yticks([])
-        ax.set_xlabel(f"{names[column]} {bracket(unit_of(identification, names[column]))}" if last else "")
-        density = "density" if row == 0 else f"{names[row]} {bracket(unit_of(identification, names[row]))}"
-        ax.set_ylabel(density if column == 0 else "")
+    return figure
 
 
-FIGURES = {
-    "trace_emcee": trace_emcee,
-    "trace_nuts": trace_nuts,
-    "rank_emcee": rank_emcee,
-    "rank_nuts": rank_nuts,
-    "pair": pair,
-}
+FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
+FIGURES |= {"pair": pair}
 
 
 # --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
@@ -236,19 +187,14 @@ def pit_histogram(identification: Identification) -> Figure:
         ax.set_xlabel("probability of less than measured [-]")
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("density, 1 if calibrated [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, axes[0], 2)
     figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
     return figure
 
 
 @housed
 def one_step_quantiles(found: ProcessNoise) -> Figure:
-    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones.
-
-    Raises:
-        NotDrawn: the fit did not converge.
-    """
+    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones."""
     if found.one_step is None:
         raise NotDrawn("the fit with process noise did not converge")
     shown = dict(found.one_step.outputs)
@@ -265,8 +211,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
         ax.tick_params(labelbottom=True)
     for ax in axes[::4]:
         ax.set_ylabel("innovation / predicted sd [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, axes[0], 3)
     figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
 
@@ -281,6 +226,14 @@ def pit_words(identification: Identification) -> tuple[str, str]:
     t = identification.pit
     assert t is not None, "the figure was drawn"
     names = identification.observations.coefficients
+    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
+    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
+    independence = "That is near enough to independence for the band."
+    if coloured:
+        independence = (
+            f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
+            "narrow there if neighbours resemble each other, and bars outside it prove little."
+        )
     listed = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
     if identification.noise is Colour.WHITE:
         how = "White noise predicts each sample by itself"
@@ -291,22 +244,10 @@ def pit_words(identification: Identification) -> tuple[str, str]:
         "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
         "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
         "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
-        f"{how}; neighbours correlate by {listed}. {_independence(t, names)}",
+        f"{how}; neighbours correlate by {listed}. {independence}",
         f"Histograms of the probability integral transform for {several(names)} under the "
         f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
         f"Lag-1 correlation of neighbours: {listed}.",
-    )
-
-
-def _independence(t: PitResult, names: Sequence[str]) -> str:
-    """Whether neighbours are independent, as the band assumes."""
-    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
-    if not coloured:
-        return "That is near enough to independence for the band."
-    return (
-        f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
-        "narrow there if neighbours resemble each other, and bars outside it prove little."
     )
 
 
@@ -345,8 +286,8 @@ def hysteresis(identification: Identification) -> Figure:
     if "CL" not in o.coefficients:
         raise NotDrawn("the model has no CL")
     points = predicted(identification, "CL")
-    everything = np.arange(o.n)
-    sources = [("measured", everything, np.asarray(o.measured)[:, o.coefficients.index("CL")])]
+    alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
+    sources = [("measured", np.arange(o.n), np.asarray(o.measured)[:, o.coefficients.index("CL")])]
     sources.append(("maximum likelihood", points.index, points.mle))
     if points.gp is not None:
         sources.append(("GPR", points.index, points.gp))
@@ -357,23 +298,16 @@ def hysteresis(identification: Identification) -> Figure:
     for number, row in enumerate(axes):
         for ax, (title, index, values) in zip(row, sources, strict=True):
             mine = o.manoeuvre[index] == number
-            _loop(ax, identification, index[mine], values[mine])
+            for key, way in (("rising", rising[index]), ("falling", ~rising[index])):
+                x, y = alpha[index][mine & way], values[mine & way]
+                ax.plot(x, y, ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
             ax.set_title(f"{o.names[number]}, {title}")
         row[0].set_ylabel("CL [-]")
     for ax in axes[-1]:
         ax.set_xlabel("α [deg]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4)
+    legend_below(figure, axes[0, 0], 2, markerscale=4)
     figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
     return figure
-
-
-def _loop(ax: Axes, identification: Identification, index: np.ndarray, values: np.ndarray) -> None:
-    signals = identification.observations.signals
-    alpha = np.rad2deg(np.asarray(signals["alpha"])[index])
-    rising = np.asarray(signals["alpha_dot"])[index] > 0.0
-    for key, mask in (("rising", rising), ("falling", ~rising)):
-        ax.plot(alpha[mask], values[mask], ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
 
 
 FIGURES |= {

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,11 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
-from bayes_aero.report.html.plots import MOST, TIME, Over, Panel, linked
-from bayes_aero.report.text.check import consistency_sentences
-from bayes_aero.report.text.phrases import GREEK, bracket, for_people, plain_unit, several
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
+from bayes_aero.report.tables.table import Table, cell_text
+from bayes_aero.report.text.check import among_text, consistency_sentences, not_told_apart
+from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, plain_unit, several, symbol
 from bayes_aero.units import number
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -141,8 +144,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Plot:
-    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style) and words as for a
-    picture."""
+    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), words as for a picture."""
 
     item: Mapping[str, Any]
     legend: tuple[tuple[str, str, str], ...]
@@ -211,10 +213,18 @@ def render(page: Page) -> str:
     plots = [*_plots(page.lead), *(plot for section in page.sections for plot in _plots(section.blocks))]
     environment.filters["breakable"] = _breakable
     numbers = {id(plot): number for number, plot in enumerate(plots)}
+    data = json.dumps([plot.item for plot in plots], separators=(",", ":"), allow_nan=True)
+    for sign in "<>&\u2028\u2029":  # so that it cannot end the script element around it
+        data = data.replace(sign, f"\\u{ord(sign):04x}")
+    library = Markup("")
+    if plots:  # BokehJS without widgets, tables and MathJax, which would be fetched
+        from bokeh.resources import Resources
+
+        library = Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
     return environment.get_template("page.html").render(
         page=page,
-        library=_library() if plots else "",
-        plots=Markup(_script_json([plot.item for plot in plots])),
+        library=library,
+        plots=Markup(data),
         number=lambda plot: numbers[id(plot)],
         version=__version__,
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -255,56 +265,32 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
             yield from _plots(block.blocks)
 
 
-def _script_json(content: Any) -> str:
-    """JSON that cannot end the script element around it."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=True)
-    for sign in "<>&\u2028\u2029":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    return text
-
-
-def _library() -> Markup:
-    """BokehJS without widgets, tables and MathJax, which would be fetched."""
-    from bokeh.resources import Resources
-
-    return Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
-
-
 # --- Common parts of pages: the records at a glance, and the provenance.
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
 LATERAL_GLANCE = (
-    "airspeed",
-    "alpha",
-    "beta",
-    "altitude",
-    "elevator",
-    "aileron",
-    "aileron_right",
-    "rudder",
-    "p",
-    "q",
-    "r",
-)
+    "airspeed", "alpha", "beta", "altitude", "elevator", "aileron", "aileron_right", "rudder", "p", "q", "r",
+)  # fmt: skip
+MEASURED = ("measured", COLOURS["measured"], "solid")  # in legends
+NOT_DRAWN = Text("Static pictures were not drawn in this run; tables and interactive figures are complete.")
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 
 
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
-    """Manoeuvres and recorded channels."""
-    units = _glanced(card)
+    """Manoeuvres and recorded channels: the main ones are those of most flights, or of a linear card's rows."""
+    names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
+    units = {name: STANDARD_CHANNELS[name].unit for name in names}
+    if (rows := card.linear) is not None:
+        units = {name: channel_units(card)[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
     shown = [name for name in units if any(record.has(name) for record in records)]
-    heads = [f"{_name(name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
-    rows = [
-        (
-            record.name,
-            f"{record.time[-1] - record.time[0]:.1f}",
-            str(record.n),
-            f"{1.0 / record.dt:.4g}",
-            str(len(record.channels)),
-            *(_range(record, name, units[name]) for name in shown),
-        )
-        for record in records
-    ]
+    words = {n: n if symbol(n) == n else f"{n} {symbol(n)}" for n in shown}
+    words |= {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
+    heads = [f"{words[name]}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    lines = []
+    for record in records:
+        seconds, ranges = record.time[-1] - record.time[0], (_range(record, name, units[name]) for name in shown)
+        what = (f"{seconds:.1f}", str(record.n), f"{1.0 / record.dt:.4g}", str(len(record.channels)))
+        lines.append((record.name, *what, *ranges))
     channels = sorted({name for record in records for name in record.channels})
     total = sum(float(record.time[-1] - record.time[0]) for record in records)
     many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
@@ -313,18 +299,16 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
         HtmlTable(
             "Records: smallest to largest value of the main channels",
             ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
-            tuple(rows),
+            tuple(lines),
         ),
         Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
     )
 
 
-def records_and_faults(
-    records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]
-) -> tuple[Block, ...]:
+def records_section(records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]) -> Section:
     """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
-    minor = bullets([f"{finding.sentence}." for finding in health if not finding.grave])
-    return (*minor, *at_a_glance(records, card))
+    minor = [f"{finding.sentence}." for finding in health if not finding.grave]
+    return section("records", "The records at a glance", lambda: (*bullets(minor), *at_a_glance(records, card)))
 
 
 def doubts(
@@ -348,15 +332,6 @@ def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text
     return (Text(answer, "warning") if found.disagrees else Text(answer),)
 
 
-def _glanced(card: Card) -> dict[str, str]:
-    """Main channels with their SI units: those of most flights, or those of a linear card's rows."""
-    if card.linear is None:
-        names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
-        return {name: STANDARD_CHANNELS[name].unit for name in names}
-    rows, units = card.linear, channel_units(card)
-    return {name: units[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
-
-
 AXES = "Body axes: x forward, y right, z down. Elevator trailing edge down is positive"
 CONVENTIONS = (
     f"{AXES}, so Cmde is negative. CL and CD are in stability axes about the centre of gravity, Cm about the "
@@ -377,12 +352,6 @@ def conventions(card: Card) -> str:
     if card.linear is None:
         return CONVENTIONS + (LATERAL_CONVENTIONS if Axis.LATERAL in card.axes else "")
     return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
-
-
-def _name(channel: str) -> str:
-    words = {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
-    symbol = GREEK.get(channel, channel)
-    return words.get(channel, channel if symbol == channel else f"{channel} {symbol}")
 
 
 def _range(record: FlightRecord, name: str, unit: str) -> str:
@@ -418,6 +387,15 @@ def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
     return names[:MOST_SHOWN], (Text(f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown."),)
 
 
+def context_panels(channels: Mapping[str, np.ndarray]) -> list[Panel]:
+    """Low panels of measured channels (SI), below those of outputs."""
+    panels = []
+    for name, values in channels.items():
+        label, factor = channel_axis(name)
+        panels.append(Panel(label, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
+    return panels
+
+
 def histories(
     name: str,
     key: str,
@@ -428,31 +406,20 @@ def histories(
     over: Over = TIME,
 ) -> Plot:
     """One manoeuvre's panels; `what` begins the words that describe them."""
-    labels = several(panel.label for panel in panels)
-    thinned = (
-        f"Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
-        if len(time) > MOST
-        else ""
-    )
-    spans = "; ".join(
-        f"{panel.label} from {number(float(np.nanmin(panel.lines[0].values)))} to "
-        f"{number(float(np.nanmax(panel.lines[0].values)))}"
-        for panel in panels
-    )
-    return Plot(
-        item=linked(time - time[0], panels, key, over),
-        legend=legend,
-        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}.",
-        caption=thinned,
-        title=name,
-    )
+    firsts = [(panel.label, panel.lines[0].values) for panel in panels]
+    spans = "; ".join(f"{x} from {number(float(np.nanmin(y)))} to {number(float(np.nanmax(y)))}" for x, y in firsts)
+    labels = several(label for label, _ in firsts)
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}."
+    thinned = "thinned so that every peak stays (least and largest value of each stretch)"
+    caption = f"Drawn from {len(time)} samples, {thinned}." if len(time) > MOST else ""
+    return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
 
 
 def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
     """Inputs, versions and the command, which reproduce the run."""
     inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
-    cards = tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
-    files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
+    inputs += tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
+    inputs += tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
     facts = [
         ("Command", str(source.get("command", "–"))),
         *([("Seed", str(source["seed"]))] if "seed" in source else []),
@@ -463,7 +430,7 @@ def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seco
     blocks: list[Block] = [Text(note, "warning") for note in notes]
     blocks += [
         Facts(tuple(facts)),
-        *_inputs((*inputs, *cards, *files)),
+        *([HtmlTable("Inputs", ("name", "file", "SHA-256"), inputs, words=(1, 2))] if inputs else []),
         Fold("Versions", (Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())),)),
     ]
     if seconds:
@@ -472,11 +439,105 @@ def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seco
     return tuple(blocks)
 
 
-def _inputs(rows: tuple[tuple[str, str, str], ...]) -> tuple[Block, ...]:
-    return (HtmlTable("Inputs", ("name", "file", "SHA-256"), rows, words=(1, 2)),) if rows else ()
+def provenance_section(source: Mapping[str, Any]) -> Section:
+    """The same, folded."""
+    title = "Inputs, versions and the command that repeat the run"
+    return section("provenance", "Provenance", lambda: (Fold(title, provenance_blocks(source)),))
 
 
 def bullets(items: Iterable[str]) -> tuple[Block, ...]:
     """A list, or nothing."""
     given = tuple(items)
     return (Points(given),) if given else ()
+
+
+# --- Folded lists, the glossary, and tables of numbers.
+
+
+def not_testable_list(reasons: Mapping[str, str]) -> tuple[Fold, ...]:
+    """Every effect that is not testable, by reason, folded."""
+    if not reasons:
+        return ()
+    listed: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        listed.setdefault(reason, []).append(name)
+    rows = tuple((reason, ", ".join(names)) for reason, names in listed.items())
+    table = HtmlTable("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
+    return (Fold(f"The {len(reasons)} effects that are not testable", (table,)),)
+
+
+def open_list(found: Consistency) -> tuple[Fold, ...]:
+    """Each error that others imitate, which those are, and how well it is known with them possible."""
+    alike = not_told_apart(found)
+    if not alike:
+        return ()
+    rows = tuple((e.name, several(e.imitators), f"± {among_text(e)}") for e in alike)
+    table = HtmlTable(
+        "Errors of sensors and winds that others imitate along this flight path",
+        ("error", "not distinguishable from", "standard error\nif those are possible"),
+        rows,
+        words=(1,),
+    )
+    return (Fold(f"The {len(alike)} errors that are not testable along this flight path", (table,)),)
+
+
+# --- Terms of a page, each explained in a sentence.
+
+GLOSSARY = {
+    "Cramér–Rao bound": "The usual standard error of a maximum-likelihood estimate. It assumes that the errors of "
+    "all samples "
+    "are independent.",
+    "Corrected bound": "The same with the autocorrelation of the residuals (coloured residuals).",
+    "White, AR(1) noise": "Noise models: independent samples, and samples that are correlated with their predecessor. "
+    "With buffet, the noise grows as the flow separates.",
+    "Posterior, 95 % interval": "The probability distribution of a parameter given the data, from prior and "
+    "likelihood. The "
+    "interval contains the parameter with 95 % probability if the model and the noise model are right.",
+    "emcee, NUTS": "Two independent samplers of the same posterior. They should agree.",
+    "Lag-1 correlation": "Correlation of a residual with the one a sample earlier: 0 for independent errors, near 1 "
+    "for slow ones.",
+    "R², r, RMSE, Theil U": "Share of variance explained; correlation; root-mean-square error; Theil's inequality "
+    "coefficient, 0 for a perfect fit.",
+    "Separation point X": "Where along the chord the flow separates: 1 at the trailing edge (attached), 0 at the "
+    "leading edge (stalled).",
+    "Hold-out data": "Data that the model was not fitted to: another manoeuvre, or another block of a single one.",
+}
+FLOWN = {
+    "Output error": "Parameters, and initial states unless they are fixed, minimise the difference between measured "
+    "outputs and those simulated with the recorded inputs. The simulation is not corrected by measurements.",
+    "Cramér–Rao bound": GLOSSARY["Cramér–Rao bound"],
+    "Corrected standard error": "The same with the autocorrelation of the residuals and with the prior.",
+    "Theil U": "Root-mean-square error over the sum of both signals' root mean squares: 0 for a perfect fit.",
+    "Bias, variance, covariance": "Shares of the mean square error: a constant offset, a wrong amplitude, and the "
+    "remainder, which includes noise.",
+}
+
+
+def words(terms: dict[str, str]) -> Fold:
+    """A glossary behind a line that opens it."""
+    return Fold("Terms used here", (Facts(tuple(terms.items())),))
+
+
+WORDS = words(GLOSSARY)
+
+
+# --- A table of numbers as a page shows it.
+
+
+def page_table(table: Table) -> HtmlTable:
+    """The columns that have a heading on a page, every cell as text."""
+    shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
+    groups = tuple((group, len(list(some))) for group, some in groupby(c.group for _, c, _ in shown))
+    rows = list(zip(*([cell_text(x, c.form) for x in values] for _, c, values in shown), strict=True))
+    if len(set(table.below)) > 1:
+        first = [k for k, name in enumerate(table.below) if k == 0 or name != table.below[k - 1]]
+        for k in reversed(first):
+            rows.insert(k, (table.below[k], *[""] * (len(shown) - 1)))
+    return HtmlTable(
+        table.title,
+        tuple(head for head, *_ in shown),
+        tuple(rows),
+        groups if any(group for group, _ in groups) else (),
+        tuple(k for k, (_, c, _) in enumerate(shown) if c.words),
+        table.note,
+    )

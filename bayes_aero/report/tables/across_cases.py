@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScor
 from bayes_aero.inference.identification import Identification, Validation
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed
-from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of
+from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, columns_of
 from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several
 
 METHODS = {
@@ -34,7 +34,7 @@ DRAWN, MOST_PANELS, MOST_BARS = 2, 18, 60
 
 
 @dataclass(frozen=True)
-class Estimates:
+class AcrossUnits:
     """One parameter by one method in every unit that has it; `unit` counts units from 1, values in SI."""
 
     label: str
@@ -57,22 +57,19 @@ class Estimates:
         return float(np.sqrt(np.mean(np.square(self.sd))))
 
 
-def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[Estimates]:
+def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
     """Every parameter and method of a study, in the order of the results; values that are missing are left out."""
     number = {name: k for k, name in enumerate(units["unit"], start=1)}
-    rows = results.dropna(subset=["value"])
     found = []
-    for key, part in rows.groupby(["cause", "parameter", "method"], sort=False):
+    for key, part in results.dropna(subset=["value"]).groupby(["cause", "parameter", "method"], sort=False):
         cause, parameter, method = map(str, key)  # type: ignore[call-overload]
-        column = {name: part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd")}
-        label = f"{cause}: {parameter}" if cause else parameter
-        at = np.array([number[name] for name in part["unit"]])
-        si = str(part["unit_of_value"].iloc[0])
-        found.append(Estimates(label, method, si, at, column["value"], column["low95"], column["high95"], column["sd"]))
+        label, si = f"{cause}: {parameter}" if cause else parameter, str(part["unit_of_value"].iloc[0])
+        columns = (part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd"))
+        found.append(AcrossUnits(label, method, si, np.array([number[name] for name in part["unit"]]), *columns))
     return found
 
 
-def panels_of(found: list[Estimates]) -> Iterator[tuple[str, list[Estimates]]]:
+def panels_of(found: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
     """Parameters with the methods that are drawn, the most trusted interval first."""
     order = list(METHODS)
     for label in dict.fromkeys(e.label for e in found):
@@ -81,7 +78,7 @@ def panels_of(found: list[Estimates]) -> Iterator[tuple[str, list[Estimates]]]:
 
 
 @housed
-def across(found: list[Estimates]) -> Figure:
+def across(found: list[AcrossUnits]) -> Figure:
     """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
     groups = [group for group in panels_of(found) if group[1]][:MOST_PANELS]
     if not groups:
@@ -141,7 +138,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
         before, after = (unseen.scores[model, "hold_out", k] for model in ("card", "extended"))
-        rows += [(manoeuvre, n, Change(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
+        rows += [(manoeuvre, n, BeforeAfter(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
     column = columns_of(rows)
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse()) or "no manoeuvre"
     return Table(

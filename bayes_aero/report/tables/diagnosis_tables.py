@@ -10,7 +10,7 @@ import pandas as pd
 
 from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
 from bayes_aero.diagnosis.view.results import Compared, HoldoutScores, Ranking
-from bayes_aero.report.tables.table import NONE, Change, Column, Estimate, Table, columns_of, or_dash
+from bayes_aero.report.tables.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash
 from bayes_aero.report.text.phrases import for_people, from_to, several, size_text
 
 SPLITS = {
@@ -115,11 +115,11 @@ def _if_removed(c: Cause) -> str:
     return text if c.confirmed else f"{text} *"
 
 
-def _change(c: Cause, name: str, kind: str) -> Change | None:
+def _change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
     """A score of a coefficient on hold-out data without and with a cause."""
     if name not in c.gain.before:
         return None
-    return Change(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
+    return BeforeAfter(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
 
 
 def _largest_change(causes: Sequence[Cause], name: str) -> float:
@@ -137,7 +137,7 @@ def changes_table(d: Diagnosis) -> Table:
             column(lambda c: c.unit, "unit"),
             column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
             column(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
-            column(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
+            column(lambda c: BeforeAfter(c.interval[0], c.interval[1]), ("at_low", "at_high")),
             column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
             column(lambda c: c.lasts, "lasts"),
             *(

@@ -9,7 +9,6 @@ import numpy as np
 
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import GPReport, Identification, Validation
-from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
@@ -113,7 +112,7 @@ def _interval(e: Estimate) -> str:
 
 
 @dataclass(frozen=True)
-class Pooled:
+class PooledScores:
     """Validation of one coefficient over the test points of several folds together."""
 
     points: int
@@ -124,7 +123,7 @@ class Pooled:
     status: str
 
     @classmethod
-    def of(cls, folds: Sequence[Validation]) -> Pooled:
+    def of(cls, folds: Sequence[Validation]) -> PooledScores:
         """Scores over all points; coverage is weighted by points, and `k_hat` is the largest."""
         measured, gp, mle = (np.concatenate([getattr(v, key) for v in folds]) for key in ("measured", "gp", "mle"))
         weights = [len(v.measured) for v in folds]
@@ -142,12 +141,12 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
     A split of several folds has a row for each (`fold` 1, 2, ...; not without `each_fold`) and one over all their test
     points (`fold` all).
     """
-    rows: list[tuple[str, str, str, Pooled]] = []
+    rows: list[tuple[str, str, str, PooledScores]] = []
     for split, folds in (run.gp.splits if run.gp else {}).items():
         for name in run.observations.coefficients:
             if each_fold and len(folds) > 1:
-                rows += [(split, str(k), name, Pooled.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
-            rows.append((split, "all", name, Pooled.of([fold[name] for fold in folds])))
+                rows += [(split, str(k), name, PooledScores.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
+            rows.append((split, "all", name, PooledScores.of([fold[name] for fold in folds])))
     column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
     return Table(
@@ -198,7 +197,11 @@ def sampler_table(run: Identification, key: str) -> Table:
     """R-hat and effective sample sizes of one posterior."""
     posterior = run.posteriors[key]
     column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
-    divergent = f" Divergent transitions: {_divergences(posterior)}." if key == "nuts" else ""
+    divergent = ""
+    if key == "nuts":
+        stats = posterior.tree["sample_stats"].to_dataset() if "sample_stats" in posterior.tree.children else {}
+        count = int(np.sum(np.asarray(stats["diverging"]))) if "diverging" in stats else "not recorded"
+        divergent = f" Divergent transitions: {count}."
     return Table(
         [
             column(lambda r: r[0], page=""),
@@ -209,13 +212,6 @@ def sampler_table(run: Identification, key: str) -> Table:
         f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
         f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",
     )
-
-
-def _divergences(posterior: Posterior) -> str:
-    if "sample_stats" not in posterior.tree.children:
-        return "not recorded"
-    stats = posterior.tree["sample_stats"].to_dataset()
-    return str(int(np.sum(np.asarray(stats["diverging"])))) if "diverging" in stats else "not recorded"
 
 
 def coverage_table(run: Identification) -> Table | None:
@@ -250,7 +246,7 @@ SAYS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "
 
 def pooled_r(report: GPReport, split: str, name: str, engine: str) -> float:
     """Correlation over the test points of all folds; `engine` is gp or mle."""
-    return getattr(Pooled.of([fold[name] for fold in report.splits[split]]), engine).r
+    return getattr(PooledScores.of([fold[name] for fold in report.splits[split]]), engine).r
 
 
 def split_verdict(identification: Identification) -> list[str]:
@@ -258,15 +254,11 @@ def split_verdict(identification: Identification) -> list[str]:
     report = identification.gp
     if report is None:
         return []
-    return [*_unsampled(report), *_leaks(report, identification.observations.dt)]
-
-
-def _unsampled(report: GPReport) -> list[str]:
     first = report.splits[report.chosen][0]
+    unsampled = {n: first[n].status.rstrip(".") for n, fit in report.fits.items() if fit.posterior is None}
     return [
-        f"Gaussian process of {name}: no sampled hyperparameters ({first[name].status.rstrip('.')})."
-        for name, fit in report.fits.items()
-        if fit.posterior is None
+        *(f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()),
+        *_leaks(report, identification.observations.dt),
     ]
 
 
@@ -281,19 +273,17 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
     sentences = [f"GPR correlation with the measurement by {order}: {numbers}."]
     drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
-    behind = [sentence for s in ("random", others[-1]) for sentence in _behind(report, s, r[s])]
+    behind = []  # coefficients that the Gaussian process predicts worse than the stall model
+    for split in ("random", others[-1]):
+        mle = {n: pooled_r(report, split, n, "mle") for n in names}
+        worse = {n: x for n, x in r[split].items() if x < mle[n] - NOTABLE}
+        lost = several(f"{n} ({mle[n]:.3f} against {x:.3f})" for n, x in worse.items())
+        if lost:
+            behind.append(f"On {SAYS[split]} maximum likelihood correlates better than GPR in {lost}.")
     if not fallen:
         return [sentences[0] + " The random split does not leak significantly.", *behind]
     sentences[0] += (
         f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
-        f"them "
-        f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
+        f"them ({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
     )
     return [*sentences, *behind]
-
-
-def _behind(report: GPReport, split: str, r: dict[str, float]) -> list[str]:
-    """Coefficients that the Gaussian process predicts worse than the stall model."""
-    mle = {n: pooled_r(report, split, n, "mle") for n in r}
-    lost = [f"{n} ({mle[n]:.3f} against {r[n]:.3f})" for n in r if r[n] < mle[n] - NOTABLE]
-    return [f"On {SAYS[split]} maximum likelihood correlates better than GPR in {several(lost)}."] if lost else []

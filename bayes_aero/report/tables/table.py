@@ -21,6 +21,8 @@ from bayes_aero.units import number
 if TYPE_CHECKING:
     import pandas as pd
 
+    from bayes_aero.inference.posterior.posterior import Marginal
+
 
 NONE = "–"
 NORMAL95 = 1.959964
@@ -43,8 +45,13 @@ class Estimate(NamedTuple):
         """Interval of a normal distribution."""
         return cls(float(centre), float(sd), float(centre - NORMAL95 * sd), float(centre + NORMAL95 * sd))
 
+    @classmethod
+    def of(cls, m: Marginal) -> Estimate:
+        """Mean, deviation and interval of a posterior."""
+        return cls(m.mean, m.sd, *m.ci95)
 
-class Change(NamedTuple):
+
+class BeforeAfter(NamedTuple):
     """A number before and after."""
 
     before: float | None
@@ -58,8 +65,8 @@ class Column:
     Of estimates and changes, a tuple of names shows the parts, each in a column of its own; one name shows both in one.
 
     Attributes:
-        values: one a row: a number, text, an `Estimate`, a `Change`, or None for no value. A list is several values:
-            they share a cell for people, and a file has a row for each.
+        values: one a row: a number, text, an `Estimate`, a `BeforeAfter`, or None for no value. A list is several
+            values: they share a cell for people, and a file has a row for each.
         files: name in files, and key in JSON.
         page: heading on a page.
         terminal: heading on a terminal.
@@ -152,7 +159,7 @@ class Table:
             left = k == 0 or c.words or any(isinstance(x, str) for x in c.values)
             most = 12 if self.dense and not left else None
             spaced = left and any(isinstance(x, str) and " " in x for x in c.values)
-            folds = bool(most) or c.words or spaced or any(isinstance(x, Change) for x in c.values)
+            folds = bool(most) or c.words or spaced or any(isinstance(x, BeforeAfter) for x in c.values)
             longest = max((len(word) for x in c.values if isinstance(x, str) for word in x.split()), default=0)
             shown.add_column(
                 Text(c.terminal or ""),
@@ -172,7 +179,7 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
     """A value as people read it, a dash where there is none; several of them with `between` between them."""
     if isinstance(value, list):
         return between.join(cell_text(one, form, estimate, between) for one in value)
-    if isinstance(value, Change):
+    if isinstance(value, BeforeAfter):
         return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value
     if size is None or (isinstance(size, float) and not math.isfinite(size)):
