@@ -11,17 +11,7 @@ import numpy as np
 from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.report.tables.comparison import (
-    alone,
-    apart,
-    bounds,
-    chosen_posteriors,
-    methods,
-    noise_label,
-    ordered,
-    unit_of,
-    usable,
-)
+from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import decimals, from_to, several
 from bayes_aero.units import number
@@ -32,17 +22,17 @@ def left_out(identification: Identification) -> list[str]:
     return [
         f"{name} alone: {fit.status.value}; it is left out of the comparison between manoeuvres."
         for name, fit in identification.alone.items()
-        if not usable(fit)
+        if not comparison.usable(fit)
     ]
 
 
 def between_manoeuvres(identification: Identification, limit: float) -> list[str]:
     """Sentences on differences beyond `limit` standard errors; none if the intervals explain them."""
-    names = ordered(identification.mle.names, identification.mle.parameters)
-    compared = [n for n in names if len(alone(identification, n)) > 1]
+    names = comparison.ordered(identification.mle.names, identification.mle.parameters)
+    compared = [n for n in names if len(comparison.alone(identification, n)) > 1]
     kinds = {"crb": "the Cramér-Rao bound", "crb_corrected": "the corrected bound"}
-    for engine in list(chosen_posteriors(identification))[:1]:
-        kinds[engine] = f"the {noise_label(identification.noise)} posterior's width"
+    for engine in list(comparison.chosen_posteriors(identification))[:1]:
+        kinds[engine] = f"the {comparison.noise_label(identification.noise)} posterior's width"
     beyond, counts = {}, []
     for kind, label in kinds.items():
         far = {n: z for n in compared if (z := _largest(identification, n, kind)[0]) > limit}
@@ -65,7 +55,7 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
     if unexplained:
         numbers = []
         for name in always or unexplained:
-            (_, *pair), single = _largest(identification, name, "crb"), alone(identification, name)
+            (_, *pair), single = _largest(identification, name, "crb"), comparison.alone(identification, name)
             values = " and ".join(f"{single[m][0]:.{decimals(single[m][1])}f} from {m}" for m in pair)
             bound = max(single[m][1] for m in pair)
             numbers.append(f"{name} is {values}, with Cramér-Rao standard errors up to {bound:.2g}")
@@ -81,12 +71,12 @@ def between_manoeuvres(identification: Identification, limit: float) -> list[str
 def _largest(identification: Identification, name: str, kind: str) -> tuple[float, str, str]:
     """Largest difference of two manoeuvres in standard errors of the difference, and which two."""
     # manoeuvres were not sampled one by one: their Cramer-Rao deviations times the joint ratio of posterior to bound
-    single = alone(identification, name)
-    by_key = {m.key: m.estimates for m in methods(identification)}
+    single = comparison.alone(identification, name)
+    by_key = {m.key: m.estimates for m in comparison.methods(identification)}
     estimate = by_key[kind].get(name)
     widen = estimate.sd / by_key["crb"][name].sd if estimate else np.nan
     sd = {m: corrected if kind == "crb_corrected" else widen * crb for m, (_, crb, corrected) in single.items()}
-    return max((apart(single[a][0], single[b][0], sd[a], sd[b]), a, b) for a, b in combinations(single, 2))
+    return max((comparison.apart(single[a][0], single[b][0], sd[a], sd[b]), a, b) for a, b in combinations(single, 2))
 
 
 # --- Joint fit, manoeuvres alone and pooled, scatter between them and next flight: the table, and what it says.
@@ -107,12 +97,12 @@ def next_flight_table(run: Identification) -> Table:
     found = run.next_flight
     if found is None:
         raise ValueError("the manoeuvres of this run are not pooled")
-    names = ordered(found.aircraft, found.parameters)
+    names = comparison.ordered(found.aircraft, found.parameters)
     few = len(found.manoeuvres) <= ON_TERMINAL
-    joint = bounds(run.mle, run.mle.crb_corrected)
-    name, unit, both = parameter_columns(names, [unit_of(run, n) for n in names])  # a terminal has the units above
+    joint = comparison.bounds(run.mle, run.mle.crb_corrected)
+    name, unit, both = parameter_columns(names, [comparison.unit_of(run, n) for n in names])
     columns = [
-        *(name, replace(unit, terminal=None), both),
+        *(name, replace(unit, terminal=None), both),  # a terminal has the units above
         Column([joint[n] for n in names], ("joint", "joint_sd"), "joint", "joint", terminal_form=in_brackets),
     ]
     for m in found.manoeuvres:
@@ -144,7 +134,7 @@ def next_flight_sentences(run: Identification) -> list[str]:
         return []
     found, count = run.next_flight, len(run.next_flight.manoeuvres)
     low, high = found.at_best
-    names = ordered(found.aircraft, found.parameters)
+    names = comparison.ordered(found.aircraft, found.parameters)
     little = [n for n in names if found.narrowed[n] > LITTLE]
     which = f"all {len(names)} parameters" if len(little) == len(names) else several(little)
     said = [
@@ -163,7 +153,7 @@ def next_flight_sentences(run: Identification) -> list[str]:
 
 def _widest(run: Identification, found: NextFlight) -> str:
     """The parameter whose interval grows most from the joint fit to the next flight."""
-    joint = bounds(run.mle, run.mle.crb_corrected)
+    joint = comparison.bounds(run.mle, run.mle.crb_corrected)
     growth = {n: (m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in found.following.items()}
     finite = {n: g for n, g in growth.items() if g > 0.0 and g < float("inf")}
     if not finite:

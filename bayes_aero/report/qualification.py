@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.flight.card.card import Card
@@ -32,16 +32,8 @@ BLANK = "\u00a0" * 30
 FLIGHTS = "#56B4E9"
 
 
-@dataclass(frozen=True)
-class QualificationContext:
-    """What the page needs beside the qualification."""
-
-    card: Card
-    source: Mapping[str, Any]
-
-
-def qualification_page(found: Qualification, context: QualificationContext) -> html.Page:
-    """The page; its first screen is what is signed."""
+def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> html.Page:
+    """The page; its first screen is what is signed. `source` is its provenance."""
     signature = HtmlTable(
         "Decision of the evaluator",
         ("", "name", "signature", "date"),
@@ -56,7 +48,7 @@ def qualification_page(found: Qualification, context: QualificationContext) -> h
     origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
     tolerances = tuple((name, source) for name, (_, source) in found.tolerances.items())
     return html.Page(
-        title=f"Qualification: {context.card.title}",
+        title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
         verdict=verdict_sentence(found),
         lead=(
@@ -95,7 +87,7 @@ def qualification_page(found: Qualification, context: QualificationContext) -> h
                     Fold("Origin of the tolerances", (html.Facts(tolerances),)),
                 ),
             ),
-            html.provenance_section(context.source),
+            html.provenance_section(source),
         ),
     )
 

@@ -17,17 +17,8 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import (
-    PHONE,
-    NotDrawn,
-    column_width,
-    housed,
-    legend_below,
-    name_panels,
-    panels,
-    refuse_many,
-)
 from bayes_aero.report.tables.diagnosis_tables import SPLITS
 from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, size_text
 
@@ -47,13 +38,15 @@ def models_of(view: View) -> list[tuple[str, str, Fitted]]:
     return found if view.changed else found[:1]
 
 
-@housed
+@style.housed
 def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
     models, count = models_of(view), len(view.names)
-    refuse_many(count)
+    style.refuse_many(count)
     rows = len(view.coefficients) * len(models)
-    figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
+    figure, axes = style.panels(
+        rows, count, (style.column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False
+    )
     for c, name in enumerate(view.coefficients):
         z = view.measured[:, c]
         curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
@@ -69,7 +62,7 @@ def measured_simulated(view: View) -> Figure:
                 ax.margins(x=0.01)
                 ax.text(0.01, 0.95, text, transform=ax.transAxes, va="top", **NOTE)
             axes[c * len(models) + k, 0].set_ylabel(f"{name} [-]")
-    name_panels(axes, view.names)
+    style.name_panels(axes, view.names)
     figure.suptitle("Measured (black) and simulated coefficients, the error shaded; all manoeuvres fitted jointly")
     return figure
 
@@ -80,13 +73,13 @@ def _error_shaded(ax: Axes, time: np.ndarray, measured: np.ndarray, simulated: n
     ax.plot(time, simulated, color=colour, lw=1.0)
 
 
-@housed
+@style.housed
 def ranking(view: View) -> Figure:
     """Score of every candidate in the first screening of each stage, and the level of selection."""
     if not view.rankings:
-        raise NotDrawn("no screening was done")
+        raise style.NotDrawn("no screening was done")
     rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
-    figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
+    figure, axes = style.panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
     for ax, one in zip(axes[:, 0], view.rankings, strict=True):
         causes = {c.name for c in view.diagnosis.causes if c.stage == one.stage}
         scores = [s.score for s in one.candidate_scores]
@@ -114,12 +107,12 @@ def _rows_of(ax: Axes, names: Sequence[str]) -> None:
     ax.grid(False, axis="y")
 
 
-@housed
+@style.housed
 def gain(view: View) -> Figure:
     """R2 and RMSE of each coefficient on data that were not fitted, along the chain of causes."""
     causes = [c for c in view.diagnosis.causes if c.gain.before]
     if not causes:
-        raise NotDrawn("no cause was added")
+        raise style.NotDrawn("no cause was added")
     links: list[tuple[str, dict[str, Scores]]] = [("card's model", dict(causes[0].gain.before))]
     colours, stage = [COLOURS["before"]], causes[0].stage
     for cause in causes:
@@ -133,7 +126,7 @@ def gain(view: View) -> Figure:
     colours[last] = COLOURS["after"] if last else colours[0]
     place, names = np.arange(len(links)), view.coefficients
     size = 4.0 * len(names) + 1.0, 2 * (0.30 * len(links) + 1.0) + 0.8
-    figure, axes = panels(2, len(names), size, sharey=True)
+    figure, axes = style.panels(2, len(names), size, sharey=True)
     for row, (key, label) in zip(axes, (("r2", "R²"), ("rmse", "RMSE")), strict=True):
         for ax, name in zip(row, names, strict=True):
             values = np.array([getattr(scores[name], key) for _, scores in links])
@@ -154,14 +147,14 @@ def gain(view: View) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def moves(view: View) -> Figure:
     """Change of the card's parameters, in their standard error after the causes are added."""
     if not view.changed or not view.moves:
-        raise NotDrawn("nothing was added, so nothing moved")
+        raise style.NotDrawn("nothing was added, so nothing moved")
     names = list(view.moves)
     place = np.arange(len(names))
-    figure, axes = panels(1, 1, (9.5, 0.32 * len(names) + 1.6))
+    figure, axes = style.panels(1, 1, (9.5, 0.32 * len(names) + 1.6))
     ax = axes[0, 0]
     for shift, when in ((-0.14, "before"), (0.14, "after")):
         centre, sd = [], []
@@ -169,8 +162,8 @@ def moves(view: View) -> Figure:
             size = max(move.sd_after, 1e-300)
             centre.append((getattr(move, when) - move.before) / size)
             sd.append(getattr(move, f"sd_{when}") / size)
-        style = {"fmt": "o", "ms": 4.0, "lw": 1.2, "capsize": 2.0, "color": COLOURS[when]}
-        ax.errorbar(centre, place + shift, xerr=sd, label=LABELS[when], **style)
+        look = {"fmt": "o", "ms": 4.0, "lw": 1.2, "capsize": 2.0, "color": COLOURS[when]}
+        ax.errorbar(centre, place + shift, xerr=sd, label=LABELS[when], **look)
     for y, move in zip(place, view.moves.values(), strict=True):
         unit, factor = for_people(move.unit)
         sizes = (move.before, move.sd_before), (move.after, move.sd_after)
@@ -200,11 +193,11 @@ def channel_label(name: str) -> tuple[str, float]:
     return label.replace("_", " "), factor
 
 
-@housed
+@style.housed
 def residual_profiles(view: View) -> Figure:
     """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
     names = view.coefficients
-    figure, axes = panels(len(names), PROFILES, (13.0, 2.6 * len(names) + 0.4), sharey="row")
+    figure, axes = style.panels(len(names), PROFILES, (13.0, 2.6 * len(names) + 0.4), sharey="row")
     for row, (c, name) in zip(axes, enumerate(names), strict=True):
         channels: list[str] = []  # on which the card's model leaves the clearest trace, none a near copy of another
         for p in view.card.profiles[c]:
@@ -216,8 +209,8 @@ def residual_profiles(view: View) -> Figure:
             found = {p.channel: p for p in fitted.profiles[c]}
             for ax, channel in zip(row, channels, strict=False):
                 text, factor = channel_label(channel)
-                p, style = found[channel], {"fmt": "o-", "ms": 3.0, "lw": 1.0, "capsize": 2.0, "color": colour}
-                ax.errorbar(factor * p.centre, p.mean, yerr=p.deviation, label=label, **style)
+                p, look = found[channel], {"fmt": "o-", "ms": 3.0, "lw": 1.0, "capsize": 2.0, "color": colour}
+                ax.errorbar(factor * p.centre, p.mean, yerr=p.deviation, label=label, **look)
                 ax.set_xlabel(text)
         for ax in row[: len(channels)]:
             ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
@@ -227,14 +220,14 @@ def residual_profiles(view: View) -> Figure:
     figure.align_ylabels(list(axes[:, 0]))
     title = "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
     figure.suptitle(title)
-    legend_below(figure, axes[0, 0])
+    style.legend_below(figure, axes[0, 0])
     return figure
 
 
-@housed
+@style.housed
 def residual_colour(view: View) -> Figure:
     """Autocorrelation and spectrum of the residuals, before and after."""
-    figure, axes = panels(2, len(view.coefficients), (4.0 * len(view.coefficients) + 1.0, 6.4), sharex="row")
+    figure, axes = style.panels(2, len(view.coefficients), (4.0 * len(view.coefficients) + 1.0, 6.4), sharex="row")
     dt = view.seconds
     for label, colour, fitted in models_of(view):
         for c, name in enumerate(view.coefficients):
@@ -252,7 +245,7 @@ def residual_colour(view: View) -> Figure:
     axes[0, 0].set_ylabel("autocorrelation of the residual [-]")
     axes[1, 0].set_ylabel("power spectral density [1/Hz]")
     figure.suptitle("Autocorrelation of the residuals")
-    legend_below(figure, axes[0, 0])
+    style.legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -289,7 +282,7 @@ class Telling:
     simulated: Sequence[tuple[str, str, np.ndarray, str]]  # model, colour, values, note
 
 
-@housed
+@style.housed
 def found(view: View) -> Figure:
     """The quantity with the largest gain, by each model with its error shaded, and the deciding screening."""
     shown, ranking = telling(view), _decisive(view)
@@ -301,13 +294,13 @@ def found(view: View) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def found_narrow(view: View) -> Figure:
     """The same for a phone: one panel below the other."""
     shown, ranking = telling(view), _decisive(view)
     rows = [*"ab"[: len(shown.simulated)], *([] if ranking is None else ["R"])]
     heights = [3.2 if row == "R" else 1.7 for row in rows]
-    figure = Figure(figsize=(PHONE, sum(heights) + 0.9), layout="constrained")
+    figure = Figure(figsize=(style.PHONE, sum(heights) + 0.9), layout="constrained")
     _fill(figure.subplot_mosaic([[row] for row in rows], height_ratios=heights), shown, ranking, view)
     return figure
 
@@ -401,12 +394,12 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
         wide = WIDTH * max(map(len, text.split("\n"))) * widest
         if wide < x:
             ink = "white" if s.effect in named and not chance else "black"
-            style = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
+            look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
         elif x + wide < widest:
-            style = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
+            look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         else:  # room neither in the bar nor beside it
-            style = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **style)
+            look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\n"
         text += f"alone exceeds in {100.0 * ranking.level:g} % of replicates"

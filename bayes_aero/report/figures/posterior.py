@@ -16,21 +16,9 @@ from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour
 from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient
-from bayes_aero.report.style import (
-    Drawing,
-    NotDrawn,
-    arviz_plots,
-    close,
-    column_width,
-    grid_of,
-    housed,
-    legend_below,
-    panels,
-    quiet_pyplot,
-    refuse_many,
-)
 from bayes_aero.report.tables.across_cases import predicted, what_is_shown
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.tables.fly import CALIBRATION
@@ -53,13 +41,13 @@ def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
     """Call arviz_plots' plot `kind` and take its figure out of pyplot."""
-    with quiet_pyplot():
-        plots = arviz_plots()
+    with style.quiet_pyplot():
+        plots = style.arviz_plots()
         layout = {"figsize": size, "figsize_units": "inches"}
         collection = getattr(plots, f"plot_{kind}")(tree, backend="matplotlib", figure_kwargs=layout, **options)
         figure = collection.get_viz("figure")
         figure.set_layout_engine("constrained")
-        close(figure)
+        style.close(figure)
     return figure
 
 
@@ -73,7 +61,7 @@ def _title(identification: Identification, engine: str, what: str) -> str:
     )
 
 
-def _chains(kind: str, engine: str) -> Drawing:
+def _chains(kind: str, engine: str) -> style.Drawing:
     """The figure of `arviz_plots` of every parameter's chains by an engine: their traces, or their ranks.
 
     A rank plot is the difference of the ECDF of ranks from uniform; one line or colour a chain or ensemble.
@@ -81,7 +69,7 @@ def _chains(kind: str, engine: str) -> Drawing:
 
     def drawn(identification: Identification) -> Figure:
         if engine not in identification.posteriors:
-            raise NotDrawn(f"this run has no posterior by {engine_label(engine)}")
+            raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
         posterior = identification.posteriors[engine]
         names, sizes = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes
         size = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
@@ -108,19 +96,19 @@ def _chains(kind: str, engine: str) -> Drawing:
         figure.suptitle(_title(identification, engine, title) + band)
         return figure
 
-    return housed(drawn)
+    return style.housed(drawn)
 
 
-@housed
+@style.housed
 def pair(identification: Identification) -> Figure:
     """Scatter of the model's parameters against each other, marginals on the diagonal, by the first engine there is."""
     engines = chosen_posteriors(identification)
     if not engines:
-        raise NotDrawn("this run has no posterior")
+        raise style.NotDrawn("this run has no posterior")
     engine, posterior = next(iter(engines.items()))
     names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
     if len(names) < 2:
-        raise NotDrawn("a pair plot needs two parameters")
+        raise style.NotDrawn("a pair plot needs two parameters")
     figure = _pair(engine, posterior, names)
     places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
     labels = [f"{name} {bracket(unit_of(identification, name))}" for name in names]
@@ -136,11 +124,11 @@ def pair(identification: Identification) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
     """The same of a fit with process noise, by the first sampler: the parameters that vary together the most."""
     if not posteriors:
-        raise NotDrawn("there is no posterior")
+        raise style.NotDrawn("there is no posterior")
     engine, posterior = next(iter(posteriors.items()))
     figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
     figure.suptitle(
@@ -152,9 +140,9 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
     """A matrix of panels without the empty ones."""
     side = 1.15 * len(names) + 1.0
-    style = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
+    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
-    figure = _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
+    figure = _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
     for ax in [ax for ax in figure.axes if not ax.has_data()]:
         ax.remove()
     return figure
@@ -170,14 +158,14 @@ SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is
 CHANCE = 3.0  # deviations of the correlation of independent neighbours
 
 
-@housed
+@style.housed
 def pit_histogram(identification: Identification) -> Figure:
     """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
     t = identification.pit
     if t is None:
-        raise NotDrawn("no posterior was sampled")
+        raise style.NotDrawn("no posterior was sampled")
     names = identification.observations.coefficients
-    figure, axes = grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
+    figure, axes = style.grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
     for ax, name, bars, r in zip(axes, names, t.bars, t.correlation, strict=True):
         ax.axhspan(bars.lower, bars.upper, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="band of uniform values")
         ax.axhline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
@@ -187,19 +175,19 @@ def pit_histogram(identification: Identification) -> Figure:
         ax.set_xlabel("probability of less than measured [-]")
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("density, 1 if calibrated [-]")
-    legend_below(figure, axes[0], 2)
+    style.legend_below(figure, axes[0], 2)
     figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
     return figure
 
 
-@housed
+@style.housed
 def one_step_quantiles(found: ProcessNoise) -> Figure:
     """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones."""
     if found.one_step is None:
-        raise NotDrawn("the fit with process noise did not converge")
+        raise style.NotDrawn("the fit with process noise did not converge")
     shown = dict(found.one_step.outputs)
     shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
-    figure, axes = grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
+    figure, axes = style.grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
     for ax, (name, one) in zip(axes, shown.items(), strict=True):
         score, value, low, high = one.quantiles.T
         ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
@@ -211,7 +199,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
         ax.tick_params(labelbottom=True)
     for ax in axes[::4]:
         ax.set_ylabel("innovation / predicted sd [-]")
-    legend_below(figure, axes[0], 3)
+    style.legend_below(figure, axes[0], 3)
     figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
 
@@ -264,7 +252,7 @@ def _correlation(identification: Identification, name: str) -> Figure:
     if points.gp is not None:
         pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
     size = (4.9 * len(pairs) + 0.2, 5.75)
-    figure, axes = panels(1, len(pairs), size, sharex=True, sharey=True)
+    figure, axes = style.panels(1, len(pairs), size, sharex=True, sharey=True)
     both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
     ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
     for ax, (title, colour, values) in zip(axes[0], pairs, strict=True):
@@ -279,12 +267,12 @@ def _correlation(identification: Identification, name: str) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
     o = identification.observations
     if "CL" not in o.coefficients:
-        raise NotDrawn("the model has no CL")
+        raise style.NotDrawn("the model has no CL")
     points = predicted(identification, "CL")
     alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
     sources = [("measured", np.arange(o.n), np.asarray(o.measured)[:, o.coefficients.index("CL")])]
@@ -292,9 +280,9 @@ def hysteresis(identification: Identification) -> Figure:
     if points.gp is not None:
         sources.append(("GPR", points.index, points.gp))
     rows = len(o.names)
-    refuse_many(rows)
-    size = (4.4 * len(sources), min(3.6, 0.8 * column_width(rows)) * rows + 0.9)
-    figure, axes = panels(rows, len(sources), size, sharex=True, sharey=True)
+    style.refuse_many(rows)
+    size = (4.4 * len(sources), min(3.6, 0.8 * style.column_width(rows)) * rows + 0.9)
+    figure, axes = style.panels(rows, len(sources), size, sharex=True, sharey=True)
     for number, row in enumerate(axes):
         for ax, (title, index, values) in zip(row, sources, strict=True):
             mine = o.manoeuvre[index] == number
@@ -305,7 +293,7 @@ def hysteresis(identification: Identification) -> Figure:
         row[0].set_ylabel("CL [-]")
     for ax in axes[-1]:
         ax.set_xlabel("α [deg]")
-    legend_below(figure, axes[0, 0], 2, markerscale=4)
+    style.legend_below(figure, axes[0, 0], 2, markerscale=4)
     figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
     return figure
 

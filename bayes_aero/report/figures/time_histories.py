@@ -18,18 +18,9 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import (
-    Drawing,
-    NotDrawn,
-    column_width,
-    housed,
-    legend_below,
-    name_panels,
-    panels,
-    refuse_many,
-)
-from bayes_aero.report.tables.across_cases import Predicted, broken, clock, predicted, what_is_shown
+from bayes_aero.report.tables.across_cases import TestPoints, broken, clock, predicted, what_is_shown
 from bayes_aero.report.text.phrases import axis_label, channel_axis, for_people, short
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
@@ -44,11 +35,11 @@ LONG_NAMES = {
 }
 
 
-@housed
+@style.housed
 def time_history(identification: Identification) -> Figure:
     """Recorded channels: one column per manoeuvre, one row per channel, angles in degrees."""
     records, card = identification.records, identification.card
-    refuse_many(len(records))
+    style.refuse_many(len(records))
     formed = {*card.sums, *card.tables, *card.derived}  # by the card, of recorded ones
 
     def values_of(record: FlightRecord, name: str) -> np.ndarray | None:
@@ -58,8 +49,8 @@ def time_history(identification: Identification) -> Figure:
 
     values = {name: [values_of(record, name) for record in records] for name in HISTORY}
     rows = [name for name, columns in values.items() if any(c is not None for c in columns)]
-    width = column_width(len(records))
-    figure, axes = panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
+    width = style.column_width(len(records))
+    figure, axes = style.panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
     for row, name in zip(axes, rows, strict=True):
         label, factor = channel_axis(name)
         for ax, record, column in zip(row, records, values[name], strict=True):
@@ -73,21 +64,21 @@ def time_history(identification: Identification) -> Figure:
         for ax in drawn:  # one vertical scale for a row, so that manoeuvres are comparable
             ax.set_ylim(min(low), max(high))
         row[0].set_ylabel(label)
-    name_panels(axes, [f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)" for record in records])
+    style.name_panels(axes, [f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)" for record in records])
     figure.suptitle(f"Manoeuvres flown: {card.title}")
     return figure
 
 
-@housed
+@style.housed
 def gpr_fit(identification: Identification) -> Figure:
     """The Gaussian process's coefficients over the measured ones, with its 95 % predictive band."""
     if identification.gp is None:
-        raise NotDrawn("this run has no Gaussian process")
+        raise style.NotDrawn("this run has no Gaussian process")
     count = len(identification.observations.names)
-    refuse_many(count)
+    style.refuse_many(count)
     names = identification.observations.coefficients
-    size = (column_width(count) * count, 2.4 * len(names) + 0.8)
-    figure, axes = panels(len(names), count, size, sharex="col", sharey="row")
+    size = (style.column_width(count) * count, 2.4 * len(names) + 0.8)
+    figure, axes = style.panels(len(names), count, size, sharex="col", sharey="row")
     for row, name in zip(axes, names, strict=True):
         points = predicted(identification, name)
         for number, ax in enumerate(row):
@@ -104,9 +95,9 @@ def gpr_fit(identification: Identification) -> Figure:
 def _validation(identification: Identification, name: str) -> Figure:
     """One coefficient over time, measured and predicted, with the errors below; a column per manoeuvre."""
     count = len(identification.observations.names)
-    refuse_many(count)
-    size = (column_width(count) * count, 6.5)
-    figure, axes = panels(2, count, size, sharex="col", sharey="row", height_ratios=(2, 1))
+    style.refuse_many(count)
+    size = (style.column_width(count) * count, 6.5)
+    figure, axes = style.panels(2, count, size, sharex="col", sharey="row", height_ratios=(2, 1))
     points = predicted(identification, name)
     engines = ("mle",) if points.gp is None else ("mle", "gpr")
     for number, (above, below) in enumerate(axes.T):
@@ -124,7 +115,7 @@ def _validation(identification: Identification, name: str) -> Figure:
 
 
 def _history(
-    ax: Axes, identification: Identification, name: str, points: Predicted, number: int, engines: tuple[str, ...]
+    ax: Axes, identification: Identification, name: str, points: TestPoints, number: int, engines: tuple[str, ...]
 ) -> None:
     """Measured thin, predictions at their test points: the band and the dots of the GP, the line of the ML model."""
     o = identification.observations
@@ -144,20 +135,20 @@ def _history(
 
 
 def _finish(figure: Figure, axes: np.ndarray, identification: Identification, title: str) -> None:
-    name_panels(axes, identification.observations.names)
+    style.name_panels(axes, identification.observations.names)
     figure.suptitle(f"{title}: {what_is_shown(identification)}")
-    legend_below(figure, axes[0, 0], markerscale=4)
+    style.legend_below(figure, axes[0, 0], markerscale=4)
 
 
-def of_coefficient(draw: Callable[[Identification, str], Figure], name: str) -> Drawing:
+def of_coefficient(draw: Callable[[Identification, str], Figure], name: str) -> style.Drawing:
     """A figure of one coefficient; not drawn for a model without it."""
 
     def drawn(identification: Identification) -> Figure:
         if name not in identification.observations.coefficients:
-            raise NotDrawn(f"the model has no {name}")
+            raise style.NotDrawn(f"the model has no {name}")
         return draw(identification, name)
 
-    return housed(drawn)
+    return style.housed(drawn)
 
 
 FIGURES = {
@@ -182,10 +173,10 @@ def _shown(split: str, title: str, view: View) -> Figure:
     """Every manoeuvre of a split: simulated with the fit to the others, or with the joint fit."""
     flown = view.trajectories
     if flown is None:
-        raise NotDrawn("nothing was simulated")
+        raise style.NotDrawn("nothing was simulated")
     names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
     if not names:
-        raise NotDrawn(f"no manoeuvre is {split}")
+        raise style.NotDrawn(f"no manoeuvre is {split}")
     columns = {n: [(p, *how) for model, *how in MODELS if (p := flown.path(n, model, split))] for n in names}
     return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, title)
 
@@ -193,8 +184,8 @@ def _shown(split: str, title: str, view: View) -> Figure:
 def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, str], title: str) -> Figure:
     """A row of panels for each output (with its SI unit), a column for each manoeuvre."""
     tall = 1.35 if len(outputs) > 1 else 2.6
-    size = (column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
-    figure, axes = panels(len(outputs), len(columns), size, sharex="col", sharey="row")
+    size = (style.column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
+    figure, axes = style.panels(len(outputs), len(columns), size, sharex="col", sharey="row")
     reach: dict[int, list[tuple[float, float]]] = {}
     for column, curves in enumerate(columns.values()):
         for row, (output, unit) in enumerate(outputs.items()):
@@ -203,8 +194,8 @@ def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, 
         low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
         axes[row, 0].set_ylim(min(low), max(high))
         axes[row, 0].set_ylabel(axis_label(output, unit))
-    name_panels(axes, columns)
-    legend_below(figure, axes[0, 0], 4)
+    style.name_panels(axes, columns)
+    style.legend_below(figure, axes[0, 0], 4)
     figure.suptitle(title)
     return figure
 
@@ -231,7 +222,7 @@ def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> tuple[fl
 
 
 DIAGNOSIS_FIGURES = {
-    f"trajectories_{split}": housed(partial(_shown, split, title))
+    f"trajectories_{split}": style.housed(partial(_shown, split, title))
     for split, title in (
         ("hold_out", "Simulated from the measured initial state, with parameters fitted without this flight"),
         ("fitted", "Simulated with parameters fitted to all of it"),
@@ -242,7 +233,7 @@ AFTER_TRAJECTORIES = tuple(DIAGNOSIS_FIGURES)
 
 def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
     """A figure for each output, by the stem of its file."""
-    return {stem_of(n): housed(partial(_simulated, n)) for n in flown.outputs}
+    return {stem_of(n): style.housed(partial(_simulated, n)) for n in flown.outputs}
 
 
 def stem_of(output: str) -> str:
@@ -251,7 +242,7 @@ def stem_of(output: str) -> str:
 
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:
-    refuse_many(len(flown.manoeuvres))
+    style.refuse_many(len(flown.manoeuvres))
     columns = {name: [(flown.path(name, model), *how) for model, *how in FLOWN] for name in flown.manoeuvres}
     title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
     return over_measured(columns, {output: flown.units[output]}, title)
@@ -263,12 +254,12 @@ MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "bu
 BAND = 1.96  # standard deviations
 
 
-@housed
+@style.housed
 def gusts(found: ProcessNoise) -> Figure:
     """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust."""
     if not found.histories:
-        raise NotDrawn("no gust has an intensity")
-    refuse_many(len(found.histories))
+        raise style.NotDrawn("no gust has an intensity")
+    style.refuse_many(len(found.histories))
     labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
     rows = len(found.histories)
     figure = Figure(figsize=(4.2 * len(labels) + 1.2, 1.9 * rows + 0.9), layout="constrained")

@@ -69,25 +69,18 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over time; the first one sets the scale.
-
-    `shade` pairs lines (by index) between which the difference is filled with the second one's colour. `band` is half
-    the width of a tolerance about the first line.
-    """
+    """Curves over time; the first one sets the scale."""
 
     label: str  # with unit
     lines: tuple[Line, ...]
-    shade: tuple[tuple[int, int], ...] = ()
-    band: float | None = None
+    shade: tuple[tuple[int, int], ...] = ()  # lines (by index) with the difference filled, in the second one's colour
+    band: float | None = None  # half the width of a tolerance about the first line
     height: int = PANEL
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
-    """Indices that keep every column's shape at some `most` points: least and largest of each in equal stretches.
-
-    All kept points are recorded samples, the first and the last among them; a shorter record is kept whole. Several
-    columns share the indices of all, so that there may be up to `most` for each of them.
-    """
+    """Indices that keep every column's shape at some `most` points each: least and largest of equal stretches, and the
+    first and the last sample; a shorter record is kept whole."""
     n = len(columns[0])
     if n <= most:
         return np.arange(n)
@@ -113,8 +106,12 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
     figures = [_panel(time, panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
-    for f, height in zip(figures, _on_paper(panels), strict=True):
-        f.tags = [height]
+    fitting = [_fitting(panel) for panel in panels]
+    share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
+    for f, (label, height) in zip(figures, fitting, strict=True):
+        # when printed lower than on a screen, though never than a label is long; the axis stands with the last
+        longest = LETTER * max(map(len, label.split("\n")))
+        f.tags = [int(min(max(share * height, longest + 6), height)) + (AXIS if f is figures[-1] else 0)]
     fit = {
         "x": shared,
         "first": shared.start,
@@ -174,21 +171,14 @@ def _fitting(panel: Panel) -> tuple[str, int]:
     return label, int(min(max(panel.height, longest), HIGHEST))
 
 
-def _on_paper(panels: Sequence[Panel]) -> list[int]:
-    """Heights when printed, the axis with the last: lower than on a screen, though never than a label is long."""
-    fitting = [_fitting(panel) for panel in panels]
-    share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
-    longest = [LETTER * max(map(len, label.split("\n"))) for label, _ in fitting]
-    heights = [int(min(max(share * h, long + 6), h)) for (_, h), long in zip(fitting, longest, strict=True)]
-    return [*heights[:-1], heights[-1] + AXIS]
-
-
 def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     from bokeh.models import ColumnDataSource, HoverTool
 
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
-    columns |= {f"y{i}": _drawable(line.values[index]) for i, line in enumerate(panel.lines)}
+    for i, line in enumerate(panel.lines):  # those of a diverged simulation are gaps
+        values = line.values[index]
+        columns[f"y{i}"] = np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
     source = ColumnDataSource(columns)
@@ -204,11 +194,6 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
     tips = [(over.name, f"@t{over.digits} {over.unit if over is TIME else ''}".strip()), *values]
     f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
-
-
-def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Values in single precision; those of a diverged simulation are gaps."""
-    return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
 
 
 def dress(f: Any, last: bool, panel_height: int) -> None:
@@ -227,8 +212,7 @@ def dress(f: Any, last: bool, panel_height: int) -> None:
 
 
 def scale(panel: Panel) -> Any:
-    """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all
-    else."""
+    """The first line's span, widened for its tolerance: a simulation that has lost the flight would flatten it."""
     from bokeh.models import Range1d
 
     first = panel.lines[0].values[np.isfinite(panel.lines[0].values)]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScores, View
-from bayes_aero.inference.identification import Identification, Validation
+from bayes_aero.inference.identification import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed
 from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, columns_of
@@ -90,15 +90,13 @@ def across(found: list[AcrossUnits]) -> Figure:
         unit, factor = for_people(group[0].si)
         for k, e in enumerate(group):
             name, colour = METHODS[e.method]
-            x = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25
+            x, y, style = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value, {"color": COLOURS[colour]}
             if last <= MOST_BARS:
                 ends = np.abs(factor * np.stack([e.value - e.low, e.high - e.value]))
                 ends = np.where(np.isfinite(ends), ends, 0.0)
-                shown = ax.errorbar(
-                    x, factor * e.value, ends, fmt="os"[k], ms=3.5, lw=1.1, color=COLOURS[colour], label=name
-                )
+                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, **style)
             else:
-                shown = ax.plot(x, factor * e.value, ".", ms=2.5, color=COLOURS[colour], label=name)[0]
+                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, **style)
             labels.setdefault(name, shown)
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -117,13 +115,10 @@ def gain_table(view: DiagnosisView) -> Table | None:
         return None
     before, after = view.unseen_scores
     names = list(after)
-    column = columns_of(names)
     columns = [Column(names, page="coefficient")]
     for when, scores in (("before", before), ("after", after)):
-        columns += [
-            column(lambda name, scores=scores: scores[name].r2, page=f"R² {when}", form=".3f"),
-            column(lambda name, scores=scores: scores[name].rmse, page=f"RMSE {when} [-]", form=".4f"),
-        ]
+        columns.append(Column([scores[name].r2 for name in names], page=f"R² {when}", form=".3f"))
+        columns.append(Column([scores[name].rmse for name in names], page=f"RMSE {when} [-]", form=".4f"))
     by_manoeuvre = view.diagnosis.split == "manoeuvre"
     what = "each manoeuvre predicted from the others" if by_manoeuvre else "each block from the others"
     return Table(
@@ -217,7 +212,7 @@ GAP = 1.0  # s; a line is broken where its neighbouring points are further apart
 
 
 @dataclass(frozen=True)
-class Predicted:
+class TestPoints:
     """One coefficient at `index` (ascending) of the observations; `gp`, `low`, `high` are None without a GP."""
 
     index: np.ndarray
@@ -227,27 +222,24 @@ class Predicted:
     low: np.ndarray | None = None
     high: np.ndarray | None = None
 
-    def of(self, manoeuvre: np.ndarray) -> Predicted:
+    def of(self, manoeuvre: np.ndarray) -> TestPoints:
         """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
         keep = manoeuvre[self.index]
         cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
-        return Predicted(self.index[keep], self.measured[keep], self.mle[keep], *cut)
+        return TestPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
 
 
-def predicted(identification: Identification, coefficient: str) -> Predicted:
+def predicted(identification: Identification, coefficient: str) -> TestPoints:
     """Predictions at the chosen split's test points (all its folds); without a GP the fit at all samples."""
-    if identification.gp is not None:
-        return _pooled([fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]])
-    o = identification.observations
-    column = o.coefficients.index(coefficient)
-    return Predicted(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
-
-
-def _pooled(folds: list[Validation]) -> Predicted:
-    index = np.concatenate([v.test for v in folds])
+    if identification.gp is None:
+        o = identification.observations
+        column = o.coefficients.index(coefficient)
+        return TestPoints(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
+    folds = [fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]]
+    names = ("test", "measured", "mle", "gp", "gp_low", "gp_high")
+    index, *columns = (np.concatenate([getattr(v, name) for v in folds]) for name in names)
     order = np.argsort(index, kind="stable")
-    columns = ("measured", "mle", "gp", "gp_low", "gp_high")
-    return Predicted(index[order], *(np.concatenate([getattr(v, c) for v in folds])[order] for c in columns))
+    return TestPoints(index[order], *(column[order] for column in columns))
 
 
 def what_is_shown(identification: Identification) -> str:

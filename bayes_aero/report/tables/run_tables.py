@@ -12,17 +12,7 @@ from bayes_aero.inference.identification import GPReport, Identification, Valida
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
-from bayes_aero.report.tables.comparison import (
-    alone,
-    bounds,
-    chosen_posteriors,
-    engine_label,
-    methods,
-    noise_label,
-    ordered,
-    scatter,
-    unit_of,
-)
+from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import from_to, plus_minus, several
 from bayes_aero.report.text.restraints import unparted
@@ -35,11 +25,11 @@ SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
 
 def parameter_table(run: Identification) -> Table:
     """The model's parameters by every method, SI and radians. Methods not (yet) run have no columns."""
-    mle, (bound, corrected, *sampled) = run.mle, methods(run)
-    names = ordered(mle.names, mle.parameters)
+    mle, (bound, corrected, *sampled) = run.mle, comparison.methods(run)
+    names = comparison.ordered(mle.names, mle.parameters)
     truth = [] if run.truth is None else [run.truth.get(n) for n in names]
     columns = [
-        *parameter_columns(names, [unit_of(run, n) for n in names]),
+        *parameter_columns(names, [comparison.unit_of(run, n) for n in names]),
         *([Column(truth, page="true", terminal="flown", form=".4g")] if truth else []),
         Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", "ML (CRB)", group=ML),
         Column(corrected.of(names), ("", "crb_corrected"), "corrected", "sd\ncorr.", terminal_form=_sd, group=ML),
@@ -47,11 +37,12 @@ def parameter_table(run: Identification) -> Table:
     ]
     if run.noise is Colour.WHITE and sampled:
         columns.append(Column(sampled[0].of(names), ("white_mean", "white_sd")))
-    posterior = next(iter(chosen_posteriors(run)), None)  # a terminal has the first; sentences tell where others differ
+    # a terminal has the first; sentences tell where others differ
+    posterior = next(iter(comparison.chosen_posteriors(run)), None)
     for m in sampled:
         white, label = m.key == "white", m.label.replace(", ", "\n", 1)
         files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
-        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        head = f"{comparison.engine_label(m.key)}\n{comparison.noise_label(run.noise)}" if m.key == posterior else None
         column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
         columns.append(replace(column, terminal_form=_sd if white else in_brackets))
     if run.frequency is not None:
@@ -76,10 +67,10 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column
     """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
     few = len(run.alone) <= ON_TERMINAL
     for (manoeuvre, fit), usable in zip(run.alone.items(), _usable(run, names), strict=True):
-        own = bounds(fit, fit.crb)
+        own = comparison.bounds(fit, fit.crb)
         yield Column([own.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb"))
         yield Column(usable, terminal=f"{manoeuvre}\nalone" if few else None)
-    found = [scatter(run, n) for n in names]
+    found = [comparison.scatter(run, n) for n in names]
     head = None if few else f"sd of {len(run.alone)}\nalone"
     group = "manoeuvres fitted alone"
     yield Column([s and s.sd for s in found], "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group)
@@ -89,7 +80,7 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column
 
 def _usable(run: Identification, names: Sequence[str]) -> list[list[Estimate | None]]:
     """By manoeuvre, its own estimates with Cramer-Rao bounds, where they are usable."""
-    own = [alone(run, n) for n in names]
+    own = [comparison.alone(run, n) for n in names]
     return [[Estimate.normal(*one[m][:2]) if m in one else None for one in own] for m in run.alone]
 
 
@@ -97,9 +88,9 @@ def alone_table(run: Identification) -> Table | None:
     """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a page."""
     if not 1 < len(run.alone) <= ON_PAGE:
         return None
-    names = ordered(run.mle.names, run.mle.parameters)
+    names = comparison.ordered(run.mle.names, run.mle.parameters)
     own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
-    columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
+    columns = [*parameter_columns(names, [comparison.unit_of(run, n) for n in names]), *own]
     return Table(columns, "Each manoeuvre fitted alone (± Cramér–Rao)")
 
 
@@ -196,7 +187,7 @@ def fit_table(run: Identification) -> Table:
 def sampler_table(run: Identification, key: str) -> Table:
     """R-hat and effective sample sizes of one posterior."""
     posterior = run.posteriors[key]
-    column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
+    column = columns_of([(n, posterior.marginals[n]) for n in comparison.ordered(posterior.names, run.mle.parameters)])
     divergent = ""
     if key == "nuts":
         stats = posterior.tree["sample_stats"].to_dataset() if "sample_stats" in posterior.tree.children else {}
@@ -209,7 +200,7 @@ def sampler_table(run: Identification, key: str) -> Table:
             column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
             column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
         ],
-        f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
+        f"Convergence: {comparison.engine_label(posterior.engine)}, {comparison.noise_label(posterior.noise)} noise",
         f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",
     )
 
@@ -217,14 +208,14 @@ def sampler_table(run: Identification, key: str) -> Table:
 def coverage_table(run: Identification) -> Table | None:
     """Share of the measured samples inside the posterior's predictive intervals."""
     rows = []
-    for key, posterior in chosen_posteriors(run).items():
+    for key, posterior in comparison.chosen_posteriors(run).items():
         if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
             continue
         predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
         for name in run.observations.coefficients:
             draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
             shares = interval_coverage(np.asarray(observed[name], float), draws)
-            rows.append((f"{engine_label(key)}, {name}", *shares.values()))
+            rows.append((f"{comparison.engine_label(key)}, {name}", *shares.values()))
     if not rows:
         return None
     first, *columns = zip(*rows, strict=True)
