@@ -47,10 +47,7 @@ def band_text(fit: FrequencyFit) -> str:
 
 
 def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None = None) -> list[Column]:
-    """Estimates, both standard errors, and differences from the time domain where they are known.
-
-    `head`: heading on a terminal; None leaves the estimates out there.
-    """
+    """Estimates, both standard errors, and differences from the time domain; without `head` not on a terminal."""
     key = f"frequency_{fit.method.replace(' ', '_')}"
     group = f"{fit.method}, {band_text(fit)}"
 
@@ -112,11 +109,7 @@ MOST_RESPONSES = 8
 
 @housed
 def bode(found: TrajectoryFit) -> Figure:
-    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output.
-
-    Raises:
-        NotDrawn: no band was asked for, or too many responses for one figure.
-    """
+    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output."""
     if not found.frequency_responses:
         raise NotDrawn("no band was asked for")
     if len(found.frequency_responses) > MOST_RESPONSES:

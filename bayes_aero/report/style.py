@@ -27,27 +27,13 @@ DPI = 150
 PHONE = 5.0  # inches, of a figure for a phone: shrunk to its width, the text stays legible
 
 RC: dict[str, Any] = {
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.labelsize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-4, 5),
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "lines.linewidth": 1.0,
-    "figure.titlesize": 12.0,
-    "savefig.dpi": DPI,
-    "figure.dpi": 100.0,
-    "svg.hashsalt": "bayes_aero",
-}
+    "font.size": 9.0, "axes.titlesize": 10.0, "axes.labelsize": 9.0, "legend.fontsize": 9.0, "figure.titlesize": 12.0,
+    "xtick.labelsize": 8.0, "ytick.labelsize": 8.0, "lines.linewidth": 1.0, "legend.frameon": False,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True,
+    "axes.grid": True, "grid.color": "#e4e4e4", "grid.linewidth": 0.6,
+    "axes.formatter.useoffset": False, "axes.formatter.limits": (-4, 5),
+    "savefig.dpi": DPI, "figure.dpi": 100.0, "svg.hashsalt": "bayes_aero",
+}  # fmt: skip
 
 
 MOST_MANOEUVRES = 12

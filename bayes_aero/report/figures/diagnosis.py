@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -282,26 +283,19 @@ class Telling:
     simulated: Sequence[tuple[str, str, np.ndarray, str]]  # model, colour, values, note
 
 
-@style.housed
-def found(view: View) -> Figure:
-    """The quantity with the largest gain, by each model with its error shaded, and the deciding screening."""
+def _found(narrow: bool, view: View) -> Figure:
+    """The quantity with the largest gain, by each model with its error shaded, and the deciding screening beside it; on
+    a phone below it."""
     shown, ranking = telling(view), _decisive(view)
     rows = "ab"[: len(shown.simulated)]
-    figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
-    beside = "" if ranking is None else "R"
-    axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
-    _fill(axes, shown, ranking, view)
-    return figure
-
-
-@style.housed
-def found_narrow(view: View) -> Figure:
-    """The same for a phone: one panel below the other."""
-    shown, ranking = telling(view), _decisive(view)
-    rows = [*"ab"[: len(shown.simulated)], *([] if ranking is None else ["R"])]
-    heights = [3.2 if row == "R" else 1.7 for row in rows]
-    figure = Figure(figsize=(style.PHONE, sum(heights) + 0.9), layout="constrained")
-    _fill(figure.subplot_mosaic([[row] for row in rows], height_ratios=heights), shown, ranking, view)
+    size, options = (11.0, 1.9 * len(rows) + 1.0), {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
+    places = [[row, *([] if ranking is None else ["R"])] for row in rows]
+    if narrow:
+        places = [[row] for row in (*rows, *([] if ranking is None else ["R"]))]
+        heights = [3.2 if row == "R" else 1.7 for (row,) in places]
+        size, options = (style.PHONE, sum(heights) + 0.9), {"height_ratios": heights}
+    figure = Figure(figsize=size, layout="constrained")
+    _fill(figure.subplot_mosaic(places, **options), shown, ranking, view)
     return figure
 
 
@@ -419,7 +413,7 @@ DIAGNOSIS_FIGURES = {
     "moves": moves,
     "residual_profiles": residual_profiles,
     "residual_colour": residual_colour,
-    "found": found,
-    "found_narrow": found_narrow,
+    "found": style.housed(partial(_found, False)),
+    "found_narrow": style.housed(partial(_found, True)),
 }
 AFTER_TRAJECTORIES = ("found", "found_narrow")

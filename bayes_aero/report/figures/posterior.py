@@ -62,10 +62,8 @@ def _title(identification: Identification, engine: str, what: str) -> str:
 
 
 def _chains(kind: str, engine: str) -> style.Drawing:
-    """The figure of `arviz_plots` of every parameter's chains by an engine: their traces, or their ranks.
-
-    A rank plot is the difference of the ECDF of ranks from uniform; one line or colour a chain or ensemble.
-    """
+    """The figure of `arviz_plots` of every parameter's chains (ensembles) by an engine: their traces, or the difference
+    of the ECDF of their ranks from uniform."""
 
     def drawn(identification: Identification) -> Figure:
         if engine not in identification.posteriors:

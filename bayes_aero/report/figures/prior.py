@@ -54,10 +54,7 @@ def prior_posterior(identification: Identification) -> Figure:
 
 
 def _prior_panel(ax: Axes, parameter: Parameter, shown: dict[str, tuple[str, Posterior]]) -> None:
-    """Each posterior's density over its own peak; the prior's over the first posterior's, so that these compare.
-
-    Densities are kernel estimates between the 0.1 % and the 99.9 % quantiles of the draws.
-    """
+    """Each posterior's density over its own peak; the prior's over the first posterior's, so that these compare."""
     name, curves = parameter.name, {}
     for label, (key, posterior) in shown.items():
         if name in posterior.marginals:

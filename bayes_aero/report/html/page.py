@@ -74,31 +74,23 @@ class Facts:
 
 @dataclass(frozen=True)
 class HtmlTable:
-    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading. `groups` span
-    several headings each.
-
-    `words` are the columns that hold text (left-aligned) beside the first. `links` are relative addresses that the
-    first cells lead to, one a row, empty for none.
-    """
+    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading."""
 
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    groups: tuple[tuple[str, int], ...] = ()
-    words: tuple[int, ...] = ()
+    groups: tuple[tuple[str, int], ...] = ()  # with the number of headings that each spans
+    words: tuple[int, ...] = ()  # columns that hold text (left-aligned) beside the first
     note: str = ""
-    links: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
     kind: str = field(default="table", init=False)
 
     def lean(self) -> HtmlTable:
         """Without the columns that are empty in every row."""
         kept = [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
-        return replace(
-            self,
-            head=tuple(self.head[i] for i in kept),
-            rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
-            words=tuple(new for new, i in enumerate(kept) if i in self.words),
-        )
+        head, *rows = (tuple(row[i] for i in kept) for row in (self.head, *self.rows))
+        words = tuple(new for new, i in enumerate(kept) if i in self.words)
+        return replace(self, head=head, rows=tuple(rows), words=words)
 
     def _widths(self) -> list[int]:
         """Characters in the longest line of each column."""
@@ -126,19 +118,15 @@ class HtmlTable:
 
 @dataclass(frozen=True)
 class Picture:
-    """A static figure: `source` is a data URI, `alt` says in words and numbers what it shows.
+    """A static figure."""
 
-    `width` and `height` in pixels of the picture, `natural` its width on a screen at which its text has nominal size.
-    `narrow` is the same figure drawn for a phone, a data URI; empty where there is none.
-    """
-
-    source: str
-    alt: str
+    source: str  # a data URI
+    alt: str  # says in words and numbers what it shows
     caption: str
-    width: int
+    width: int  # pixels of the picture
     height: int
-    natural: int
-    narrow: str = ""
+    natural: int  # its width on a screen at which its text has nominal size
+    narrow: str = ""  # the same figure drawn for a phone, a data URI; empty where there is none
     kind: str = field(default="picture", init=False)
 
 
@@ -237,11 +225,7 @@ def write_page(page: Page, path: Path) -> Path:
 
 
 def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:
-    """Write the page `name` into `folder`; parts that cannot be made are left out.
-
-    Returns:
-        A sentence on each failure: of the page, or of sections that say on it why they are not there.
-    """
+    """Write the page `name` into `folder`; a sentence on each failure, of the page or of sections that say it there."""
     try:
         page = make()
         write_page(page, folder / name)
@@ -312,11 +296,7 @@ def records_section(records: Sequence[FlightRecord], card: Card, health: Sequenc
 
 
 def doubts(
-    health: Sequence[HealthFinding],
-    agreement: Consistency | None,
-    *,
-    corrects: bool,
-    failures: Sequence[str] = (),
+    health: Sequence[HealthFinding], agreement: Consistency | None, *, corrects: bool, failures: Sequence[str] = ()
 ) -> tuple[Text, ...]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     faults = (Text(f"{finding.sentence}.", "warning") for finding in health if finding.grave)

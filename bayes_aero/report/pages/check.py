@@ -112,10 +112,7 @@ WITHOUT = "identify needs {} to form coefficients, diagnose then works from traj
 
 @dataclass(frozen=True)
 class Taken:
-    """A column of the file taken for a channel: (n,) `values` in the file's numbers, its unit, and why.
-
-    `doubt` says why it stands in the card as a comment only; empty where it was taken.
-    """
+    """A column of the file taken for a channel: (n,) `values` in the file's numbers, its unit, and why."""
 
     channel: str
     place: str
@@ -123,7 +120,7 @@ class Taken:
     sign: int
     evidence: str
     values: np.ndarray
-    doubt: str = ""
+    doubt: str = ""  # why it stands in the card as a comment only; empty where it was taken
 
 
 @dataclass(frozen=True)
@@ -144,10 +141,8 @@ class StarterView:
     time: np.ndarray | None
     taken: Sequence[Taken]
     unknown: Sequence[Rest]
-    todo: Sequence[tuple[str, str]]
-    """Key, and what the card says of it."""
-    blind: Sequence[str] = ()
-    """Accelerations that were not found."""
+    todo: Sequence[tuple[str, str]]  # key, and what the card says of it
+    blind: Sequence[str] = ()  # accelerations that were not found
 
 
 def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Page:

@@ -284,10 +284,7 @@ def _flight_plots(flown: Trajectories, split: str) -> tuple[Block, ...]:
 def over_measured(
     name: str, key: str, curves: Sequence[Curve], units: Mapping[str, str], what: str, context: Sequence[Panel] = ()
 ) -> html.Plot:
-    """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then those of `context`.
-
-    All curves are of the same flight; their tolerances are about what was measured.
-    """
+    """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then `context`."""
     path = curves[0].path
     panels: list[Panel] = []
     for output, unit in units.items():

@@ -20,8 +20,7 @@ def part_sentences(record: RecordReport) -> list[str]:
     """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
     sentences = []
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
-        parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
-        if parts:
+        if parts := [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]:
             more = f" and {len(parts) - MAX_PARTS} more" if len(parts) > MAX_PARTS else ""
             sentences.append(f"{words}: {', '.join(parts[:MAX_PARTS])}{more}")
     if sentences:
@@ -69,11 +68,10 @@ def sensor_sentences(report: CheckReport) -> list[str]:
 
 def left_over(report: CheckReport) -> str:
     """Root mean square residual of the flight path by signal, before and after correction."""
-    left, agree = [], not report.sensors.errors
-    for name, (before, after) in report.sensors.rms.items():
+    left, shown = [], slice(1 if not report.sensors.errors else 2)
+    for name, pair in report.sensors.rms.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
-        change = number(factor * before) if agree else f"{number(factor * before)} → {number(factor * after)}"
-        left.append(f"{name} {change} {unit}")
+        left.append(f"{name} {' → '.join(number(factor * x) for x in pair[shown])} {unit}")
     return f"root mean square residual: {', '.join(left)}"
 
 

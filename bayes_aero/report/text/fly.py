@@ -27,8 +27,7 @@ MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence i
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
-    """Sentences on the end of the fit, its errors, the variance inflation, unidentified parameters, and manoeuvres
-    outside the envelope.
+    """Sentences on the end of the fit, its errors, and what the records do not determine.
 
     `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise is fitted, too.
     """
@@ -141,10 +140,8 @@ STOPPED = "stopped before the optimum, so its errors may be too large"
 
 
 def simulation_gain(flown: Trajectories) -> str:
-    """The RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope.
-
-    A fit that did not converge is reported with it.
-    """
+    """The RMS errors of both models over all hold-out flights, and fits that did not converge; empty if the errors are
+    equal or a model leaves the envelope."""
     if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
     listed = []

@@ -15,17 +15,9 @@ from bayes_aero.units import number
 GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
 SYMBOLS = {
-    "alpha": "α",
-    "theta": "θ",
-    "beta": "β",
-    "elevator": "δe",
-    "aileron": "δa",
-    "rudder": "δr",
-    "airspeed": "V",
-    "altitude": "h",
-    "mach": "Mach",
-    "thrust": "T",
-}
+    "alpha": "α", "theta": "θ", "beta": "β", "elevator": "δe", "aileron": "δa", "rudder": "δr",
+    "airspeed": "V", "altitude": "h", "mach": "Mach", "thrust": "T",
+}  # fmt: skip
 """Of channels, on an axis; `GREEK` are those of outputs."""
 
 FOR_PEOPLE = {
@@ -40,9 +32,7 @@ FOR_PEOPLE = {
 KINDS = {
     re.compile(r"channel (.+) was not recorded"): "because a channel was not recorded ({})",
     re.compile(r"channel (.+) does not move in this record"): "because a channel does not move ({})",
-    re.compile(
-        r"channel (.+) shows nothing but noise in this record"
-    ): "because a channel shows nothing but noise ({})",
+    re.compile("channel (.+) shows nothing but noise in this record"): "because a channel shows nothing but noise ({})",
     re.compile(r"the model has no (.+)"): "because the model lacks a parameter ({})",
 }
 """Reasons that name something, as the screening states them, and the words under which they are counted."""

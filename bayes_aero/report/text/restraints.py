@@ -31,8 +31,7 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
 
 
 def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
-    """How far the posterior depends on priors that the record contradicts, and which others depend on priors, by the
-    `table` of `prior_sensitivity`."""
+    """How far the posterior depends on contradicted priors, and which others do, by `prior_sensitivity`'s table."""
     names = [c.name for c in conflicts if c.name in table.index]
     if not names:
         return ()
