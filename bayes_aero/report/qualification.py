@@ -25,7 +25,7 @@ from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, HtmlTable, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.tables.table import Column, Table, columns_of
-from bayes_aero.report.text.phrases import amounts, axis_label, for_people, several, symbol
+from bayes_aero.report.text.phrases import WORDS, amounts, axis_label, for_people, several, symbol
 from bayes_aero.units import number
 
 BLANK = "\u00a0" * 30
@@ -45,6 +45,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
         tables = [further_table(found.further)] if found.further is not None and found.further.points else []
         return (*bullets(further_sentences(found.further)), *map(page_table, tables))
 
+    said = WORDS["qualification"]
     origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
     tolerances = tuple((name, source) for name, (_, source) in found.tolerances.items())
     return html.Page(
@@ -70,9 +71,9 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
                 "counted",
                 "What is counted",
                 lambda: (
-                    Text(DEFINITION),
+                    Text(said["definition"]),
                     html.Facts(origins),
-                    html.Points((f"{found.draws} flights are drawn for every test.", *COUNTING)),
+                    html.Points((f"{found.draws} flights are drawn for every test.", *said["counting"])),
                     *bullets(found.notes),
                 ),
             ),
@@ -81,9 +82,9 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
                 "The rule, and what of it was read",
                 lambda: (
                     Text("Read:"),
-                    html.Points(READ),
+                    html.Points(said["read"]),
                     Text("Not read, or not of the rule:"),
-                    html.Points(UNREAD),
+                    html.Points(said["unread"]),
                     Fold("Origin of the tolerances", (html.Facts(tolerances),)),
                 ),
             ),
@@ -113,22 +114,22 @@ def _strips(found: Qualification) -> tuple[Block, ...]:
 
 def _strip(strip: Strip, found: Qualification, key: str) -> html.Plot:
     """A panel for each output with a tolerance."""
-    panels, record = [], ("record", COLOURS["measured"])
+    panels, record, colour = [], "record", COLOURS["measured"]
     if strip.kind is Kind.NEXT:
-        record = ("record of the manoeuvre", COLOURS["prior"])
+        record, colour = "record of the manoeuvre", COLOURS["prior"]
     for output, (tolerance, _) in found.tolerances.items():
         unit = STANDARD_CHANNELS[output].unit
         factor = for_people(unit)[1]
         lines = (
             Line("simulation", COLOURS["after"], factor * strip.simulated[output]),
-            Line(*record, factor * strip.measured[output], width=1.0),
+            Line(record, colour, factor * strip.measured[output], width=1.0),
             Line("flights, 2.5 %", FLIGHTS, factor * strip.low[output], width=0.6),
             Line("flights, 97.5 %", FLIGHTS, factor * strip.high[output], width=0.6),
         )
         panels.append(Panel(axis_label(output, unit), lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
     legend = (
         ("simulation", COLOURS["after"], "solid"),
-        (*record, "solid"),
+        (record, colour, "solid"),
         ("95 % of flights", FLIGHTS, "area"),
         ("tolerance", "#999999", "area"),
     )
@@ -315,44 +316,13 @@ def excess(one: Outside) -> str:
     return ", ".join(parts)
 
 
-# --- What a qualification says, and what the rule says: what of its text was read, and what was not.
+# --- What a qualification says.
 
 WHOLE = {
     Verdict.PASSES: "The model qualifies: it passes every tolerance.",
     Verdict.UNDECIDED: "It is not decided whether the model qualifies.",
     Verdict.FAILS: "The model does not qualify.",
 }
-DEFINITION = (
-    "A test is passed if the flight stays inside the tolerance about the simulation from start to end. The simulation "
-    "has the estimated parameters, the recorded inputs and the measured initial state. The flight has parameters drawn "
-    "from their distribution, errors of the model's structure with the size and autocorrelation that flights showed, "
-    "noise of the sensors, and gusts where they are counted. When a fitted manoeuvre is flown again, a part of its own "
-    "error repeats. Errors of the initial state are among the errors that flights showed."
-)
-COUNTING = (
-    "Gusts and parameters, if the errors of the records hold them, are taken out of the errors of the structure by "
-    "their mean squares.",
-    "The errors of different outputs are drawn independently: a test of one output is a probability, all outputs "
-    "together are not.",
-)
-READ = (
-    "14 CFR Part 60 (edition of 2019, volume 2, page 182), Attachment 7: “For stall recovery training tasks, "
-    "satisfactory aerodynamic model fidelity must be shown through at least 10 degrees beyond the stall identification "
-    "angle of attack.”",
-    "The same, page 178, FSTD Directive No. 2, names the test of a full stall: “Table A2A, Objective Testing "
-    "Requirements, Test 2.c.8.a (Stall Characteristics)”.",
-    "Table A2A, 2.c.10 (edition of 2014, page 57), short period: “±1.5° pitch angle or ±2°/sec pitch rate, ±0.10g "
-    "acceleration”.",
-    "Appendix B, 2.c.8 (edition of 2014, page 161), stall warning: “±3 kts. airspeed, ±2° bank for speeds greater than "
-    "actuation of stall warning device or initial buffet”.",
-)
-UNREAD = (
-    "Table A2A, 2.c.8.a, was not read: the 2 deg of angle of attack and pitch angle, and the 3 kt for a simulator (not "
-    "a training device) were not checked against the text. Neither was when in the manoeuvre they hold.",
-    "Of Attachment 7 the beginning was read (pages 181 and 182), not the rest.",
-    "The rule compares given tests, partly snapshots. That a tolerance holds for a whole time history is the choice "
-    "of this program, and a probability is nothing that the rule asks for.",
-)
 
 
 def verdict_sentence(found: Qualification) -> str:

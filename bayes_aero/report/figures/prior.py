@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -272,9 +272,9 @@ def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
     s, whose = flown.stall, f", {flown.title}" if flown.title else ""
     dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5}
     for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
-        CL, style = flown.measured[mask, 0], dots | {"color": COLOURS[key]}
-        lift.plot(flown.alpha[mask], CL, ms=2.5, label=f"measured, α {key}", **style)
-        polar.plot(flown.measured[mask, 1], CL, ms=2.0, **style)
+        dots["color"], CL = COLOURS[key], flown.measured[mask, 0]
+        lift.plot(flown.alpha[mask], CL, ms=2.5, label=f"measured, α {key}", **dots)
+        polar.plot(flown.measured[mask, 1], CL, ms=2.0, **dots)
     for k in range(int(flown.manoeuvre[-1]) + 1):
         mine = flown.manoeuvre == k
         label = "fitted, as flown" if k == 0 else None
@@ -334,7 +334,7 @@ FIGURES: dict[str, Drawing] = {
     "stall_narrow": stall_narrow,
     "separation": housed(lambda run: _separation(of_identification(run))),
 }
-DIAGNOSIS_FIGURES = {
+DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
     "stall_models": housed(lambda view: _stall(of_view(view))),
     "separation_models": housed(lambda view: _separation(of_view(view))),
 }

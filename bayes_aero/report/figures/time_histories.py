@@ -177,7 +177,10 @@ def _shown(split: str, title: str, view: View) -> Figure:
     names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
     if not names:
         raise style.NotDrawn(f"no manoeuvre is {split}")
-    columns = {n: [(p, *how) for model, *how in MODELS if (p := flown.path(n, model, split))] for n in names}
+    columns = {
+        name: [(p, label, colour) for model, label, colour in MODELS if (p := flown.path(name, model, split))]
+        for name in names
+    }
     return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, title)
 
 
@@ -243,7 +246,7 @@ def stem_of(output: str) -> str:
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:
     style.refuse_many(len(flown.manoeuvres))
-    columns = {name: [(flown.path(name, model), *how) for model, *how in FLOWN] for name in flown.manoeuvres}
+    columns = {name: [(flown.path(name, model), x, colour) for model, x, colour in FLOWN] for name in flown.manoeuvres}
     title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
     return over_measured(columns, {output: flown.units[output]}, title)
 

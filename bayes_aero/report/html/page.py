@@ -31,7 +31,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
 from bayes_aero.report.tables.table import Table, cell_text
 from bayes_aero.report.text.check import among_text, consistency_sentences, not_told_apart
-from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, plain_unit, several, symbol
+from bayes_aero.report.text.phrases import WORDS, bracket, channel_axis, for_people, plain_unit, several, symbol
 from bayes_aero.units import number
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -312,26 +312,15 @@ def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text
     return (Text(answer, "warning") if found.disagrees else Text(answer),)
 
 
-AXES = "Body axes: x forward, y right, z down. Elevator trailing edge down is positive"
-CONVENTIONS = (
-    f"{AXES}, so Cmde is negative. CL and CD are in stability axes about the centre of gravity, Cm about the "
-    "aerodynamic reference point. Pitch rate enters as q c/V (many texts use q c/2V, which doubles Cmq). tau1 and tau2 "
-    "are in chords travelled: times c/V they are seconds."
-)
-
-
-LATERAL_CONVENTIONS = (
-    " Sideslip is positive from the right. A positive aileron has the right trailing edge down, a positive rudder the "
-    "trailing edge left, so Clda and Cndr are negative. p and r enter as p l/V and r l/V, l the card's "
-    "lateral_rate_length (half the span, unless it states another)."
-)
+MODEL_CONVENTIONS: str = WORDS["conventions"]["model"]
 
 
 def conventions(card: Card) -> str:
     """Axes and signs of the card's model."""
-    if card.linear is None:
-        return CONVENTIONS + (LATERAL_CONVENTIONS if Axis.LATERAL in card.axes else "")
-    return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
+    said = WORDS["conventions"]
+    if card.linear is not None:
+        return said["linear"]
+    return f"{said['model']} {said['lateral']}" if Axis.LATERAL in card.axes else said["model"]
 
 
 def _range(record: FlightRecord, name: str, unit: str) -> str:
@@ -351,7 +340,7 @@ def _described(name: str) -> str:
 
 
 def symbols(
-    parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS, *, degrees: bool = False
+    parameters: Iterable[Parameter], names: Iterable[str], said: str = MODEL_CONVENTIONS, *, degrees: bool = False
 ) -> Fold:
     """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
     known = {p.name: p for p in parameters}
@@ -461,44 +450,9 @@ def open_list(found: Consistency) -> tuple[Fold, ...]:
     return (Fold(f"The {len(alike)} errors that are not testable along this flight path", (table,)),)
 
 
-# --- Terms of a page, each explained in a sentence.
-
-GLOSSARY = {
-    "Cramér–Rao bound": "The usual standard error of a maximum-likelihood estimate. It assumes that the errors of "
-    "all samples "
-    "are independent.",
-    "Corrected bound": "The same with the autocorrelation of the residuals (coloured residuals).",
-    "White, AR(1) noise": "Noise models: independent samples, and samples that are correlated with their predecessor. "
-    "With buffet, the noise grows as the flow separates.",
-    "Posterior, 95 % interval": "The probability distribution of a parameter given the data, from prior and "
-    "likelihood. The "
-    "interval contains the parameter with 95 % probability if the model and the noise model are right.",
-    "emcee, NUTS": "Two independent samplers of the same posterior. They should agree.",
-    "Lag-1 correlation": "Correlation of a residual with the one a sample earlier: 0 for independent errors, near 1 "
-    "for slow ones.",
-    "R², r, RMSE, Theil U": "Share of variance explained; correlation; root-mean-square error; Theil's inequality "
-    "coefficient, 0 for a perfect fit.",
-    "Separation point X": "Where along the chord the flow separates: 1 at the trailing edge (attached), 0 at the "
-    "leading edge (stalled).",
-    "Hold-out data": "Data that the model was not fitted to: another manoeuvre, or another block of a single one.",
-}
-FLOWN = {
-    "Output error": "Parameters, and initial states unless they are fixed, minimise the difference between measured "
-    "outputs and those simulated with the recorded inputs. The simulation is not corrected by measurements.",
-    "Cramér–Rao bound": GLOSSARY["Cramér–Rao bound"],
-    "Corrected standard error": "The same with the autocorrelation of the residuals and with the prior.",
-    "Theil U": "Root-mean-square error over the sum of both signals' root mean squares: 0 for a perfect fit.",
-    "Bias, variance, covariance": "Shares of the mean square error: a constant offset, a wrong amplitude, and the "
-    "remainder, which includes noise.",
-}
-
-
-def words(terms: dict[str, str]) -> Fold:
-    """A glossary behind a line that opens it."""
-    return Fold("Terms used here", (Facts(tuple(terms.items())),))
-
-
-WORDS = words(GLOSSARY)
+def terms(table: str) -> Fold:
+    """A glossary of `words.toml` behind a line that opens it."""
+    return Fold("Terms used here", (Facts(tuple(WORDS[table].items())),))
 
 
 # --- A table of numbers as a page shows it.

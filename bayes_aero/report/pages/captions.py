@@ -12,54 +12,11 @@ from bayes_aero.report.figures.diagnosis import telling
 from bayes_aero.report.html.page import Block, HtmlTable, Text
 from bayes_aero.report.pooled import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
-from bayes_aero.report.text.phrases import plus_minus, several
+from bayes_aero.report.text.phrases import WORDS, plus_minus, several
 from bayes_aero.units import number
 
 DEG = 180.0 / np.pi
-STEADY = (
-    "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "
-    "the aircraft flew otherwise."
-)
-MEASURED_LIFT = (
-    "over the angle of attack as measured (α rising and falling), as fitted, and in steady flow with its 95 % band"
-)
-SEPARATION = (
-    "X = 1 attached, 0 separated from the leading edge, at three rates of the angle of attack, with 95 % bands. Ticks "
-    "at the bottom: angles flown."
-)
-CAPTIONS = {
-    "found": "Measured and by each model: {} of {}, where the extended model gains most, the error shaded; and the "
-    "first screening: a bar is the share of the remaining variance that a candidate explains. Named causes are in "
-    "colour and carry their size.",
-    "ranking": "Score of every candidate before anything was added; named causes drawn in colour.",
-    "gain": "R² and RMSE on hold-out data as the causes are added one after the other, top to bottom.",
-    "moves": "Change of each of the card's parameters when the causes are added.",
-    "residual_profiles": "Mean residual over the channels with the clearest dependence, before and after. A correct "
-    "model has a flat line at zero.",
-    "residual_colour": "Autocorrelation and spectrum of the residuals, before and after. The autocorrelation of "
-    "independent noise is zero from the first lag.",
-    "stall_models": f"Lift {MEASURED_LIFT}; below, the time spent at each angle; right, the drag polar with the data "
-    f"on it. One row for each model. {STEADY}",
-    "separation_models": f"Separation point: {SEPARATION}",
-    "measured_simulated": "Coefficients measured and simulated by both models, the error shaded.",
-    "forest": "Every parameter by every method, with 95 % intervals; the vertical line is the maximum-likelihood "
-    "estimate.",
-    "next_flight": "Joint fit, aircraft and next flight with 95 % intervals, and every manoeuvre alone (grey) and "
-    "pooled: a value moves towards the aircraft's the more, the less its own record says.",
-    "crb_vs_credible": "Standard deviation of every parameter by each method, over its Cramér–Rao bound (line at 1). "
-    "Right of the line: less certain than the bound.",
-    "prior_posterior": "Prior (grey) and posterior density of every parameter.",
-    "gp_prior_posterior": "Prior and posterior of the Gaussian process's hyperparameters.",
-    "pair": "Posterior of every pair of parameters.",
-    "fig2_gpr_fit": "{} measured, and predicted by the Gaussian process with its 95 % band.",
-    "stall": f"Top left: lift {MEASURED_LIFT}. Below: the time spent at each angle. Right: the drag polar with the "
-    f"data on it. {STEADY}",
-    "separation": f"Where the flow separates: {SEPARATION}",
-    "trace": "Traces, {}.",
-    "rank": "Ranks of the draws by chain, {}: flat lines inside the band mean mixed chains.",
-    "correlation": "{} measured against predicted.",
-}
-"""By stem; `trace`, `rank` and `correlation` are those of every engine and coefficient."""
+CAPTIONS = WORDS["captions"]
 
 
 def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:

@@ -148,7 +148,7 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in rankings]
     listed = [page_table(diagnosis_tables.screen_table([ranking], d)) for ranking in leaders]
     title = "Every candidate's score before anything was added"
-    return (*blocks, html.WORDS, Fold(title, (*listed, *gallery.folded("ranking"))))
+    return (*blocks, html.terms("glossary"), Fold(title, (*listed, *gallery.folded("ranking"))))
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:

@@ -75,7 +75,7 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> html.Page:
         doubts=html.doubts(context.health, context.consistency, corrects=False, failures=context.failures),
         lead=(_lead(flown), *_opening(flown, context.figures)),
         sections=html.filled(
-            section("findings", "Findings", lambda: (*bullets([*rest, *context.notes]), html.words(html.FLOWN))),
+            section("findings", "Findings", lambda: (*bullets([*rest, *context.notes]), html.terms("terms_of_fly"))),
             html.records_section(context.records, context.card, context.health),
             section("fit", "Measured and simulated", lambda: _flights(flown)),
             section("errors", "Errors", lambda: _errors(flown, context.card)),

@@ -72,7 +72,7 @@ def identification_page(
         ),
         doubts=html.doubts(run.health, run.consistency, corrects=False, failures=run.failures),
         sections=html.filled(
-            section("findings", "Findings", lambda: (*bullets(sentences), html.WORDS)),
+            section("findings", "Findings", lambda: (*bullets(sentences), html.terms("glossary"))),
             html.records_section(run.records, run.card, run.health),
             section("fit", "Measured and fitted", lambda: _fit(run)),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),

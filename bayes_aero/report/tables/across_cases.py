@@ -90,13 +90,13 @@ def across(found: list[AcrossUnits]) -> Figure:
         unit, factor = for_people(group[0].si)
         for k, e in enumerate(group):
             name, colour = METHODS[e.method]
-            x, y, style = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value, {"color": COLOURS[colour]}
+            x, y = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value
             if last <= MOST_BARS:
                 ends = np.abs(factor * np.stack([e.value - e.low, e.high - e.value]))
                 ends = np.where(np.isfinite(ends), ends, 0.0)
-                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, **style)
+                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, color=COLOURS[colour])
             else:
-                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, **style)
+                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, color=COLOURS[colour])
             labels.setdefault(name, shown)
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -14,6 +14,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.report.text.check import joint_text
 from bayes_aero.report.text.fly import gust_sentences, trajectory_sentences
 from bayes_aero.report.text.phrases import (
+    WORDS,
     not_testable_sentences,
     several,
     size_text,
@@ -271,26 +272,6 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
 
 # --- Changes of parameters during a record in sentences: which, when, and by how much.
 
-LIFT, DRAG = "ice or damage of the wing, flaps or slats that moved", "ice, or gear, flaps or spoilers that moved"
-STABILITY = "a shift of the centre of gravity (fuel that was burnt or moved, a load), or ice on the tail"
-STALL = "ice or damage of the wing"
-REASONS = {
-    "CL0": f"{LIFT}, or an offset of the vane",
-    "CLa": LIFT,
-    "CLaM": LIFT,
-    "CD0": DRAG,
-    "e": DRAG,
-    "Cm0": "a stuck tab, another setting of trim or flaps, or a shift of the centre of gravity",
-    "Cma": STABILITY,
-    "Cmq": STABILITY,
-    "Cmde": "ice on the tail, a damaged elevator, or a shift of the centre of gravity",
-    "a1": STALL,
-    "alpha_star": STALL,
-    "CDX": STALL,
-    "CmX": STALL,
-}
-"""What changes a parameter in flight, for those that have usual reasons."""
-
 
 def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
     """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
@@ -309,7 +290,7 @@ def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
         )
         if one.ambiguous_with:
             text += f" On this record {several(one.ambiguous_with)} would explain the data about as well."
-        if one.parameter in REASONS:
-            text += f" Possible reasons are {REASONS[one.parameter]}; the record does not determine which."
+        if one.parameter in WORDS["reasons"]:
+            text += f" Possible reasons are {WORDS['reasons'][one.parameter]}; the record does not determine which."
         sentences.append(text)
     return sentences

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Tested, Verdict
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import number
+
+WORDS: dict[str, Any] = tomllib.loads(files("bayes_aero.report").joinpath("words.toml").read_text("utf-8"))
+"""The fixed sentences of reports."""
 
 GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
 
