@@ -16,14 +16,10 @@ from bayes_aero.report.html.page import Block, bullets
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.style import NotDrawn, housed
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
 
-BODE = (
-    "Responses of the outputs to the inputs: measured by cross spectra, with 95 % bars, where the standard error is "
-    "below 30 %; modelled, with the 95 % band of the estimates. Coherence: the share of an output that all inputs "
-    "explain. Inputs that respond to others, as sideslip to the rudder, bias measured responses, not the fits."
-)
+BODE = WORDS["captions"]["bode"]
 
 
 def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:

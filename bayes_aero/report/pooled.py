@@ -13,7 +13,7 @@ from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import decimals, from_to, several
+from bayes_aero.report.text.phrases import WORDS, decimals, from_to, several
 from bayes_aero.units import number
 
 
@@ -84,12 +84,7 @@ def _largest(identification: Identification, name: str, kind: str) -> tuple[floa
 ON_TERMINAL, ON_PAGE = 2, 4  # manoeuvres that are shown one by one; a file has all
 LITTLE = 0.6  # share of its prior's deviation above which the scatter is called the prior's: our choice
 PARTS = ("", "sd", "ci95_low", "ci95_high")
-NOTE = (
-    "SI units and radians. Parameters of a manoeuvre scatter around the aircraft's; “pooled” is a manoeuvre's value "
-    "with what the others say of it. Manoeuvres enter by a normal approximation: the estimate and the corrected "
-    "standard errors of their own fit. “Scatter over prior” is the standard deviation of the scatter over that of its "
-    "prior: near 1 the records say little of it."
-)
+NOTE = WORDS["notes"]["next_flight"]
 
 
 def next_flight_table(run: Identification) -> Table:
@@ -137,8 +132,19 @@ def next_flight_sentences(run: Identification) -> list[str]:
     names = comparison.ordered(found.aircraft, found.parameters)
     little = [n for n in names if found.narrowed[n] > LITTLE]
     which = f"all {len(names)} parameters" if len(little) == len(names) else several(little)
+    joint = comparison.bounds(run.mle, run.mle.crb_corrected)
+    widest = "the joint fit has no intervals beside which to put its own"
+    growth = {n: (m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in found.following.items()}
+    finite = {n: g for n, g in growth.items() if g > 0.0 and g < float("inf")}
+    if finite:  # by how much intervals grow from the joint fit to the next flight
+        name = sorted(finite, key=lambda n: finite[n])[len(finite) // 2]
+        both = [from_to(e.low, e.high, e.sd) for e in (Estimate.of(found.following[name]), joint[name])]
+        widest = (
+            f"intervals are {finite[name]:.1f} times as wide as those of the joint fit (median over parameters; "
+            f"{name} {both[0]}, joint fit {both[1]})"
+        )
     said = [
-        f"The next flight: {_widest(run, found)}. Every manoeuvre enters by the normal approximation of its own fit.",
+        f"The next flight: {widest}. Every manoeuvre enters by the normal approximation of its own fit.",
         f"{count} manoeuvres cannot tell the scatter between flights better than this: if each were known exactly, its "
         f"95 % interval would reach from {number(low, 2)} to {number(high, 2)} times the standard deviation of their "
         "estimates.",
@@ -149,21 +155,6 @@ def next_flight_sentences(run: Identification) -> list[str]:
             "left); more manoeuvres would narrow the intervals of the next flight."
         )
     return [*said, *_doubts(found)]
-
-
-def _widest(run: Identification, found: NextFlight) -> str:
-    """The parameter whose interval grows most from the joint fit to the next flight."""
-    joint = comparison.bounds(run.mle, run.mle.crb_corrected)
-    growth = {n: (m.ci95[1] - m.ci95[0]) / (joint[n].high - joint[n].low) for n, m in found.following.items()}
-    finite = {n: g for n, g in growth.items() if g > 0.0 and g < float("inf")}
-    if not finite:
-        return "the joint fit has no intervals beside which to put its own"
-    name = sorted(finite, key=lambda n: finite[n])[len(finite) // 2]
-    numbers = [from_to(e.low, e.high, e.sd) for e in (Estimate.of(found.following[name]), joint[name])]
-    return (
-        f"intervals are {finite[name]:.1f} times as wide as those of the joint fit (median over parameters; "
-        f"{name} {numbers[0]}, joint fit {numbers[1]})"
-    )
 
 
 def _doubts(found: NextFlight) -> Iterator[str]:

@@ -98,11 +98,7 @@ def _strips(found: Qualification) -> tuple[Block, ...]:
     following = [s for s in found.strips if s.kind is Kind.NEXT]
     shown = flown[: html.MOST_SHOWN]
     more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
-    text = (
-        "Grey: the tolerance about the simulation with the estimates. Blue: the central 95 % of flights at each "
-        "instant, with all that is counted. A test is passed where the flight stays in the grey band throughout; the "
-        "record is black."
-    )
+    text = WORDS["paragraphs"]["strips"]
     hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[: html.MOST_SHOWN]))
     return (
         Text(text),
@@ -153,8 +149,7 @@ def further_table(found: Further) -> Table:
     return Table(
         columns,
         "Test points that would decide tolerances, in the order of flying",
-        "Amplitude: factor on the standard input. The last columns: probability to pass, expected with the records, "
-        "this point and those before it, if the estimates do not move.",
+        WORDS["notes"]["further"],
     )
 
 
@@ -239,10 +234,7 @@ def verdict_table(found: Qualification) -> Table:
         *([column(least(Kind.TEST), "", "not fitted", "not fitted")] if new else []),
         column(least(Kind.NEXT), "", "next flight", "next flight"),
     ]
-    note = (
-        "Probability that a flight stays inside the tolerance about the simulation from start to end, of the weakest "
-        "manoeuvre, ± Monte Carlo standard error. Records inside: of the simulation with the estimates, as recorded."
-    )
+    note = WORDS["notes"]["qualification_verdict"]
     return Table(columns, "Verdict for each tolerance", note, terminal_note=note)
 
 
@@ -278,11 +270,7 @@ def test_table(found: Qualification) -> Table:
         column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
         column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
     ]
-    note = (
-        "Every column of probabilities counts one thing more: the parameters, then errors of the model's structure and "
-        "noise, then gusts. Decided where the probability with all of it lies two Monte Carlo standard errors beyond "
-        "0.95 or 0.05. Extrapolation: the manoeuvre leaves the flown region."
-    )
+    note = WORDS["notes"]["qualification_tests"]
     below = [f"{t.manoeuvre}, {SHOWN[t.kind]}" for t in rows]
     return Table(columns, "Every test", note, index=3, below=below)
 

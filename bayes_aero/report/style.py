@@ -55,24 +55,18 @@ def housed(draw: Callable[[Shown], Figure]) -> Callable[[Shown], Figure]:
     def styled(shown: Shown) -> Figure:
         with mpl_style.context(["default", RC]):
             figure = draw(shown)
-        _take_literally(figure)
+        # texts as they stand: a dollar sign in the name of a record is no formula; powers of ten of log axes stay
+        powers = set()
+        for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+            if isinstance(axis.get_major_formatter(), LogFormatter):
+                ticks = (*axis.get_major_ticks(), *axis.get_minor_ticks())
+                powers |= {text for tick in ticks for text in tick.findobj(Text)}
+        for text in figure.findobj(Text):
+            if text not in powers:
+                text.set_parse_math(False)
         return figure
 
     return styled
-
-
-def _take_literally(figure: Figure) -> None:
-    """Texts as they stand: a dollar sign in the name of a record is no formula. Powers of ten of log axes stay."""
-    powers = set()
-    for ax in figure.axes:
-        for axis in (ax.xaxis, ax.yaxis):
-            if isinstance(axis.get_major_formatter(), LogFormatter):
-                powers |= {
-                    text for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()) for text in tick.findobj(Text)
-                }
-    for text in figure.findobj(Text):
-        if text not in powers:
-            text.set_parse_math(False)
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
@@ -124,7 +118,9 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a PNG whole or not at all, and close the figure."""
     drawn = io.BytesIO()
     try:
-        figure.savefig(drawn, format="png", dpi=DPI, metadata={"Software": "bayes_aero"})
+        # little compression: a sixth of the time of drawing, for a tenth more on disk
+        quick = {"metadata": {"Software": "bayes_aero"}, "pil_kwargs": {"compress_level": 1}}
+        figure.savefig(drawn, format="png", dpi=DPI, **quick)
     finally:
         close(figure)
     return write_whole(drawn.getvalue(), path)

@@ -276,6 +276,10 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
         what = (f"{seconds:.1f}", str(record.n), f"{1.0 / record.dt:.4g}", str(len(record.channels)))
         lines.append((record.name, *what, *ranges))
     channels = sorted({name for record in records for name in record.channels})
+    described = dict.fromkeys(channels, "a channel of the card's own")
+    for name in (name for name in channels if name in STANDARD_CHANNELS):
+        channel = STANDARD_CHANNELS[name]
+        described[name] = f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
     total = sum(float(record.time[-1] - record.time[0]) for record in records)
     many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
     return (
@@ -285,7 +289,7 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
             ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
             tuple(lines),
         ),
-        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
+        Fold("Channels and signs", (Facts(tuple(described.items())), Text(conventions(card)))),
     )
 
 
@@ -330,13 +334,6 @@ def _range(record: FlightRecord, name: str, unit: str) -> str:
     low, high = (factor * float(f(record[name])) for f in (np.min, np.max))
     places = 0 if abs(high) >= 1000.0 else 1
     return f"{low:.{places}f} to {high:.{places}f}"
-
-
-def _described(name: str) -> str:
-    if name not in STANDARD_CHANNELS:
-        return "a channel of the card's own"
-    channel = STANDARD_CHANNELS[name]
-    return f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
 
 
 def symbols(

@@ -23,7 +23,7 @@ from bayes_aero.report.tables import across_cases, diagnosis_tables
 from bayes_aero.report.text.check import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, findings, sentences
 from bayes_aero.report.text.fly import simulation_gain, trajectory_sentences
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import WORDS, several
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
@@ -205,8 +205,5 @@ def _coefficients(view: View) -> tuple[Block, ...]:
         moved = {c: np.asarray(view.channels[c], float)[mine] for c in context if c in view.channels}
         panels += html.context_panels({c: values for c, values in moved.items() if np.ptp(values) > 0.0})
         plots.append(html.histories(name, f"time-coefficients-{number}", view.time[mine], panels, legend, what))
-    text = (
-        "Coefficients of forces and moments from the accelerometers and rate gyros, and both models fitted to all "
-        "manoeuvres. The error of the extended model is shaded."
-    )
+    text = WORDS["paragraphs"]["coefficients"]
     return (Text(text), *plots)

@@ -34,7 +34,7 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.motion import mode_table
 from bayes_aero.report.tables import fly
 from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
-from bayes_aero.report.text.phrases import amounts, axis_label, for_people, several, symbol
+from bayes_aero.report.text.phrases import WORDS, amounts, axis_label, for_people, several, symbol
 from bayes_aero.report.text.restraints import unfinished
 from bayes_aero.units import number
 
@@ -186,12 +186,7 @@ def _predictions(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]
     found = None if context.process_noise is None else context.process_noise.one_step
     if found is None:
         return ()
-    caption = (
-        "Quantiles of innovations over their predicted standard deviations, against those of a standard normal "
-        "distribution: steeper than the dotted line where predictive intervals are too narrow, S-shaped where tails "
-        "are heavier than normal. Grey: the 95 % band of all points of calibrated predictions, with the "
-        "autocorrelation counted."
-    )
+    caption = WORDS["captions"]["one_step"]
     by = several(
         f"{name} {100.0 * share.share:.0f} % in their {100.0 * share.level:.0f} % intervals"
         for name, one in found.outputs.items()
@@ -209,10 +204,7 @@ def _posterior(context: FlyContext) -> tuple[Block, ...]:
     caption = "Draws of the parameters with the largest correlations, and their marginal densities."
     return (
         *(Text(sentence, "warning") for sentence in unfinished(context.posteriors)),
-        Text(
-            "The density is that of the fit with process noise, with the priors of the parameters and weak lognormal "
-            "priors of process noise and measurement noise."
-        ),
+        Text(WORDS["paragraphs"]["posterior"]),
         page_table(fly.posterior_table(context.posteriors)),
         *Gallery(context.figures, {"pair": (caption, f"Pair plot. {caption}")})("pair"),
     )

@@ -29,7 +29,7 @@ from bayes_aero.report.tables import run_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.tables.fly import given_table
 from bayes_aero.report.text.identification import disputed, verdict
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.report.text.restraints import unparted
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
@@ -132,10 +132,7 @@ def _fit(run: Identification) -> list[Block]:
         panels += html.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
         what = "Measured and fitted coefficients, and the manoeuvre flown,"
         plots.append(html.histories(name, f"time-fit-{number}", o.time[mine], panels, LEGEND, what))
-    text = (
-        "Coefficients of forces and moments reconstructed from the accelerometers and rate gyros, and the fitted "
-        "model. The shaded area between the curves is the error."
-    )
+    text = WORDS["paragraphs"]["fit"]
     return [Text(text), *plots, page_table(run_tables.fit_table(run))]
 
 
@@ -209,12 +206,7 @@ def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> tuple[Bloc
         return ()
     units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
     _, listed = html.first([path.manoeuvre for path in paths])
-    text = (
-        "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
-        "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
-        "the coefficients agree. Nothing was fitted to these trajectories: bayes-aero fly fits trajectories, and "
-        "bayes-aero diagnose names missing effects."
-    )
+    text = WORDS["paragraphs"]["given_flights"]
     if any(error.tolerance is not None for error in paths[0].errors.values()):
         text += " The grey band is the tolerance about the measurement."
     what, plots = "Measured outputs, and those simulated with the fitted coefficients,", []

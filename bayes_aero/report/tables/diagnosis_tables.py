@@ -11,17 +11,14 @@ import pandas as pd
 from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
 from bayes_aero.diagnosis.view.results import HoldoutScores, Ranking
 from bayes_aero.report.tables.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash
-from bayes_aero.report.text.phrases import for_people, from_to, several, size_text
+from bayes_aero.report.text.phrases import WORDS, for_people, from_to, several, size_text
 
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
     "block": "each block of the manoeuvre predicted from the others",
 }
 ON_A_TERMINAL = 3  # coefficients whose R² fit in 80 columns: those that change most
-NAMED_IF = (
-    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
-    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
-)
+NAMED_IF = WORDS["notes"]["named_if"]
 
 
 def causes_table(d: Diagnosis) -> Table:
@@ -79,8 +76,7 @@ def causes_table(d: Diagnosis) -> Table:
             *(score(name, kind) for name in names for kind in ("r2", "rmse")),
         ],
         "Causes, in the order of selection",
-        "Hold-out data if removed: the change of their log density. *: not confirmed, for the loss is not significant "
-        "(one-sided, 5 %) or one output is predicted worse with the cause: named, but not in the extended model.",
+        WORDS["notes"]["causes"],
         title,
         note,
     )
@@ -139,8 +135,7 @@ def changes_table(d: Diagnosis) -> Table:
             column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
         ],
         "Parameters that change during the records",
-        "One standard error, autocorrelation included. Time from the begin of the manoeuvre; 0: from the manoeuvre "
-        "before to this one. Hold-out gain: log density of parts of the manoeuvres, each predicted from the others.",
+        WORDS["notes"]["changes"],
     )
 
 
@@ -162,9 +157,7 @@ def terms_table(d: Diagnosis) -> Table:
             ),
         ],
         "Terms that describe unexplained structure",
-        "One standard error, autocorrelation included. Share: of the variance left without it. Probability: among "
-        "all terms of the library; each factor halves the prior one. Hold-out gain: log density of left-out manoeuvres "
-        "or blocks.",
+        WORDS["notes"]["terms"],
     )
 
 

@@ -34,7 +34,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.fly import MODELS, status_sentences
-from bayes_aero.report.text.phrases import axis_label, decimals, for_people, plain_unit, short
+from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short
 from bayes_aero.report.text.restraints import unparted
 from bayes_aero.units import number
 
@@ -250,11 +250,7 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
             Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
             Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
         ]
-    note = (
-        "SI units and radians; in brackets the standard deviation in units of the last digit. F: process noise of a "
-        "state, per square root of a second; sigma: standard deviation of the measurement noise. ESS: effective sample "
-        "size, of centre or tails, whichever is less."
-    )
+    note = WORDS["notes"]["posterior"]
     return Table(columns, "Posterior with process noise", note, terminal_note=note)
 
 
@@ -279,11 +275,7 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
         column(lambda r, k=k: Estimate(r[2].shares[k].share, r[2].shares[k].sd), "", head, head, _per_cent, group=group)
         for k, head in enumerate(levels)
     )
-    note = (
-        "RMS: measured minus predicted from the samples before. e/sd: root mean square of innovations over their "
-        "predicted standard deviations, 1 if calibrated. Then the per cent of innovations inside central predictive "
-        "intervals. In brackets: standard errors, with the autocorrelation counted, in units of the last digit."
-    )
+    note = WORDS["notes"]["one_step"]
     return Table(
         [
             column(lambda r: r[0], "", "output", ""),

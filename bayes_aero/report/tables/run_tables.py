@@ -14,7 +14,7 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import from_to, plus_minus, several
+from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several
 from bayes_aero.report.text.restraints import unparted
 from bayes_aero.units import number
 
@@ -157,8 +157,7 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
             column(lambda p: p.status, "gpr_status"),
         ],
         "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
-        "A random split leaves neighbours of every sample in the training set and flatters the GPR; read the block and "
-        "manoeuvre splits. Pareto k above 0.7 means that the sampled hyperparameters are not reliable.",
+        WORDS["notes"]["validation"],
         index=3,
     )
 
@@ -176,8 +175,7 @@ def fit_table(run: Identification) -> Table:
             column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
         ],
         "Fit of the maximum-likelihood model to all samples",
-        "R² is the share of the variance that is explained; Theil's U is 0 for a perfect fit and 1 for none. A lag-1 "
-        "correlation near 0 means independent residuals.",
+        WORDS["notes"]["fit"],
     )
 
 
@@ -220,8 +218,7 @@ def coverage_table(run: Identification) -> Table | None:
     return Table(
         [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))],
         "Calibration: share of measured samples inside the predictive intervals",
-        "A calibrated model shows the heading's share in each column. More means that intervals are too wide, less "
-        "that they are too narrow.",
+        WORDS["notes"]["coverage"],
     )
 
 
@@ -244,21 +241,15 @@ def split_verdict(identification: Identification) -> list[str]:
         return []
     first = report.splits[report.chosen][0]
     unsampled = {n: first[n].status.rstrip(".") for n, fit in report.fits.items() if fit.posterior is None}
-    return [
-        *(f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()),
-        *_leaks(report, identification.observations.dt),
-    ]
-
-
-def _leaks(report: GPReport, dt: float) -> list[str]:
+    said = [f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()]
     others = [split for split in ("block", "manoeuvre") if split in report.splits]
     if "random" not in report.splits or not others:
-        return []
+        return said
     names = tuple(report.splits["random"][0])
     r = {s: {n: pooled_r(report, s, n, "gp") for n in names} for s in ("random", *others)}
     numbers = several(f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in r)}" for n in names)
     order = " / ".join(SAYS[s] for s in r)
-    sentences = [f"GPR correlation with the measurement by {order}: {numbers}."]
+    leak = " The random split does not leak significantly."
     drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
     behind = []  # coefficients that the Gaussian process predicts worse than the stall model
@@ -268,10 +259,10 @@ def _leaks(report: GPReport, dt: float) -> list[str]:
         lost = several(f"{n} ({mle[n]:.3f} against {x:.3f})" for n, x in worse.items())
         if lost:
             behind.append(f"On {SAYS[split]} maximum likelihood correlates better than GPR in {lost}.")
-    if not fallen:
-        return [sentences[0] + " The random split does not leak significantly.", *behind]
-    sentences[0] += (
-        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
-        f"them ({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
-    )
-    return [*sentences, *behind]
+    if fallen:
+        away, lost = 1000.0 * identification.observations.dt, several(f"{n} -{x:.2f}" for n, x in fallen.items())
+        leak = (
+            f" The random split leaves neighbours {away:.0f} ms away in the training set; the part lost without them "
+            f"({lost}) is interpolation, not aerodynamics."
+        )
+    return [*said, f"GPR correlation with the measurement by {order}: {numbers}.{leak}", *behind]
