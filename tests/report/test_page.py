@@ -32,9 +32,8 @@ from bayes_aero.report.html.page import (
 )
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
-from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import stall_table
-from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.run_tables import coverage_table, parameter_table

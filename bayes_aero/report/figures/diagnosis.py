@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -286,7 +286,10 @@ class Telling:
 def _found(narrow: bool, view: View) -> Figure:
     """The quantity with the largest gain, by each model with its error shaded, and the deciding screening beside it; on
     a phone below it."""
-    shown, ranking = telling(view), _decisive(view)
+    shown, causes = telling(view), view.diagnosis.causes
+    ranking = view.rankings[-1] if view.rankings else None  # the last stage's, or of that which named the first cause
+    if causes:
+        ranking = {r.stage: r for r in view.rankings}.get(causes[0].stage)
     rows = "ab"[: len(shown.simulated)]
     size, options = (11.0, 1.9 * len(rows) + 1.0), {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
     places = [[row, *([] if ranking is None else ["R"])] for row in rows]
@@ -295,13 +298,7 @@ def _found(narrow: bool, view: View) -> Figure:
         heights = [3.2 if row == "R" else 1.7 for (row,) in places]
         size, options = (style.PHONE, sum(heights) + 0.9), {"height_ratios": heights}
     figure = Figure(figsize=size, layout="constrained")
-    _fill(figure.subplot_mosaic(places, **options), shown, ranking, view)
-    return figure
-
-
-def _fill(axes: Mapping[str, Axes], shown: Telling, ranking: Ranking | None, view: View) -> None:
-    """Time histories a and b, the screening R."""
-    rows = "ab"[: len(shown.simulated)]
+    axes = figure.subplot_mosaic(places, **options)
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
         ax = axes[row]
         _error_shaded(ax, shown.time, shown.measured, simulated, colour)
@@ -312,6 +309,7 @@ def _fill(axes: Mapping[str, Axes], shown: Telling, ranking: Ranking | None, vie
     axes[rows[-1]].set_xlabel(f"time from start of {shown.manoeuvre} [s]")
     if ranking is not None:
         _candidates(axes["R"], ranking, view)
+    return figure
 
 
 def telling(view: View) -> Telling:
@@ -359,14 +357,6 @@ def _output(flown: Trajectories) -> Telling | None:
         simulated.append((LABELS[when], COLOURS[when], factor * path.simulated[output], note))
     z, label = factor * card.measured[output], f"{output.replace('_', ' ')} [{unit}]"
     return Telling(output, label, card.manoeuvre, card.time - card.time[0], z, simulated)
-
-
-def _decisive(view: View) -> Ranking | None:
-    """The first screening of the stage that named the first cause; without a cause, of the last stage."""
-    stages = {r.stage: r for r in view.rankings}
-    if view.diagnosis.causes:
-        return stages.get(view.diagnosis.causes[0].stage)
-    return view.rankings[-1] if view.rankings else None
 
 
 def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:

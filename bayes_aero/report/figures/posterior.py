@@ -22,7 +22,7 @@ from bayes_aero.report.figures.time_histories import of_coefficient
 from bayes_aero.report.tables.across_cases import predicted, what_is_shown
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.tables.fly import CALIBRATION
-from bayes_aero.report.text.phrases import GREEK, bracket, several
+from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, several
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
@@ -227,10 +227,7 @@ def pit_words(identification: Identification) -> tuple[str, str]:
         how = "Each sample is predicted from those before it, so its error is an innovation of the noise model"
     outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(names, t.bars, strict=True))
     return (
-        "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
-        "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
-        "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
-        f"{how}; neighbours correlate by {listed}. {independence}",
+        f"{WORDS['captions']['pit']} {how}; neighbours correlate by {listed}. {independence}",
         f"Histograms of the probability integral transform for {several(names)} under the "
         f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
         f"Lag-1 correlation of neighbours: {listed}.",

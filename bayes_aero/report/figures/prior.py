@@ -101,7 +101,12 @@ def gp_prior_posterior(identification: Identification) -> Figure:
                 ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
                 ax.xaxis.set_major_formatter(FormatStrFormatter("%.3g"))
                 ax.xaxis.set_minor_locator(NullLocator())
-            ax.set_xlabel(f"{hyper} {_unit_of(hyper)}", labelpad=1)
+            # a length scale has its input's unit, a slope its inverse
+            kind, _, channel = hyper.rstrip("]").partition("[")
+            si = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "SI unit" if channel else "1"
+            inverse = f"1/({si})" if "/" in si else f"1/{si}"
+            unit = si if kind.startswith("length") or si == "1" else inverse
+            ax.set_xlabel(f"{hyper} {bracket(unit)}", labelpad=1)
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
         ax.set_ylabel("density / peak [-]")
@@ -124,16 +129,6 @@ def _flat(tree: xr.DataTree, group: str) -> dict[str, np.ndarray]:
             for label in values.coords["input"].values:
                 found[f"{name}[{label}]"] = np.asarray(values.sel(input=label)).ravel()
     return found
-
-
-def _unit_of(hyper: str) -> str:
-    """Unit of a hyperparameter in brackets: a length scale has its input's, a slope its inverse, the rest none."""
-    kind, _, channel = hyper.rstrip("]").partition("[")
-    known = STANDARD_CHANNELS.get(channel)
-    unit = known.unit if known else "SI unit"
-    if not channel or unit == "1":
-        return "[-]"
-    return bracket(unit if kind.startswith("length") else f"1/({unit})" if "/" in unit else f"1/{unit}")
 
 
 def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -17,29 +18,11 @@ HIGHEST = 2 * PANEL  # whatever a channel is called
 PAPER = 580  # pixels of all panels together on paper, so that two figures share a sheet
 LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
+BORDERS = {"left": 66, "right": 8, "top": 6, "bottom": 6}  # pixels around a panel
 INK, GRID = "#222222", "#dddddd"
 
-
-FIT_HEIGHT = """
-const whole = x.start <= first && x.end >= last;
-ranges.forEach((range, i) => {
-  const [bottom, top] = full[i];
-  let low = top, high = bottom;
-  const {t, ...curves} = sources[i].data;
-  for (const y of Object.values(curves)) {
-    for (let k = 0; k < t.length; k++) {
-      if (t[k] >= x.start && t[k] <= x.end && isFinite(y[k])) {
-        low = Math.min(low, y[k]);
-        high = Math.max(high, y[k]);
-      }
-    }
-  }
-  low = Math.max(low, bottom);
-  high = Math.min(high, top);
-  const room = 0.06 * (high - low);
-  range.setv(whole || !(high > low) ? {start: bottom, end: top} : {start: low - room, end: high + room});
-});
-"""  # what is seen of a stretch of time fills its panel; nothing leaves the scale of the whole
+FIT_HEIGHT = files("bayes_aero.report").joinpath("templates/fit_height.js").read_text("utf-8")
+"""What is seen of a stretch of time fills its panel; nothing leaves the scale of the whole."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +112,12 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
 
 
 def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, *, last: bool) -> Any:
-    from bokeh.models import BoxZoomTool, CrosshairTool, PanTool, ResetTool, SaveTool, WheelZoomTool
+    from bokeh import models
     from bokeh.plotting import figure
 
-    box = BoxZoomTool(dimensions="width")
+    box = models.BoxZoomTool(dimensions="width")
+    wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+    others = models.ResetTool(), models.SaveTool(), models.CrosshairTool(overlay=cross)
     label, height = _fitting(panel)
     f = figure(
         height=height + (AXIS if last else 0),
@@ -141,39 +126,12 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         y_range=scale(panel),
         y_axis_label=label,
         x_axis_label=over.label if last else None,
-        tools=[
-            box,
-            PanTool(dimensions="width"),
-            WheelZoomTool(dimensions="width", modifiers={"ctrl": True}),
-            ResetTool(),
-            SaveTool(),
-            CrosshairTool(overlay=cross),
-        ],
+        tools=[box, models.PanTool(dimensions="width"), wheel, *others],
         active_drag=box,
-        min_border_left=66,
-        min_border_right=8,
-        min_border_top=6,
-        min_border_bottom=6,
         background_fill_color="#ffffff",
         border_fill_color="#ffffff",
+        **{f"min_border_{side}": pixels for side, pixels in BORDERS.items()},
     )
-    _draw(f, time, panel, over)
-    dress(f, last, height)
-    return f
-
-
-def _fitting(panel: Panel) -> tuple[str, int]:
-    """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
-    if LETTER * len(panel.label) <= panel.height:
-        return panel.label, panel.height
-    label = "\n[".join(panel.label.rsplit(" [", 1))
-    longest = LETTER * max(map(len, label.split("\n")))
-    return label, int(min(max(panel.height, longest), HIGHEST))
-
-
-def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
-    from bokeh.models import ColumnDataSource, HoverTool
-
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
     for i, line in enumerate(panel.lines):  # those of a diverged simulation are gaps
@@ -181,7 +139,7 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
         columns[f"y{i}"] = np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
-    source = ColumnDataSource(columns)
+    source = models.ColumnDataSource(columns)
     if panel.band is not None:
         f.varea("t", "low", "high", source=source, fill_color="#999999", fill_alpha=0.28)
     for first, second in panel.shade:
@@ -193,7 +151,18 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     unit = panel.label.rpartition("[")[2].rstrip("]").replace("-", "") if panel.label.endswith("]") else ""
     values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
     tips = [(over.name, f"@t{over.digits} {over.unit if over is TIME else ''}".strip()), *values]
-    f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+    f.add_tools(models.HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+    dress(f, last, height)
+    return f
+
+
+def _fitting(panel: Panel) -> tuple[str, int]:
+    """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
+    if LETTER * len(panel.label) <= panel.height:
+        return panel.label, panel.height
+    label = "\n[".join(panel.label.rsplit(" [", 1))
+    longest = LETTER * max(map(len, label.split("\n")))
+    return label, int(min(max(panel.height, longest), HIGHEST))
 
 
 def dress(f: Any, last: bool, panel_height: int) -> None:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, Diagnosis
+from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
+from bayes_aero.flight.agreement import Consistency
+from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report import design
 from bayes_aero.report.colours import COLOURS
@@ -16,7 +22,6 @@ from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Section, Text, bullets, page_table, section
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import Line, Panel
-from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained, stall_table
 from bayes_aero.report.pages.fly import trajectories
 from bayes_aero.report.tables import across_cases, diagnosis_tables
@@ -34,6 +39,23 @@ FROM_WHAT = {
 }
 FEW = 4  # manoeuvres that are listed one by one in the open
 INTERVALS = "Intervals are from normal draws with the covariance of the fit, autocorrelation included."
+
+
+@dataclass(frozen=True)
+class PageContext:
+    """Data of a diagnosis page in addition to the diagnosis; `notes` are stages that were left out, with the reason."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    figures: Mapping[str, Path] = field(default_factory=dict)
+    test_points: Mapping[str, Any] = field(default_factory=dict)
+    in_band: CausesInBand | None = None
+    revealed: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly
+    health: Sequence[HealthFinding] = ()  # faults of channels
 
 
 def diagnosis_page(view: DiagnosisView, context: PageContext) -> html.Page:

@@ -16,7 +16,7 @@ from bayes_aero.report.html.pictures import embedded
 from bayes_aero.report.style import NotDrawn, save
 from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, AcrossUnits, across, estimates, panels_of
 from bayes_aero.report.tables.table import Table, columns_of
-from bayes_aero.report.text.phrases import plain_unit, several
+from bayes_aero.report.text.phrases import WORDS, plain_unit, several
 from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -147,8 +147,7 @@ def _across(found: list[AcrossUnits]) -> tuple[Block, ...]:
             column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
         ],
         "Estimates of all units by parameter and method",
-        "Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
-        "ratio well above one: the standard errors do not cover the differences between these units.",
+        WORDS["notes"]["across_units"],
     )
     left = len(found) - MOST_ROWS
     return (page_table(table), *((Text(f"{left} more are in summary.csv."),) if left > 0 else ()))

@@ -15,7 +15,7 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed
 from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, columns_of
-from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several
+from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
 
 METHODS = {
     "mle_corrected": ("maximum likelihood, corrected bound", "crb_corrected"),
@@ -147,10 +147,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
             ),
         ],
         "Hold-out manoeuvres: the card's model and the extended model",
-        "± is one standard error, autocorrelation included. Log density: natural logarithm of the probability density "
-        "of the hold-out data; 3 more make them 20 times as probable. R² weighs every sample alike and depends on the "
-        "few of the deepest stall; the log density includes the noise growth in separated flow. The log density "
-        f"decreases significantly (one-sided, 5 %) for {worse}.",
+        f"{WORDS['notes']['holdout']} The log density decreases significantly (one-sided, 5 %) for {worse}.",
     )
 
 
@@ -195,7 +192,7 @@ def residual_tables(view: View) -> tuple[Table, Table]:
             column(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
         ],
         "Residuals at the recorded rate, all manoeuvres fitted jointly",
-        "A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude.",
+        WORDS["notes"]["residuals"],
     ), Table(
         [
             first,

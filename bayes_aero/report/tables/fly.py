@@ -54,7 +54,14 @@ def parameter_table(flown: TrajectoryFit) -> Table:
         [
             *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
             Column(start, "start", "first value", form=4),
-            Column(list(map(Estimate, estimate, sd)), ("estimate",), "fit", "estimate", _fit, _with_sd),
+            Column(
+                list(map(Estimate, estimate, sd)),
+                ("estimate",),
+                "fit",
+                "estimate",
+                _fit,
+                lambda e: in_brackets(e) if math.isfinite(e.sd) else NONE,
+            ),
             Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
             Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
             *in_bands,
@@ -116,6 +123,10 @@ def _fit(e: Estimate) -> str:
 
 def _with_sd(e: Estimate) -> str:
     return in_brackets(e) if math.isfinite(e.sd) else NONE
+
+
+def _departure(x: float) -> str:
+    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _bounds(bounds: tuple[float, float]) -> str:
@@ -205,7 +216,11 @@ def initial_table(flown: TrajectoryFit) -> Table:
     if free:
         priors = [f"0 ± {number(factor * own[s], 2)}, default" if own else "none" for _, s, *_, factor in rows]
         columns += [
-            Column([factor * x for *_, x, factor in rows], page="departure", form=_departure),
+            Column(
+                [factor * x for *_, x, factor in rows],
+                page="departure",
+                form=_departure,
+            ),
             Column(priors, page="prior of the departure"),
         ]
     return Table(
@@ -214,10 +229,6 @@ def initial_table(flown: TrajectoryFit) -> Table:
         "" if free else "Fixed to the card's values, and to the first sample where the card gives none.",
         below=[row[0] for row in rows],
     )
-
-
-def _departure(x: float) -> str:
-    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _label(flown: TrajectoryFit, channel: str) -> str:
@@ -390,8 +401,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
     return Table(
         columns,
         "Share of the time inside the tolerance",
-        "The last column is the posterior probability that the whole flight of the extended model stays inside, for "
-        "the output with the lowest probability.",
+        WORDS["notes"]["hold_out_tolerances"],
     )
 
 
@@ -408,7 +418,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
     return Table(
         columns,
         "Error of the simulated trajectories",
-        "RMS: root mean square. Inside: share of the time within the tolerance, where the card has one.",
+        WORDS["notes"]["given"],
     )
 
 

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.result import CheckReport
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.inspection import RecordReport
-from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several, size_text
+from bayes_aero.report.text.phrases import WORDS, for_people, not_testable_sentences, several, size_text
 from bayes_aero.units import instant, number
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
@@ -94,15 +94,6 @@ def headline(report: CheckReport) -> str:
 # --- Agreement of the sensors, in sentences: printed first, and first on a page.
 
 SHOWN = 4  # departures in the sentence
-FOLLOWS = {
-    "airspeed": "the accelerations along the flight path (ax, az, theta, alpha)",
-    "alpha": "pitch rate (q), normal acceleration (az) and airspeed",
-    "theta": "pitch rate (q)",
-    "altitude": "airspeed, pitch attitude (theta) and angle of attack (alpha)",
-    "beta": "lateral acceleration (ay), yaw rate (r) and bank angle (phi)",
-    "phi": "roll rate (p) and yaw rate (r)",
-}
-"""Channels from which each channel of the flight path follows."""
 
 
 def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
@@ -155,7 +146,7 @@ def departures_sentence(found: Consistency) -> str:
         standard = STANDARD_CHANNELS[d.channel]
         unit, factor = for_people(standard.unit)
         listed.append(
-            f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from "
+            f"{d.channel} ({standard.description}) of {d.record} does not follow {WORDS['follows'][d.channel]} from "
             f"{instant(d.begin)} to {instant(d.end)} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
             f"{factor * d.permitted:.2g} {unit})"
         )
