@@ -32,7 +32,7 @@ BLANK = "\u00a0" * 30
 FLIGHTS = "#56B4E9"
 
 
-def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> html.Page:
+def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> html.Report:
     """The page; its first screen is what is signed. `source` is its provenance."""
     signature = HtmlTable(
         "Decision of the evaluator",
@@ -48,7 +48,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
     said = WORDS["qualification"]
     origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
     tolerances = tuple((name, source) for name, (_, source) in found.tolerances.items())
-    return html.Page(
+    return html.Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
         verdict=verdict_sentence(found),

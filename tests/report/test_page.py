@@ -21,9 +21,9 @@ from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.html.page import (
     Fold,
     HtmlTable,
-    Page,
     Picture,
     Plot,
+    Report,
     Text,
     page_table,
     put_page,
@@ -66,9 +66,9 @@ class Outline(HTMLParser):
         self.text += data
 
 
-def page_of(*blocks, **words) -> Page:
+def page_of(*blocks, **words) -> Report:
     whole = {"title": "t", "subtitle": "s", "verdict": "v", "lead": ()} | words
-    return Page(**whole, sections=(section("a", "A", lambda: blocks),))
+    return Report(**whole, sections=(section("a", "A", lambda: blocks),))
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_a_part_that_fails_does_not_cost_the_page(tmp_path):
     def fails():
         raise ValueError("no such luck")
 
-    page = Page("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
+    page = Report("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
     text = Outline(render(page)).text
     holds(text, "'Lift'", "ValueError: no such luck", "fine")
     (told,) = put_page(lambda: page, tmp_path)

@@ -20,7 +20,7 @@ MARKERS = {"crb": "|", "crb_corrected": "s", "white": "D", "emcee": "o", "nuts":
 
 
 @dataclass(frozen=True)
-class Interval:
+class ForestLine:
     """One line of a forest panel: an estimate; `inner` is half of a narrower interval, drawn thick."""
 
     label: str
@@ -35,10 +35,10 @@ def forest(identification: Identification) -> Figure:
     table = {}
     for name in ordered(identification.mle.names, identification.mle.parameters):
         found = [(m, m.estimates[name]) for m in methods(identification) if name in m.estimates]
-        table[name] = [Interval(m.label, COLOURS.get(m.key, GREY), e) for m, e in found if np.isfinite(e.sd)]
+        table[name] = [ForestLine(m.label, COLOURS.get(m.key, GREY), e) for m, e in found if np.isfinite(e.sd)]
         for manoeuvre, (x, crb, corrected) in alone(identification, name).items():
             estimate, label = Estimate.normal(x, corrected), f"{manoeuvre} alone, ML"
-            table[name].append(Interval(label, COLOURS["alone"], estimate, NORMAL95 * crb))
+            table[name].append(ForestLine(label, COLOURS["alone"], estimate, NORMAL95 * crb))
     return _forest(
         identification,
         table,
@@ -58,18 +58,18 @@ def next_flight(identification: Identification) -> Figure:
     table, bound = {}, bounds(mle, mle.crb_corrected)
     for name in ordered(found.aircraft, found.parameters):
         joint = bound[name]
-        rows = [Interval("joint fit", COLOURS["mle"], joint)] if np.isfinite(joint.sd) else []
+        rows = [ForestLine("joint fit", COLOURS["mle"], joint)] if np.isfinite(joint.sd) else []
         for m in found.manoeuvres:
             if name in found.alone[m]:
-                rows.append(Interval(f"{m} alone", COLOURS["prior"], Estimate.normal(*found.alone[m][name])))
-            rows.append(Interval(f"{m} pooled", COLOURS["alone"], Estimate.of(found.pooled[m][name])))
-        rows.append(Interval("aircraft", COLOURS["nuts"], Estimate.of(found.aircraft[name])))
-        table[name] = [*rows, Interval("next flight", COLOURS["scatter"], Estimate.of(found.following[name]))]
+                rows.append(ForestLine(f"{m} alone", COLOURS["prior"], Estimate.normal(*found.alone[m][name])))
+            rows.append(ForestLine(f"{m} pooled", COLOURS["alone"], Estimate.of(found.pooled[m][name])))
+        rows.append(ForestLine("aircraft", COLOURS["nuts"], Estimate.of(found.aircraft[name])))
+        table[name] = [*rows, ForestLine("next flight", COLOURS["scatter"], Estimate.of(found.following[name]))]
     title = "Manoeuvres alone and pooled, and the next flight\n95 % intervals; numbers: ± standard deviation"
     return _forest(identification, table, title)
 
 
-def _forest(identification: Identification, table: dict[str, list[Interval]], title: str) -> Figure:
+def _forest(identification: Identification, table: dict[str, list[ForestLine]], title: str) -> Figure:
     """A panel for each parameter with a line for each of its intervals."""
     labels = list(dict.fromkeys(row.label for rows in table.values() for row in rows))
     columns = min(2, len(table))  # three would not be legible on a page

@@ -20,7 +20,7 @@ from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.tables.across_cases import TestPoints, broken, clock, predicted, what_is_shown
+from bayes_aero.report.tables.across_cases import PredictedPoints, broken, clock, predicted, what_is_shown
 from bayes_aero.report.text.phrases import axis_label, channel_axis, for_people, short
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
@@ -115,7 +115,7 @@ def _validation(identification: Identification, name: str) -> Figure:
 
 
 def _history(
-    ax: Axes, identification: Identification, name: str, points: TestPoints, number: int, engines: tuple[str, ...]
+    ax: Axes, identification: Identification, name: str, points: PredictedPoints, number: int, engines: tuple[str, ...]
 ) -> None:
     """Measured thin, predictions at their test points: the band and the dots of the GP, the line of the ML model."""
     o = identification.observations

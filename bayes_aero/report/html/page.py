@@ -164,7 +164,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Page:
+class Report:
     """A report: doubts of the records, if any; a verdict in one sentence, one picture, then sections."""
 
     title: str
@@ -189,7 +189,7 @@ def filled(*sections: Section) -> tuple[Section, ...]:
     return tuple(section for section in sections if section.blocks)
 
 
-def render(page: Page) -> str:
+def render(page: Report) -> str:
     """The page as HTML."""
     environment = Environment(
         loader=PackageLoader("bayes_aero.report", "templates"),
@@ -219,12 +219,12 @@ def render(page: Page) -> str:
     )
 
 
-def write_page(page: Page, path: Path) -> Path:
+def write_page(page: Report, path: Path) -> Path:
     """Write the page whole or not at all."""
     return write_whole(render(page), path)
 
 
-def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:
+def put_page(make: Callable[[], Report], folder: Path, name: str = "report.html") -> tuple[str, ...]:
     """Write the page `name` into `folder`; a sentence on each failure, of the page or of sections that say it there."""
     try:
         page = make()

@@ -26,7 +26,7 @@ SHOWN = ("airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", 
 LEGEND = (("recorded", COLOURS["measured"], "solid"),)
 
 
-def check_page(report: CheckReport, source: Mapping[str, Any]) -> html.Page:
+def check_page(report: CheckReport, source: Mapping[str, Any]) -> html.Report:
     """The page; the first record's time histories stand at its top."""
     sound = [r.record for r in report.records if r.record is not None]
     wrong = [f"{r.path}: {p}" for r in report.records for p in r.problems]
@@ -37,7 +37,7 @@ def check_page(report: CheckReport, source: Mapping[str, Any]) -> html.Page:
         sentences = [*text.use_sentences(report), *parts]
         return (*bullets(sentences), *html.not_testable_list(report.not_testable))
 
-    return html.Page(
+    return html.Report(
         title=f"Record check: {report.card.title}",
         subtitle="Channels, units, sampling, and whether the sensors agree; no aerodynamics is fitted",
         verdict=text.headline(report),
@@ -145,7 +145,7 @@ class StarterView:
     blind: Sequence[str] = ()  # accelerations that were not found
 
 
-def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Page:
+def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Report:
     """The page."""
     used, many = [t for t in view.taken if not t.doubt], len(view.blind) > 1
     columns = len(view.taken) + len(view.unknown)
@@ -156,7 +156,7 @@ def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Page:
         _panel(f"{t.channel} {bracket(t.unit or 'unit?')}", t.sign * t.values) for t in used if t.channel != "time"
     ]
     todo = [HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(view.todo), words=(1,))]
-    return html.Page(
+    return html.Report(
         title=f"Starter card: {view.card}",
         subtitle=f"Written from the columns of {view.record}; every line is a proposal to be checked",
         verdict=f"{len(used)} of {columns} columns were assigned to channels; {left}.{blind}",
@@ -213,7 +213,7 @@ def _unknown(view: StarterView) -> tuple[Block, ...]:
 
 def simulated_page(
     record: FlightRecord, card: Card, truth: Mapping[str, Any], parameters: Sequence[Parameter]
-) -> html.Page:
+) -> html.Report:
     """The page; `truth` is what stands in the file beside the record, `parameters` are those that were flown."""
     units = {p.name: plain_unit(p.unit) for p in parameters}
     behind = {name: "" if unit == "-" else f" {unit}" for name, unit in units.items()}
@@ -241,7 +241,7 @@ def simulated_page(
             html.symbols(parameters, [p.name for p in parameters]),
         )
 
-    return html.Page(
+    return html.Report(
         title=f"Simulated record: {record.name}",
         subtitle="A synthetic flight record and its true parameters",
         verdict=verdict,

@@ -58,12 +58,12 @@ class PageContext:
     health: Sequence[HealthFinding] = ()  # faults of channels
 
 
-def diagnosis_page(view: DiagnosisView, context: PageContext) -> html.Page:
+def diagnosis_page(view: DiagnosisView, context: PageContext) -> html.Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, by_coefficients = view.diagnosis, isinstance(view, View)
     gallery = Gallery(context.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
     verdict, *rest = diagnosis_sentences(d) if by_coefficients else sentences(view)
-    return html.Page(
+    return html.Report(
         title=f"Diagnosis: {context.card.title}",
         subtitle=f"The model error, its causes, and the gain of the extended model{FROM_WHAT[d.compared]}",
         verdict=verdict,

@@ -20,7 +20,7 @@ def effects_page(
     source: Mapping[str, Any],
     aircraft: str | None = None,
     pictures: Sequence[html.Picture] = (),
-) -> html.Page:
+) -> html.Report:
     """The page; `found` are effects as the catalogue describes them, `aircraft` the title of the card, if any."""
     if len(found) == 1:
         title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
@@ -34,7 +34,7 @@ def effects_page(
             verdict += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
         verdict += "."
         parts = [_kind(kind, [e for e in found if e["kind"] == kind]) for kind in sorted(kinds)]
-    return html.Page(
+    return html.Report(
         title=title,
         subtitle="Effects of the aircraft, its sensors and the air for a model"
         + (f"; card: {aircraft}" if aircraft else ""),

@@ -62,11 +62,11 @@ class FlyContext:
     motion: Motion | None = None
 
 
-def fly_page(flown: TrajectoryFit, context: FlyContext) -> html.Page:
+def fly_page(flown: TrajectoryFit, context: FlyContext) -> html.Report:
     """The page; nothing on it but the fit's own numbers."""
     verdict, *rest = context.sentences
     motion = context.motion
-    return html.Page(
+    return html.Report(
         title=f"{'Flight path' if flown.of_path else 'Trajectories'}: {context.card.title}",
         subtitle="Errors of sensors, from recorded accelerations and rates"
         if flown.of_path

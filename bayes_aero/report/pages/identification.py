@@ -52,7 +52,7 @@ def identification_page(
     source: Mapping[str, Any],
     figures: Mapping[str, Path],
     flown: Sequence[SimulatedManoeuvre] = (),
-) -> html.Page:
+) -> html.Report:
     """The page; `figures` are the drawn ones by stem, none where they were not asked for.
 
     `flown` are the simulated manoeuvres, none where the model could not be flown.
@@ -61,7 +61,7 @@ def identification_page(
     sentences = verdict(run)
     doubtful = [p for p in run.posteriors.values() if p.status is not PosteriorStatus.CONVERGED]
     labels = [f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}." for p in doubtful]
-    return html.Page(
+    return html.Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),

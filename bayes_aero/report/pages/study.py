@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.html.page import Block, Facts, Page, Picture, Text, bullets, filled, page_table, section
+from bayes_aero.report.html.page import Block, Facts, Picture, Report, Text, bullets, filled, page_table, section
 from bayes_aero.report.html.pictures import embedded
 from bayes_aero.report.style import NotDrawn, save
 from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, AcrossUnits, across, estimates, panels_of
@@ -35,10 +35,10 @@ class StudyContext:
     facts: Mapping[str, str]
 
 
-def study_page(context: StudyContext) -> Page:
+def study_page(context: StudyContext) -> Report:
     """The page of a study, from its tables."""
     found = estimates(context.units, context.results)
-    return Page(
+    return Report(
         title=f"Study: {context.title}",
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),

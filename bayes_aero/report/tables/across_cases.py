@@ -209,7 +209,7 @@ GAP = 1.0  # s; a line is broken where its neighbouring points are further apart
 
 
 @dataclass(frozen=True)
-class TestPoints:
+class PredictedPoints:
     """One coefficient at `index` (ascending) of the observations; `gp`, `low`, `high` are None without a GP."""
 
     index: np.ndarray
@@ -219,24 +219,24 @@ class TestPoints:
     low: np.ndarray | None = None
     high: np.ndarray | None = None
 
-    def of(self, manoeuvre: np.ndarray) -> TestPoints:
+    def of(self, manoeuvre: np.ndarray) -> PredictedPoints:
         """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
         keep = manoeuvre[self.index]
         cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
-        return TestPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
+        return PredictedPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
 
 
-def predicted(identification: Identification, coefficient: str) -> TestPoints:
+def predicted(identification: Identification, coefficient: str) -> PredictedPoints:
     """Predictions at the chosen split's test points (all its folds); without a GP the fit at all samples."""
     if identification.gp is None:
         o = identification.observations
         column = o.coefficients.index(coefficient)
-        return TestPoints(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
+        return PredictedPoints(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
     folds = [fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]]
     names = ("test", "measured", "mle", "gp", "gp_low", "gp_high")
     index, *columns = (np.concatenate([getattr(v, name) for v in folds]) for name in names)
     order = np.argsort(index, kind="stable")
-    return TestPoints(index[order], *(column[order] for column in columns))
+    return PredictedPoints(index[order], *(column[order] for column in columns))
 
 
 def what_is_shown(identification: Identification) -> str:
