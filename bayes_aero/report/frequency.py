@@ -15,11 +15,9 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, bullets
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.style import NotDrawn, housed
-from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
+from bayes_aero.report.tables.table import Column, Estimate, in_brackets
 from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
-
-BODE = WORDS["captions"]["bode"]
 
 
 def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
@@ -27,7 +25,7 @@ def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple
     if not flown.frequency:
         return ()
     coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
-    gallery = Gallery(figures, {"bode": (BODE, f"Bode plots. Median coherence: {coherent}.")})
+    gallery = Gallery(figures, {"bode": (WORDS["captions"]["bode"], f"Bode plots. Median coherence: {coherent}.")})
     said = [sentence for fit in flown.frequency for sentence in frequency_sentences(fit)]
     return (*bullets(said), *gallery("bode"))
 
@@ -59,22 +57,6 @@ def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None 
         apart = [fit.apart.get(name) for name in names]
         columns.append(Column(apart, f"{key}_difference", "difference\n(standard errors)", "diff.", ".1f", group=group))
     return columns
-
-
-def band_table(
-    names: Sequence[str], units: Sequence[str], time: Sequence[Estimate], fits: Sequence[FrequencyFit]
-) -> Table:
-    """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
-    heads = (fit.method.replace(" ", "\n", 1) for fit in fits)
-    return Table(
-        [
-            *parameter_columns(names, units),
-            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
-            *(c for fit, head in zip(fits, heads, strict=True) for c in frequency_columns(names, fit, head)),
-        ],
-        terminal_title=f"Frequency domain, {band_text(fits[0])}",
-        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
-    )
 
 
 def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:

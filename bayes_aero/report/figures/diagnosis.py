@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -291,12 +292,13 @@ def _found(narrow: bool, view: View) -> Figure:
     if causes:
         ranking = {r.stage: r for r in view.rankings}.get(causes[0].stage)
     rows = "ab"[: len(shown.simulated)]
-    size, options = (11.0, 1.9 * len(rows) + 1.0), {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
-    places = [[row, *([] if ranking is None else ["R"])] for row in rows]
+    options: dict[str, Any] = {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
+    size, below = (11.0, 1.9 * len(rows) + 1.0), [] if ranking is None else ["R"]
+    places: list[Any] = [[row, *below] for row in rows]
     if narrow:
-        places = [[row] for row in (*rows, *([] if ranking is None else ["R"]))]
-        heights = [3.2 if row == "R" else 1.7 for (row,) in places]
-        size, options = (style.PHONE, sum(heights) + 0.9), {"height_ratios": heights}
+        places = [[row] for row in (*rows, *below)]
+        options = {"height_ratios": [3.2 if row == "R" else 1.7 for (row,) in places]}
+        size = style.PHONE, sum(options["height_ratios"]) + 0.9
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplot_mosaic(places, **options)
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):

@@ -18,7 +18,7 @@ HIGHEST = 2 * PANEL  # whatever a channel is called
 PAPER = 580  # pixels of all panels together on paper, so that two figures share a sheet
 LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
-BORDERS = {"left": 66, "right": 8, "top": 6, "bottom": 6}  # pixels around a panel
+BORDERS: dict[str, Any] = {f"min_border_{k}": x for k, x in (("left", 66), ("right", 8), ("top", 6), ("bottom", 6))}
 INK, GRID = "#222222", "#dddddd"
 
 FIT_HEIGHT = files("bayes_aero.report").joinpath("templates/fit_height.js").read_text("utf-8")
@@ -130,7 +130,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         active_drag=box,
         background_fill_color="#ffffff",
         border_fill_color="#ffffff",
-        **{f"min_border_{side}": pixels for side, pixels in BORDERS.items()},
+        **BORDERS,
     )
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}

@@ -20,7 +20,7 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior
 from bayes_aero.inference.scores import Calibration, OneStep
 from bayes_aero.parameter import Prior
-from bayes_aero.report.frequency import band_table, frequency_columns
+from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.tables.table import (
     NONE,
@@ -86,10 +86,19 @@ def parameter_table(flown: TrajectoryFit) -> Table:
 
 
 def beside_table(flown: TrajectoryFit) -> Table:
-    """For a terminal: output error in the time domain beside the fits in a band."""
-    fit = flown.fit
+    """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
+    fit, bands = flown.fit, flown.frequency
     time = [Estimate.normal(x, sd) for x, sd in zip(fit.estimate, fit.sd_corrected, strict=True)]
-    return band_table(fit.names, [p.unit for p in fit.parameters], time, flown.frequency)
+    in_bands = [frequency_columns(fit.names, band, band.method.replace(" ", "\n", 1)) for band in bands]
+    return Table(
+        [
+            *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
+            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
+            *(column for columns in in_bands for column in columns),
+        ],
+        terminal_title=f"Frequency domain, {band_text(bands[0])}",
+        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
+    )
 
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
