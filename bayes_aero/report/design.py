@@ -10,7 +10,7 @@ import numpy as np
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
 from bayes_aero.report.html.page import Block, bullets, page_table
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
 
 DEG = 180.0 / np.pi
@@ -55,11 +55,7 @@ def points_table(told: Mapping[str, Any]) -> Table:
         values = [p["standard_errors"][k] for p in points]
         columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
     enough = max(q["enough"] for q in told["questions"])
-    note = (
-        "Amplitude: factor on the standard input. The last columns: by how many standard errors the rivals are "
-        "expected to differ with the records, this point and those before it, under the records' coloured noise; "
-        f"{enough:.0f} decide."
-    )
+    note = f"{WORDS['notes']['test_points']} {enough:.0f} decide."
     return Table(columns, "Test points that would decide what is open, in the order of flying", note)
 
 

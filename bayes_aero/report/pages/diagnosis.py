@@ -157,13 +157,8 @@ def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest:
 def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tuple[Block, ...]:
     blocks: list[Block] = [Text("No cause is named.")]
     if d.causes:
-        shared = any(c.ambiguous_with for c in d.causes)
-        text = (
-            "Each cause is one effect of the catalogue that the card's model lacks. Sizes are estimates with one "
-            "standard error. The probability is that of the effect being present"
-            + ("; rivals (last column) share it." if shared else ".")
-        )
-        blocks = [Text(text), page_table(diagnosis_tables.causes_table(d))]
+        shared = "; rivals (last column) share it" if any(c.ambiguous_with for c in d.causes) else ""
+        blocks = [Text(f"{WORDS['paragraphs']['causes']}{shared}."), page_table(diagnosis_tables.causes_table(d))]
     if d.minor:
         verb = "were" if len(d.minor) > 1 else "was"
         blocks.append(Text(f"Too small to be named: {several(d.minor)} {verb} in the model during the selection."))

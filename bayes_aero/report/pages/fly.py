@@ -233,14 +233,10 @@ class Curve(NamedTuple):
 
 def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
     """Tables, then the hold-out flights, then the fitted ones, folded."""
-    text = (
-        "Both models simulated with the recorded inputs, without correction by measurements. “Hold-out” flights were "
-        "not used in the fit. The grey band is the tolerance about the measurement. "
-        + tolerance_origin({name: t.value for name, t in card.tolerances.items()})
-    )
+    origin = tolerance_origin({name: t.value for name, t in card.tolerances.items()})
     unseen, fitted = (_flight_plots(flown, split) for split in ("hold_out", "fitted"))
     return (
-        Text(text),
+        Text(f"{WORDS['paragraphs']['trajectories']} {origin}"),
         page_table(fly.hold_out_error_table(flown)),
         page_table(fly.hold_out_tolerance_table(flown)),
         *unseen,

@@ -48,6 +48,7 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     in_bands = [column for band in flown.frequency for column in frequency_columns(fit.names, band)]
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
+    said = WORDS["notes"]["trajectory_priors"] if flown.setting.priors else "There are no priors."
     marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
     remarks = [", ".join(MARKS[mark] for mark, some in marked.items() if name in some) for name in fit.names]
     return Table(
@@ -71,17 +72,9 @@ def parameter_table(flown: TrajectoryFit) -> Table:
             Column(remarks, page="remark", terminal="", form=or_dash, terminal_form=str, words=True),
         ],
         "Parameters fitted to the trajectories",
-        "SI units and radians. Cramér–Rao: the data alone, for white residuals; a dash where they do not "
-        "determine the parameter. Corrected: with the autocorrelation of the residuals and the prior. Prior: mean ± "
-        "standard deviation, the program's default or the card's.",
+        WORDS["notes"]["trajectory_parameters"],
         "Parameters fitted to trajectories: " + unparted(fit.status.name.lower().replace("_", " "), flown.following),
-        "SI and radians. CRB: Cramér-Rao bound of the data alone, for white residuals. sd corr.: with their "
-        "autocorrelation and the priors; in brackets after the estimate in units of its last digit. "
-        + (
-            "Priors are mean ± standard deviation, weighted with the variance inflation of the residuals."
-            if flown.setting.priors
-            else "There are no priors."
-        ),
+        f"{WORDS['notes']['trajectory_parameters_terminal']} {said}",
     )
 
 
@@ -343,10 +336,8 @@ def process_noise_table(
             ),
         ],
         "Parameters with and without process noise",
-        "In brackets: the standard error in units of the last digit; for output error with autocorrelated "
-        "residuals, with process noise for white innovations.",
-        terminal_note="SI and radians; standard errors in brackets in units of the last digit, with process noise for "
-        "white innovations.",
+        WORDS["notes"]["process_noise"],
+        terminal_note=WORDS["notes"]["process_noise_terminal"],
     )
 
 
@@ -384,13 +375,7 @@ def hold_out_error_table(flown: Trajectories) -> Table:
         columns,
         "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
         terminal_title="Error of the simulated trajectory (RMS), card's model → extended model",
-        terminal_note=" ".join(
-            [
-                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this flight, "
-                "simulated from its measured initial state.",
-                *status_sentences(flown),
-            ]
-        ),
+        terminal_note=" ".join([WORDS["notes"]["hold_out_errors"], *status_sentences(flown)]),
     )
 
 

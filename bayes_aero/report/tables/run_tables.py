@@ -52,9 +52,7 @@ def parameter_table(run: Identification) -> Table:
     return Table(
         columns,
         "Parameters by every method",
-        "SI units and radians. “Corrected” is the Cramér–Rao bound with the autocorrelation of the residuals. "
-        "“Largest difference” compares manoeuvres, in Cramér–Rao "
-        "standard errors of the difference; above 3 the bound does not explain it."
+        WORDS["notes"]["parameters"]
         + (" “True” are the values with which the records were simulated." if truth else ""),
         f"{run.card.title}; maximum likelihood "
         + unparted(mle.status.name.lower().replace("_", " "), only_following(run.health)),
