@@ -48,6 +48,11 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
     said = WORDS["qualification"]
     origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
     tolerances = tuple((name, source) for name, (_, source) in found.tolerances.items())
+    draws = f"{found.draws} flights are drawn for every test."
+    counted = Text(said["definition"]), html.Facts(origins), html.Points((draws, *said["counting"]))
+    read, unread = html.Points(tuple(said["read"])), html.Points(tuple(said["unread"]))
+    sources = Fold("Origin of the tolerances", (html.Facts(tolerances),))
+    rule = (Text("Read:"), read, Text("Not read, or not of the rule:"), unread, sources)
     return html.Report(
         title=f"Qualification: {card.title}",
         subtitle="Probability that the simulation stays inside its tolerances",
@@ -67,27 +72,8 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
                 "Extrapolation",
                 lambda: (page_table(outside_table(found)),) if found.outside else bullets(region_sentences(found)),
             ),
-            section(
-                "counted",
-                "What is counted",
-                lambda: (
-                    Text(said["definition"]),
-                    html.Facts(origins),
-                    html.Points((f"{found.draws} flights are drawn for every test.", *said["counting"])),
-                    *bullets(found.notes),
-                ),
-            ),
-            section(
-                "rule",
-                "The rule, and what of it was read",
-                lambda: (
-                    Text("Read:"),
-                    html.Points(said["read"]),
-                    Text("Not read, or not of the rule:"),
-                    html.Points(said["unread"]),
-                    Fold("Origin of the tolerances", (html.Facts(tolerances),)),
-                ),
-            ),
+            section("counted", "What is counted", lambda: (*counted, *bullets(found.notes))),
+            section("rule", "The rule, and what of it was read", lambda: rule),
             html.provenance_section(source),
         ),
     )

@@ -285,8 +285,7 @@ class Telling:
 
 
 def _found(narrow: bool, view: View) -> Figure:
-    """The quantity with the largest gain, by each model with its error shaded, and the deciding screening beside it; on
-    a phone below it."""
+    """The quantity with the largest gain, its error by each model shaded, and the deciding screening."""
     shown, causes = telling(view), view.diagnosis.causes
     ranking = view.rankings[-1] if view.rankings else None  # the last stage's, or of that which named the first cause
     if causes:
@@ -315,8 +314,7 @@ def _found(narrow: bool, view: View) -> Figure:
 
 
 def telling(view: View) -> Telling:
-    """The coefficient whose share of explained variance the extension raises most; where the first cause is an error of
-    a sensor, which coefficients may not show, the simulated output whose error falls most."""
+    """The coefficient (the output, for an error of a sensor, which coefficients may not show) that gains the most."""
     causes = view.diagnosis.causes
     if causes and causes[0].stage == FLIGHT_PATH and view.trajectories is not None:
         output = _output(view.trajectories)

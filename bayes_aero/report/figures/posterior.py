@@ -62,8 +62,7 @@ def _title(identification: Identification, engine: str, what: str) -> str:
 
 
 def _chains(kind: str, engine: str) -> style.Drawing:
-    """The figure of `arviz_plots` of every parameter's chains (ensembles) by an engine: their traces, or the difference
-    of the ECDF of their ranks from uniform."""
+    """The plot of `arviz_plots` of every parameter's chains by an engine: traces, or ranks (ECDF less uniform)."""
 
     def drawn(identification: Identification) -> Figure:
         if engine not in identification.posteriors:

@@ -438,12 +438,9 @@ def open_list(found: Consistency) -> tuple[Fold, ...]:
     if not alike:
         return ()
     rows = tuple((e.name, several(e.imitators), f"± {among_text(e)}") for e in alike)
-    table = HtmlTable(
-        "Errors of sensors and winds that others imitate along this flight path",
-        ("error", "not distinguishable from", "standard error\nif those are possible"),
-        rows,
-        words=(1,),
-    )
+    title = "Errors of sensors and winds that others imitate along this flight path"
+    head = ("error", "not distinguishable from", "standard error\nif those are possible")
+    table = HtmlTable(title, head, rows, words=(1,))
     return (Fold(f"The {len(alike)} errors that are not testable along this flight path", (table,)),)
 
 

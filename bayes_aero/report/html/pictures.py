@@ -46,8 +46,7 @@ def narrow(stem: str) -> str:
 
 
 def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:
-    """A PNG as a data URI with a palette of its own, at most `widest` pixels wide; its size, and its width on a
-    screen."""
+    """A PNG as a data URI with a palette of its own, its size (at most `widest` pixels), and its width on a screen."""
     with Image.open(path) as opened:
         image = opened.convert("RGB")
     natural = round(CSS_INCH * image.width / DPI)

@@ -62,8 +62,7 @@ class Panel:
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
-    """Indices that keep every column's shape at some `most` points each: least and largest of equal stretches, and the
-    first and the last sample; a shorter record is kept whole."""
+    """Indices that keep each column's shape at some `most` points: extremes of equal stretches, and the ends."""
     n = len(columns[0])
     if n <= most:
         return np.arange(n)

@@ -53,10 +53,7 @@ def identification_page(
     figures: Mapping[str, Path],
     flown: Sequence[SimulatedManoeuvre] = (),
 ) -> html.Report:
-    """The page; `figures` are the drawn ones by stem, none where they were not asked for.
-
-    `flown` are the simulated manoeuvres, none where the model could not be flown.
-    """
+    """The page, with the drawn `figures` by stem and the simulated manoeuvres, where there are any."""
     gallery = Gallery(figures, identification_alternatives(run))
     sentences = verdict(run)
     doubtful = [p for p in run.posteriors.values() if p.status is not PosteriorStatus.CONVERGED]

@@ -53,8 +53,7 @@ def study_page(context: StudyContext) -> Report:
 
 
 def study_headline(context: StudyContext) -> str:
-    """State of the study, then verdicts, the cause that most units name, and the parameter that scatters farthest
-    beyond its intervals, in one sentence."""
+    """State, verdicts, the commonest cause, and the parameter that scatters farthest beyond its intervals."""
     states = Counter(context.units["state"])
     total, ended = len(context.units), states.pop("done", 0)
     sentences = [f"All {total} units are done" if total > 1 else "The unit is done"]

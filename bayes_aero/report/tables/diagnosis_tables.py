@@ -186,11 +186,7 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
 
 
 def scores_frame(found: HoldoutScores) -> pd.DataFrame:
-    """A row for each model, fit, manoeuvre and coefficient: r, R2, RMSE [-] and Theil's coefficient of 5 Hz means.
-
-    Rows of the extended model on hold-out data have its gain over the card's: log density `elpd_gain` [nats] and
-    `r2_gain`, each with its standard error (see `Compared`).
-    """
+    """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
     for model in ("card", "extended"):
         for data in ("fitted", "hold_out"):

@@ -274,8 +274,7 @@ def interval_of(m: Marginal) -> str:
 
 
 def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
-    """A row an output, and one for all together: error, innovations over their predicted standard deviations, and the
-    share of innovations inside central intervals, in per cent; `units` are SI units by output."""
+    """A row an output, and one for all: error, innovations over their predicted deviations, shares inside intervals."""
     rows = [
         (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
         for name, one in found.outputs.items()

@@ -125,8 +125,7 @@ class PooledScores:
 
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
-    """Scores of GPR and of maximum likelihood on the same test points, a row for each split, fold and coefficient; a
-    split of several folds has a row for each (not without `each_fold`) and one over all their test points."""
+    """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
     rows: list[tuple[str, str, str, PooledScores]] = []
     for split, folds in (run.gp.splits if run.gp else {}).items():
         for name in run.observations.coefficients:

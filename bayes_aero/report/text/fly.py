@@ -140,8 +140,7 @@ STOPPED = "stopped before the optimum, so its errors may be too large"
 
 
 def simulation_gain(flown: Trajectories) -> str:
-    """The RMS errors of both models over all hold-out flights, and fits that did not converge; empty if the errors are
-    equal or a model leaves the envelope."""
+    """RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope."""
     if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
     listed = []
@@ -289,10 +288,7 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
 def settled_sentences(
     found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
 ) -> list[str]:
-    """Which estimates to prefer where output error and the coefficients disagree.
-
-    `apart`: where process noise disagrees with the coefficients, too. `asked`: it was fitted for the disagreement.
-    """
+    """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
     if not found or fit is None:
         return []
     names = several(d.name for d in found)

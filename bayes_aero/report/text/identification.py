@@ -100,8 +100,7 @@ def _white(identification: Identification) -> list[str]:
 
 
 def disputed(identification: Identification) -> dict[str, float]:
-    """Parameters whose posterior and maximum likelihood differ by more than `LIMIT` combined standard errors, and the
-    difference in these: neither interval is reliable."""
+    """Parameters whose posterior and maximum likelihood differ by more than `LIMIT` combined errors, and how far."""
     engines = comparison.chosen_posteriors(identification)
     if not engines or comparison.white_posterior(identification) in engines.values():
         return {}

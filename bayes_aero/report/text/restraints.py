@@ -83,8 +83,7 @@ def _unit(unit: str) -> str:
 def sign_sentences(
     estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter], following: Sequence[str] = ()
 ) -> list[str]:
-    """A sentence for every estimate (value and standard error, SI) that is impossible for an aircraft by the signs and
-    limits of its parameter; surfaces that only follow the outputs say nothing of signs in the file."""
+    """A sentence for every estimate (value and standard error, SI) that is impossible for an aircraft."""
     asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
         f"{p.name} = {value:+.4g} has the wrong sign: {p.sign.otherwise}. If the sign of {p.sign.channel} is reversed "
