@@ -15,7 +15,7 @@ from bayes_aero.jobs.io.output_folder import writable
 from bayes_aero.jobs.provenance import provenance, write_json
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.figures.prior import channels_needed
-from bayes_aero.report.html.page import Page, Picture, put_page
+from bayes_aero.report.html.page import Picture, Report, put_page
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.pages.effects import effects_page, picture_words
 from bayes_aero.report.style import save
@@ -31,7 +31,7 @@ def write_effects_page(
     write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
     title = None if card is None else card.title
 
-    def page() -> Page:
+    def page() -> Report:
         return effects_page(found, provenance(card, [], None, {}), title, _picture(found, out))
 
     return put_page(page, out)

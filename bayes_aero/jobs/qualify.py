@@ -62,7 +62,7 @@ from bayes_aero.qualification.result import (
     Test,
 )
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.qualification import QualificationContext, qualification_page, test_table
+from bayes_aero.report.qualification import qualification_page, test_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.phrases import several
 
@@ -294,8 +294,7 @@ def _put(
     """Numbers first, then the page; what could not be made."""
     write_csv(test_table(found), out / "qualification.csv")
     write_json(qualification_results(found, card, source, failures), out / RESULTS)
-    context = QualificationContext(card, source)
-    unmade = put_page(lambda: qualification_page(found, context), out, "qualification.html")
+    unmade = put_page(lambda: qualification_page(found, card, source), out, "qualification.html")
     if unmade:
         write_json(qualification_results(found, card, source, (*failures, *unmade)), out / RESULTS)
     return (*failures, *unmade)

@@ -8,33 +8,41 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
-from bayes_aero.report.html.page import Block, bullets
-from bayes_aero.report.html.parts import page_table
-from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.html.page import Block, bullets, page_table
+from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
 
-UNITS = {"alpha": "deg", "beta": "deg", "phi": "deg", "airspeed": "m/s", "load_factor": "g", "altitude_loss": "m"}
-HEADS = {"alpha": "alpha", "airspeed": "airspeed", "load_factor": "load factor", "altitude_loss": "altitude loss"}
+DEG = 180.0 / np.pi
+RANGES = {
+    "alpha": ("deg", DEG, "{:.0f}"),
+    "airspeed": ("m/s", 1.0, "{:.0f}"),
+    "load_factor": ("g", 1.0, "{:.2f}"),
+    "altitude_loss": ("m", 1.0, "{:.0f}"),  # of which people read the greatest alone
+}
+"""Unit, factor to it and digits of the ranges that a test point needs."""
 
 
 def point_columns(points: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Test points in the order of flying: what is flown, and the ranges that it needs."""
+    column = columns_of(points)
     columns = [
         Column(list(range(1, len(points) + 1)), "point", "point", "", form="d"),
-        Column([str(p["manoeuvre"]).replace("_", " ") for p in points], "manoeuvre", "manoeuvre", "manoeuvre"),
-        Column(
-            [p["amplitude"] for p in points], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"
-        ),
-        Column([p["airspeed"] for p in points], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
-        Column([p["altitude"] for p in points], "altitude", "from altitude\n[m]", form=".0f"),
-        Column([p["seconds"] for p in points], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
+        column(lambda p: str(p["manoeuvre"]).replace("_", " "), "manoeuvre", "manoeuvre", "manoeuvre"),
+        column(lambda p: p["amplitude"], "amplitude", "amplitude\n[standard inputs]", "size\n[inputs]", form=".1f"),
+        column(lambda p: p["airspeed"], "airspeed", "from airspeed\n[m/s]", "from\n[m/s]", form=".0f"),
+        column(lambda p: p["altitude"], "altitude", "from altitude\n[m]", form=".0f"),
+        column(lambda p: p["seconds"], "seconds", "time\n[s]", "time\n[s]", form=".0f"),
     ]
-    for name, head in HEADS.items():
-        found = [p["excursion"].get(name) for p in points]
-        columns.append(Column([_of_people(name, x) for x in found], "", f"{head}\n[{UNITS[name]}]", form=str))
-        columns.append(Column([None if x is None else x[0] for x in found], f"{name}_least"))
-        columns.append(Column([None if x is None else x[1] for x in found], f"{name}_greatest"))
+    for name, (unit, factor, form) in RANGES.items():
+        found, shown = [p["excursion"].get(name) for p in points], []
+        for pair in found:
+            low, high = ("", "") if pair is None else (form.format(factor * x) for x in pair)
+            greatest = "" if pair is None else form.format(max(factor * pair[1], 0.0))
+            shown.append(greatest if name == "altitude_loss" or pair is None else f"{low} to {high}")
+        columns.append(Column(shown, "", f"{name.replace('_', ' ')}\n[{unit}]", form=str))
+        for k, end in enumerate(("least", "greatest")):
+            columns.append(Column([None if x is None else x[k] for x in found], f"{name}_{end}"))
     return columns
 
 
@@ -43,32 +51,12 @@ def points_table(told: Mapping[str, Any]) -> Table:
     points = told["points"]
     columns = point_columns(points)
     for k, question in enumerate(told["questions"]):
-        label = " or ".join(question["effects"])
+        label, key = (between.join(question["effects"]) for between in (" or ", "_or_"))
         values = [p["standard_errors"][k] for p in points]
-        columns.append(
-            Column(
-                values, f"standard_errors_{'_or_'.join(question['effects'])}", label, label, ".1f", group="then apart"
-            )
-        )
+        columns.append(Column(values, f"standard_errors_{key}", label, label, ".1f", group="then apart"))
     enough = max(q["enough"] for q in told["questions"])
-    note = (
-        "Amplitude: factor on the standard input. The last columns: by how many standard errors the rivals are "
-        "expected to differ with the records, this point and those before it, under the records' coloured noise; "
-        f"{enough:.0f} decide."
-    )
+    note = f"{WORDS['notes']['test_points']} {enough:.0f} decide."
     return Table(columns, "Test points that would decide what is open, in the order of flying", note)
-
-
-def _of_people(name: str, pair: Sequence[float] | None) -> str:
-    """A range as people read it; of the altitude loss the greatest alone."""
-    if pair is None:
-        return ""
-    factor = 180.0 / np.pi if UNITS[name] == "deg" else 1.0
-    low, high = (factor * x for x in pair)
-    if name == "altitude_loss":
-        return f"{max(high, 0.0):.0f}"
-    digits = 2 if name == "load_factor" else 0
-    return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
 def order_sentence(points: Sequence[Mapping[str, Any]]) -> str:
@@ -86,19 +74,10 @@ def points_sentences(told: Mapping[str, Any]) -> tuple[str, ...]:
     if not told:
         return ()
     points = told["points"]
-    questions = [
-        (
-            " or ".join(q["effects"]),
-            q["present"],
-            points[-1]["standard_errors"][k] if points else q["present"],
-            q["enough"],
-        )
-        for k, q in enumerate(told["questions"])
-    ]
-    sentences = []
-    if points:
-        sentences.append(order_sentence(points))
-    for label, before, after, enough in questions:
+    sentences = [order_sentence(points)] if points else []
+    for k, question in enumerate(told["questions"]):
+        label, before, enough = " or ".join(question["effects"]), question["present"], question["enough"]
+        after = points[-1]["standard_errors"][k] if points else before
         apart = f"{after:.1f} standard errors apart"
         if after >= enough:
             sentences.append(f"{label}: expected to be decided, {apart} with these points ({before:.1f} now).")
@@ -124,8 +103,8 @@ def test_point_blocks(told: Mapping[str, Any]) -> Iterator[Block]:
 
 def in_band_blocks(found: CausesInBand | None) -> tuple[Block, ...]:
     """The third witness: sizes in a band of frequencies."""
-    table = (page_table(in_band_table(found)),) if found is not None and found.sizes else ()
-    return (*bullets(in_band_sentences(found)), *table)
+    tables = [in_band_table(found)] if found is not None and found.sizes else []
+    return (*bullets(in_band_sentences(found)), *map(page_table, tables))
 
 
 # --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
@@ -171,8 +150,7 @@ def in_band_sentences(found: CausesInBand | None) -> tuple[str, ...]:
 
 
 def _band(found: CausesInBand) -> str:
-    low, high = found.band
-    return f"{number(low, 2)} to {number(high, 2)} Hz"
+    return " to ".join(number(x, 2) for x in found.band) + " Hz"
 
 
 def _size(value: tuple[float, float], one: SizeInBand) -> str:

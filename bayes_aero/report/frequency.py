@@ -15,15 +15,9 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, bullets
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.style import NotDrawn, housed
-from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import several
+from bayes_aero.report.tables.table import Column, Estimate, in_brackets
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
-
-BODE = (
-    "Responses of the outputs to the inputs: measured by cross spectra, with 95 % bars, where the standard error is "
-    "below 30 %; modelled, with the 95 % band of the estimates. Coherence: the share of an output that all inputs "
-    "explain. Inputs that respond to others, as sideslip to the rudder, bias measured responses, not the fits."
-)
 
 
 def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple[Block, ...]:
@@ -31,7 +25,7 @@ def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple
     if not flown.frequency:
         return ()
     coherent = several(f"{r.output} over {r.input} {np.median(r.coherence):.2f}" for r in flown.frequency_responses)
-    gallery = Gallery(figures, {"bode": (BODE, f"Bode plots. Median coherence: {coherent}.")})
+    gallery = Gallery(figures, {"bode": (WORDS["captions"]["bode"], f"Bode plots. Median coherence: {coherent}.")})
     said = [sentence for fit in flown.frequency for sentence in frequency_sentences(fit)]
     return (*bullets(said), *gallery("bode"))
 
@@ -47,10 +41,7 @@ def band_text(fit: FrequencyFit) -> str:
 
 
 def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None = None) -> list[Column]:
-    """Estimates, both standard errors, and differences from the time domain where they are known.
-
-    `head`: heading on a terminal; None leaves the estimates out there.
-    """
+    """Estimates, both standard errors, and differences from the time domain; without `head` not on a terminal."""
     key = f"frequency_{fit.method.replace(' ', '_')}"
     group = f"{fit.method}, {band_text(fit)}"
 
@@ -66,22 +57,6 @@ def frequency_columns(names: Sequence[str], fit: FrequencyFit, head: str | None 
         apart = [fit.apart.get(name) for name in names]
         columns.append(Column(apart, f"{key}_difference", "difference\n(standard errors)", "diff.", ".1f", group=group))
     return columns
-
-
-def band_table(
-    names: Sequence[str], units: Sequence[str], time: Sequence[Estimate], fits: Sequence[FrequencyFit]
-) -> Table:
-    """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
-    heads = (fit.method.replace(" ", "\n", 1) for fit in fits)
-    return Table(
-        [
-            *parameter_columns(names, units),
-            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
-            *(c for fit, head in zip(fits, heads, strict=True) for c in frequency_columns(names, fit, head)),
-        ],
-        terminal_title=f"Frequency domain, {band_text(fits[0])}",
-        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
-    )
 
 
 def frequency_sentences(fit: FrequencyFit) -> tuple[str, ...]:
@@ -112,11 +87,7 @@ MOST_RESPONSES = 8
 
 @housed
 def bode(found: TrajectoryFit) -> Figure:
-    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output.
-
-    Raises:
-        NotDrawn: no band was asked for, or too many responses for one figure.
-    """
+    """Measured and modelled frequency responses: magnitude, phase, coherence; a column for each input and output."""
     if not found.frequency_responses:
         raise NotDrawn("no band was asked for")
     if len(found.frequency_responses) > MOST_RESPONSES:

@@ -34,8 +34,14 @@ def mode_table(found: Motion) -> Table:
     rows = mode_rows(found.modes)
     column = columns_of(rows)
     estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
+    equations = (
+        "the equations of motion with fixed controls, linearised about straight level flight at "
+        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+    )
+    if math.isnan(found.airspeed):
+        equations = "the card's linear equations"
     note = (
-        f"Eigenvalues of {_equations(found)}, for the estimates {estimates}. In brackets: the standard error in units "
+        f"Eigenvalues of {equations}, for the estimates {estimates}. In brackets: the standard error in units "
         "of the last digit, of first order in the parameters."
     )
     return Table(
@@ -47,15 +53,6 @@ def mode_table(found: Motion) -> Table:
         "Modes of motion",
         note,
         terminal_note=note,
-    )
-
-
-def _equations(found: Motion) -> str:
-    if math.isnan(found.airspeed):
-        return "the card's linear equations"
-    return (
-        "the equations of motion with fixed controls, linearised about straight level flight at "
-        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.flight.card.card import Card
@@ -21,86 +21,71 @@ from bayes_aero.qualification.result import (
 )
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.design import order_sentence, point_columns
-from bayes_aero.report.html.page import (
-    MOST_SHOWN,
-    Block,
-    Facts,
-    Fold,
-    HtmlTable,
-    Page,
-    Plot,
-    Points,
-    Text,
-    bullets,
-    doubts,
-    filled,
-    histories,
-    provenance_blocks,
-    section,
-)
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html import page as html
+from bayes_aero.report.html.page import Block, Fold, HtmlTable, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.tables.table import Column, Table, columns_of
-from bayes_aero.report.text.phrases import GREEK, axis_label, for_people, several, short
+from bayes_aero.report.text.phrases import WORDS, amounts, axis_label, for_people, several, symbol
 from bayes_aero.units import number
 
 BLANK = "\u00a0" * 30
 FLIGHTS = "#56B4E9"
 
 
-@dataclass(frozen=True)
-class QualificationContext:
-    """What the page needs beside the qualification."""
-
-    card: Card
-    source: Mapping[str, Any]
-
-
-def qualification_page(found: Qualification, context: QualificationContext) -> Page:
-    """The page; its first screen is what is signed."""
-    return Page(
-        title=f"Qualification: {context.card.title}",
-        subtitle="Probability that the simulation stays inside its tolerances",
-        verdict=verdict_sentence(found),
-        lead=(
-            *doubts(found.health, found.consistency, corrects=False),
-            page_table(verdict_table(found)),
-            *bullets(sentences(found)),
-            _signature(),
-        ),
-        sections=filled(
-            section("further", "What would decide the rest", lambda: _further(found)),
-            section("strips", "Strips", lambda: _strips(found)),
-            section("tests", "Every test", lambda: (page_table(test_table(found)),)),
-            section("region", "Extrapolation", lambda: _region(found)),
-            section("counted", "What is counted", lambda: _counted(found)),
-            section("rule", "The rule, and what of it was read", lambda: _rule(found)),
-            section("provenance", "Provenance", lambda: _provenance(context.source)),
-        ),
-    )
-
-
-def _signature() -> HtmlTable:
-    """Lines for the evaluator."""
-    return HtmlTable(
+def qualification_page(found: Qualification, card: Card, source: Mapping[str, Any]) -> html.Report:
+    """The page; its first screen is what is signed. `source` is its provenance."""
+    signature = HtmlTable(
         "Decision of the evaluator",
         ("", "name", "signature", "date"),
         (("☐ accepted", BLANK, BLANK, BLANK), ("☐ refused, because", BLANK, BLANK, BLANK)),
         words=(1, 2, 3),
     )
 
+    def further() -> tuple[Block, ...]:
+        tables = [further_table(found.further)] if found.further is not None and found.further.points else []
+        return (*bullets(further_sentences(found.further)), *map(page_table, tables))
+
+    said = WORDS["qualification"]
+    origins = tuple((name.capitalize(), text) for name, text in found.origins.items())
+    tolerances = tuple((name, source) for name, (_, source) in found.tolerances.items())
+    draws = f"{found.draws} flights are drawn for every test."
+    counted = Text(said["definition"]), html.Facts(origins), html.Points((draws, *said["counting"]))
+    read, unread = html.Points(tuple(said["read"])), html.Points(tuple(said["unread"]))
+    sources = Fold("Origin of the tolerances", (html.Facts(tolerances),))
+    rule = (Text("Read:"), read, Text("Not read, or not of the rule:"), unread, sources)
+    return html.Report(
+        title=f"Qualification: {card.title}",
+        subtitle="Probability that the simulation stays inside its tolerances",
+        verdict=verdict_sentence(found),
+        lead=(
+            *html.doubts(found.health, found.consistency, corrects=False),
+            page_table(verdict_table(found)),
+            *bullets(sentences(found)),
+            signature,
+        ),
+        sections=html.filled(
+            section("further", "What would decide the rest", further),
+            section("strips", "Strips", lambda: _strips(found)),
+            section("tests", "Every test", lambda: (page_table(test_table(found)),)),
+            section(
+                "region",
+                "Extrapolation",
+                lambda: (page_table(outside_table(found)),) if found.outside else bullets(region_sentences(found)),
+            ),
+            section("counted", "What is counted", lambda: (*counted, *bullets(found.notes))),
+            section("rule", "The rule, and what of it was read", lambda: rule),
+            html.provenance_section(source),
+        ),
+    )
+
 
 def _strips(found: Qualification) -> tuple[Block, ...]:
     flown = [s for s in found.strips if s.kind is not FlightKind.NEXT]
     following = [s for s in found.strips if s.kind is FlightKind.NEXT]
-    shown = flown[:MOST_SHOWN]
+    shown = flown[: html.MOST_SHOWN]
     more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
-    text = (
-        "Grey: the tolerance about the simulation with the estimates. Blue: the central 95 % of flights at each "
-        "instant, with all that is counted. A test is passed where the flight stays in the grey band throughout; the "
-        "record is black."
-    )
-    hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[:MOST_SHOWN]))
+    text = WORDS["paragraphs"]["strips"]
+    hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[: html.MOST_SHOWN]))
     return (
         Text(text),
         *more,
@@ -109,77 +94,30 @@ def _strips(found: Qualification) -> tuple[Block, ...]:
     )
 
 
-def _strip(strip: Strip, found: Qualification, key: str) -> Plot:
+def _strip(strip: Strip, found: Qualification, key: str) -> html.Plot:
     """A panel for each output with a tolerance."""
-    panels = []
+    panels, record, colour = [], "record", COLOURS["measured"]
+    if strip.kind is FlightKind.NEXT:
+        record, colour = "record of the manoeuvre", COLOURS["prior"]
     for output, (tolerance, _) in found.tolerances.items():
         unit = STANDARD_CHANNELS[output].unit
         factor = for_people(unit)[1]
-        simulated, measured, low, high = (
-            factor * x[output] for x in (strip.simulated, strip.measured, strip.low, strip.high)
+        lines = (
+            Line("simulation", COLOURS["after"], factor * strip.simulated[output]),
+            Line(record, colour, factor * strip.measured[output], width=1.0),
+            Line("flights, 2.5 %", FLIGHTS, factor * strip.low[output], width=0.6),
+            Line("flights, 97.5 %", FLIGHTS, factor * strip.high[output], width=0.6),
         )
-        lines = [
-            Line("simulation", COLOURS["after"], simulated),
-            Line("record", COLOURS["measured"], measured, width=1.0),
-        ]
-        lines += [Line(f"flights, {end}", FLIGHTS, x, width=0.6) for end, x in (("2.5 %", low), ("97.5 %", high))]
-        if strip.kind is FlightKind.NEXT:
-            lines[1] = Line("record of the manoeuvre", COLOURS["prior"], measured, width=1.0)
-        panels.append(
-            Panel(axis_label(output, unit), tuple(lines), shade=((2, 3),), band=factor * tolerance, height=LOW)
-        )
+        panels.append(Panel(axis_label(output, unit), lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
     legend = (
         ("simulation", COLOURS["after"], "solid"),
-        (lines[1].label, lines[1].colour, "solid"),
+        (record, colour, "solid"),
         ("95 % of flights", FLIGHTS, "area"),
         ("tolerance", "#999999", "area"),
     )
     what = "Simulation with its tolerance, record and central 95 % of flights"
     name = f"{strip.manoeuvre}, {SHOWN[strip.kind]}"
-    return histories(name, f"time-{key}", strip.time, panels, legend, what)
-
-
-def _further(found: Qualification) -> tuple[Block, ...]:
-    table = (page_table(further_table(found.further)),) if found.further is not None and found.further.points else ()
-    return (*bullets(further_sentences(found.further)), *table)
-
-
-def _region(found: Qualification) -> tuple[Block, ...]:
-    if not found.outside:
-        return bullets([s for s in sentences(found) if "flown region" in s])
-    return (page_table(outside_table(found)),)
-
-
-def _counted(found: Qualification) -> tuple[Block, ...]:
-    return (
-        Text(DEFINITION),
-        Facts(tuple((name.capitalize(), text) for name, text in found.origins.items())),
-        Points(
-            (
-                f"{found.draws} flights are drawn for every test.",
-                "Gusts and parameters, if the errors of the records hold them, are taken out of the errors of the "
-                "structure by their mean squares.",
-                "The errors of different outputs are drawn independently: a test of one output is a probability, all "
-                "outputs together are not.",
-            )
-        ),
-        *bullets(found.notes),
-    )
-
-
-def _rule(found: Qualification) -> tuple[Block, ...]:
-    sources = tuple((name, source) for name, (_, source) in found.tolerances.items())
-    return (
-        Text("Read:"),
-        Points(READ),
-        Text("Not read, or not of the rule:"),
-        Points(UNREAD),
-        Fold("Origin of the tolerances", (Facts(sources),)),
-    )
-
-
-def _provenance(source: Mapping[str, Any]) -> tuple[Block, ...]:
-    return (Fold("Inputs, versions and the command that repeat the run", provenance_blocks(source)),)
+    return html.histories(name, f"time-{key}", strip.time, panels, legend, what)
 
 
 # --- Flights that would decide undecided tolerances: a table, and what it says.
@@ -197,8 +135,7 @@ def further_table(found: Further) -> Table:
     return Table(
         columns,
         "Test points that would decide tolerances, in the order of flying",
-        "Amplitude: factor on the standard input. The last columns: probability to pass, expected with the records, "
-        "this point and those before it, if the estimates do not move.",
+        WORDS["notes"]["further"],
     )
 
 
@@ -232,7 +169,7 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
 def _label(test: OpenTolerance) -> str:
     """Output, manoeuvre, and whether it is flown on the next flight."""
     ahead = " on the next flight" if test.kind is FlightKind.NEXT else ""
-    return f"{GREEK.get(test.output, test.output)} of {test.manoeuvre}{ahead}"
+    return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
 
 
 # --- Tables of a qualification: a verdict for each tolerance, every test, and where the flown region is left.
@@ -245,7 +182,7 @@ COUNTED = ("parameters", "structure", "gusts")
 def band(output: str, tolerance: float) -> str:
     """An output with its band in the units of people."""
     unit, factor = for_people(STANDARD_CHANNELS[output].unit)
-    return f"{GREEK.get(output, output)} ± {number(factor * tolerance)} {unit}"
+    return f"{symbol(output)} ± {number(factor * tolerance)} {unit}"
 
 
 def chance_text(chance: Chance | None) -> str:
@@ -283,18 +220,15 @@ def verdict_table(found: Qualification) -> Table:
         *([column(least(FlightKind.TEST), "", "not fitted", "not fitted")] if new else []),
         column(least(FlightKind.NEXT), "", "next flight", "next flight"),
     ]
-    note = (
-        "Probability that a flight stays inside the tolerance about the simulation from start to end, of the weakest "
-        "manoeuvre, ± Monte Carlo standard error. Records inside: of the simulation with the estimates, as recorded."
-    )
-    return Table(columns, "Verdict for each tolerance", note, terminal_note=note)
+    note = WORDS["notes"]["qualification_verdict"]
+    return Table(columns, "ToleranceVerdict for each tolerance", note, terminal_note=note)
 
 
 def test_table(found: Qualification) -> Table:
     """A row for each manoeuvre and output."""
     rows = list(found.tests)
     column = columns_of(rows)
-    away = {(one.manoeuvre, one.motion) for one in found.outside}
+    away = {one.manoeuvre for one in found.outside if one.motion in ("recorded", "simulated")}
 
     def part(name: str):
         return lambda t: chance_text(t.chances.get(name))
@@ -302,43 +236,29 @@ def test_table(found: Qualification) -> Table:
     def largest(test: Test) -> str:
         if test.recorded is None:
             return "–"
-        unit, factor = for_people(STANDARD_CHANNELS[test.output].unit)
-        return f"{short(factor * test.recorded.largest)} {unit}"
+        return "".join(amounts(STANDARD_CHANNELS[test.output].unit, test.recorded.largest))
 
+    record = "record beside simulation"
     columns = [
         column(lambda t: t.kind.value, "kind"),
         column(lambda t: t.manoeuvre, "manoeuvre"),
         column(lambda t: t.output, "output"),
         column(lambda t: band(t.output, t.tolerance), "", "tolerance"),
         column(lambda t: t.tolerance, "tolerance"),
-        column(largest, "", "largest", group="record beside simulation"),
+        column(largest, "", "largest", group=record),
         column(lambda t: t.recorded and t.recorded.largest, "record_largest"),
-        column(
-            lambda t: t.recorded and t.recorded.within,
-            "record_within",
-            "time inside",
-            form=".0%",
-            group="record beside simulation",
-        ),
+        column(lambda t: t.recorded and t.recorded.within, "record_within", "time inside", form=".0%", group=record),
         *[column(part(n), "", n, group="probability, counting also") for n in COUNTED],
         *[column(lambda t, n=n: t.chances[n].value if n in t.chances else None, f"probability_{n}") for n in COUNTED],
         column(lambda t: t.chance.value, "probability"),
         column(lambda t: t.chance.error, "standard_error"),
         column(lambda t: t.within, "expected_within", "time inside,\nexpected", form=".0%"),
         column(lambda t: t.chance.verdict.value, "verdict", "verdict"),
-        column(lambda t: "yes" if _leaves(t, away) else "no", "extrapolation", "extra-\npolation"),
+        column(lambda t: "yes" if t.manoeuvre in away else "no", "extrapolation", "extra-\npolation"),
     ]
-    note = (
-        "Every column of probabilities counts one thing more: the parameters, then errors of the model's structure and "
-        "noise, then gusts. Decided where the probability with all of it lies two Monte Carlo standard errors beyond "
-        "0.95 or 0.05. Extrapolation: the manoeuvre leaves the flown region."
-    )
+    note = WORDS["notes"]["qualification_tests"]
     below = [f"{t.manoeuvre}, {SHOWN[t.kind]}" for t in rows]
     return Table(columns, "Every test", note, index=3, below=below)
-
-
-def _leaves(test: Test, away: set[tuple[str, str]]) -> bool:
-    return any((test.manoeuvre, motion) in away for motion in ("recorded", "simulated"))
 
 
 def outside_table(found: Qualification) -> Table:
@@ -366,48 +286,27 @@ def excess(one: Outside) -> str:
     for name, x in one.excess.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
         if abs(factor * x) >= NEGLIGIBLE:
-            parts.append(f"{GREEK.get(name, name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
+            parts.append(f"{symbol(name)} {factor * x:+.2g} {'' if unit == '1' else unit}".strip())
     return ", ".join(parts)
 
 
-# --- What a qualification says, and what the rule says: what of its text was read, and what was not.
+# --- What a qualification says.
 
 WHOLE = {
     ToleranceVerdict.PASSES: "The model qualifies: it passes every tolerance.",
     ToleranceVerdict.UNDECIDED: "It is not decided whether the model qualifies.",
     ToleranceVerdict.FAILS: "The model does not qualify.",
 }
-DEFINITION = (
-    "A test is passed if the flight stays inside the tolerance about the simulation from start to end. The simulation "
-    "has the estimated parameters, the recorded inputs and the measured initial state. The flight has parameters drawn "
-    "from their distribution, errors of the model's structure with the size and autocorrelation that flights showed, "
-    "noise of the sensors, and gusts where they are counted. When a fitted manoeuvre is flown again, a part of its own "
-    "error repeats. Errors of the initial state are among the errors that flights showed."
-)
-READ = (
-    "14 CFR Part 60 (edition of 2019, volume 2, page 182), Attachment 7: “For stall recovery training tasks, "
-    "satisfactory aerodynamic model fidelity must be shown through at least 10 degrees beyond the stall identification "
-    "angle of attack.”",
-    "The same, page 178, FSTD Directive No. 2, names the test of a full stall: “Table A2A, Objective Testing "
-    "Requirements, Test 2.c.8.a (Stall Characteristics)”.",
-    "Table A2A, 2.c.10 (edition of 2014, page 57), short period: “±1.5° pitch angle or ±2°/sec pitch rate, ±0.10g "
-    "acceleration”.",
-    "Appendix B, 2.c.8 (edition of 2014, page 161), stall warning: “±3 kts. airspeed, ±2° bank for speeds greater than "
-    "actuation of stall warning device or initial buffet”.",
-)
-UNREAD = (
-    "Table A2A, 2.c.8.a, was not read: the 2 deg of angle of attack and pitch angle, and the 3 kt for a simulator (not "
-    "a training device) were not checked against the text. Neither was when in the manoeuvre they hold.",
-    "Of Attachment 7 the beginning was read (pages 181 and 182), not the rest.",
-    "The rule compares given tests, partly snapshots. That a tolerance holds for a whole time history is the choice "
-    "of this program, and a probability is nothing that the rule asks for.",
-)
 
 
 def verdict_sentence(found: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in ToleranceVerdict}
-    marks = dict(zip(ToleranceVerdict, ("Passes", "Undecided", "Fails"), strict=True))
+    marks = {
+        ToleranceVerdict.PASSES: "Passes",
+        ToleranceVerdict.UNDECIDED: "Undecided",
+        ToleranceVerdict.FAILS: "Fails",
+    }
     listed = [
         f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
     ]
@@ -417,32 +316,32 @@ def verdict_sentence(found: Qualification) -> str:
 def sentences(found: Qualification) -> tuple[str, ...]:
     """Weakest tests, agreement of the probabilities with the records, and extrapolation."""
     said = []
-    flown = {FlightKind.AGAIN: "fitted manoeuvre flown again", FlightKind.TEST: "manoeuvre that was not fitted"}
-    for kind, words in flown.items():
-        tests = [t for t in found.tests if t.kind is kind]
-        if not tests:
-            continue
-        expected, passed = (
-            sum(t.chance.value for t in tests),
-            sum(t.recorded is not None and t.recorded.passed for t in tests),
-        )
-        said.append(
-            f"{len(tests)} tests of a {words}: {expected:.1f} are expected to pass, {passed} of the records do."
-        )
-    following = [t for t in found.tests if t.kind is FlightKind.NEXT]
-    if following:
+    for kind, words in (
+        (FlightKind.AGAIN, "fitted manoeuvre flown again"),
+        (FlightKind.TEST, "manoeuvre that was not fitted"),
+    ):
+        if tests := [t for t in found.tests if t.kind is kind]:
+            expected = sum(t.chance.value for t in tests)
+            passed = sum(t.recorded is not None and t.recorded.passed for t in tests)
+            said.append(
+                f"{len(tests)} tests of a {words}: {expected:.1f} are expected to pass, {passed} of the records do."
+            )
+    if following := [t for t in found.tests if t.kind is FlightKind.NEXT]:
         least = min(following, key=lambda t: t.chance.value)
         said.append(
             f"On the next flight {band(least.output, least.tolerance)} is the weakest, in {least.manoeuvre}: "
-            f"probability {chance_text(weakest([least]))}."
+            f"probability {chance_text(least.chance)}."
         )
-    for one in found.outside:
-        said.append(
-            f"Extrapolation: {one.manoeuvre}, as {one.motion}, is outside the flown region in {one.share:.0%} of the "
-            f"samples, farthest by {one.distance:.2f} of half the flown ranges at {one.time:.1f} s ({excess(one)})."
-        )
-    if not found.outside:
-        said.append(f"No manoeuvre leaves the flown region of {several(found.channels)}.")
+    return (*said, *region_sentences(found))
+
+
+def region_sentences(found: Qualification) -> list[str]:
+    """Where manoeuvres leave the flown region."""
+    said = [
+        f"Extrapolation: {one.manoeuvre}, as {one.motion}, is outside the flown region in {one.share:.0%} of the "
+        f"samples, farthest by {one.distance:.2f} of half the flown ranges at {one.time:.1f} s ({excess(one)})."
+        for one in found.outside
+    ] or [f"No manoeuvre leaves the flown region of {several(found.channels)}."]
     if found.unjudged:
         said.append(f"Not recorded, so not part of the flown region: {several(found.unjudged)}.")
-    return tuple(said)
+    return said

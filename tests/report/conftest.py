@@ -43,15 +43,12 @@ def observations(model: Model, manoeuvres: int) -> Observations:
     aircraft = read_card("attas").aircraft
     theta = jnp.asarray([TRUTH[n] for n in model.names])
     clean = model.predicted(theta, signals, aircraft)
+    measured = clean + 0.005 * jnp.asarray(rng.standard_normal((t.size, 3)))
+    names = tuple(f"flight{i + 1}" for i in range(manoeuvres))
     return Observations(
-        signals=signals,
-        measured=clean + 0.005 * jnp.asarray(rng.standard_normal((t.size, 3))),
-        start=jnp.asarray(start),
-        manoeuvre=number,
-        time=t,
-        aircraft=aircraft,
-        names=tuple(f"flight{i + 1}" for i in range(manoeuvres)),
-    )
+        signals=signals, measured=measured, start=jnp.asarray(start), manoeuvre=number, time=t, aircraft=aircraft,
+        names=names,
+    )  # fmt: skip
 
 
 def records_of(o: Observations) -> tuple[FlightRecord, ...]:
@@ -77,20 +74,11 @@ def fit(
     k = len(model.names)
     estimate = np.array([TRUTH[n] + CRB * (shift or {}).get(n, 0.0) for n in model.names])
     return MleResult(
-        parameters=model.free,
-        estimate=estimate,
-        covariance=CRB**2 * np.eye(k),
-        corrected=(corrected * CRB) ** 2 * np.eye(k),
-        R=np.full(3, 2.5e-5),
-        status=status,
-        iterations=4,
-        at_bound=(),
-        eigenvalues=np.ones(k),
-        separation=(1.0, 1.0),
-        fit={n: score(np.arange(5.0), np.arange(5.0) + 0.1) for n in NAMES},
-        lag1=dict.fromkeys(NAMES, lag1),
-        starts=((0.0, "converged"),),
-    )
+        parameters=model.free, estimate=estimate, covariance=CRB**2 * np.eye(k), R=np.full(3, 2.5e-5), status=status,
+        corrected=(corrected * CRB) ** 2 * np.eye(k), iterations=4, at_bound=(), eigenvalues=np.ones(k),
+        separation=(1.0, 1.0), fit={n: score(np.arange(5.0), np.arange(5.0) + 0.1) for n in NAMES},
+        lag1=dict.fromkeys(NAMES, lag1), starts=((0.0, "converged"),),
+    )  # fmt: skip
 
 
 def sampled(
@@ -124,18 +112,10 @@ def validation(o: Observations, test: np.ndarray, column: int, gp_error: float, 
     gp = measured + gp_error * rng.standard_normal(test.size)
     mle = measured + mle_error * rng.standard_normal(test.size)
     return Validation(
-        test=test,
-        measured=measured,
-        gp=gp,
-        gp_low=gp - 0.02,
-        gp_high=gp + 0.02,
-        mle=mle,
-        gp_scores=score(measured, gp),
-        mle_scores=score(measured, mle),
-        coverage={0.5: 0.52, 0.9: 0.88, 0.95: 0.94},
-        k_hat=0.4,
-        status="accepted",
-    )
+        test=test, measured=measured, gp=gp, gp_low=gp - 0.02, gp_high=gp + 0.02, mle=mle,
+        gp_scores=score(measured, gp), mle_scores=score(measured, mle), coverage={0.5: 0.52, 0.9: 0.88, 0.95: 0.94},
+        k_hat=0.4, status="accepted",
+    )  # fmt: skip
 
 
 def hyperparameters():
@@ -194,27 +174,18 @@ def build(
     if alone:
         alone[o.names[-1]] = fit(model, shift=apart, corrected=corrected)
     posteriors = {
-        key: sampled(
-            model,
-            Colour.WHITE if key == "white" else noise,
-            "emcee" if key == "white" else key,
-            shift=None if key == "white" else shift,
-            width=1.0 if key == "white" else width,
-        )
+        key: sampled(model, Colour.WHITE, "emcee")
+        if key == "white"
+        else sampled(model, noise, key, shift=shift, width=width)
         for key in engines
     }
+    mle, first = fit(model, corrected=corrected, lag1=lag1, status=status), next(iter(posteriors.values()), None)
+    stall = None if first is None else stall_of_posterior(model, first, o.signals, o.aircraft)
+    errors = gp_errors or dict.fromkeys(("random", "block", "manoeuvre"), 0.001)
     run = Identification(
-        card=read_card("attas"),
-        model=model,
-        records=records_of(o),
-        observations=o,
-        noise=noise,
-        mle=fit(model, corrected=corrected, lag1=lag1, status=status),
-        alone=alone,
-        posteriors=posteriors,
-        stall=stall_of_posterior(model, next(iter(posteriors.values())), o.signals, o.aircraft) if posteriors else None,
-        gp=gaussian_process(o, gp_errors or {"random": 0.001, "block": 0.001, "manoeuvre": 0.001}) if gp else None,
-    )
+        card=read_card("attas"), model=model, records=records_of(o), observations=o, noise=noise, mle=mle, alone=alone,
+        posteriors=posteriors, stall=stall, gp=gaussian_process(o, errors) if gp else None,
+    )  # fmt: skip
     return replace(run, pit=pit_of(run))
 
 
@@ -228,13 +199,9 @@ def make():
 def full():
     """Two manoeuvres, three posteriors, a GP, and results that disagree."""
     return build(
-        corrected=4.0,
-        lag1=0.9,
-        width=2.0,
-        shift={"Cma": 30.0},
-        apart={"Cmde": -60.0},
+        corrected=4.0, lag1=0.9, width=2.0, shift={"Cma": 30.0}, apart={"Cmde": -60.0},
         gp_errors={"random": 0.001, "block": 0.01, "manoeuvre": 0.05},
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")

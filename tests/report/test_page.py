@@ -18,13 +18,22 @@ from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
-from bayes_aero.report.html.page import Fold, HtmlTable, Page, Picture, Plot, Text, put_page, render, section
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import (
+    Fold,
+    HtmlTable,
+    Picture,
+    Plot,
+    Report,
+    Text,
+    page_table,
+    put_page,
+    render,
+    section,
+)
 from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
-from bayes_aero.report.page_context import PageContext
 from bayes_aero.report.pages.captions import stall_table
-from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
@@ -57,9 +66,9 @@ class Outline(HTMLParser):
         self.text += data
 
 
-def page_of(*blocks, **words) -> Page:
+def page_of(*blocks, **words) -> Report:
     whole = {"title": "t", "subtitle": "s", "verdict": "v", "lead": ()} | words
-    return Page(**whole, sections=(section("a", "A", lambda: blocks),))
+    return Report(**whole, sections=(section("a", "A", lambda: blocks),))
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +173,7 @@ def test_a_part_that_fails_does_not_cost_the_page(tmp_path):
     def fails():
         raise ValueError("no such luck")
 
-    page = Page("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
+    page = Report("t", "s", "v", (), (section("a", "Lift", fails), section("b", "Drag", lambda: (Text("fine"),))))
     text = Outline(render(page)).text
     holds(text, "'Lift'", "ValueError: no such luck", "fine")
     (told,) = put_page(lambda: page, tmp_path)

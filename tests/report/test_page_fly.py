@@ -16,8 +16,7 @@ from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import RESULTS
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.time_histories import stem_of
-from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, put_page, render
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, page_table, put_page, render
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page

@@ -37,9 +37,7 @@ pytestmark = needed
 
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
-    "stall": prior.stall,
-    "stall_narrow": prior.stall_narrow,
-    "separation": prior.separation,
+    **{stem: prior.FIGURES[stem] for stem in ("stall", "stall_narrow", "separation")},
     "forest": figures_comparison.forest,
     "crb_vs_credible": figures_comparison.crb_vs_credible,
 }

@@ -20,8 +20,7 @@ from bayes_aero.report.figures import every_figure as figures
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all, write_figures
 from bayes_aero.report.figures.posterior import pit_histogram, pit_words
-from bayes_aero.report.html.page import Fold, Picture
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import Fold, Picture, page_table
 from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, close, save
@@ -337,13 +336,9 @@ def test_words_name_cause_rivals_and_what_is_unexplained(diagnosed):
     cause = replace(view.diagnosis.causes[0], ambiguous_with=("mass_scale",), excited=False)
     unknown = (UnexplainedStructure("Cm", "phi", 0.25, 0.01),)
     d = replace(
-        view.diagnosis,
-        verdict=Verdict.PARTLY_EXPLAINED,
-        causes=(cause,),
-        unknown=unknown,
-        minor=("alpha_delay",),
+        view.diagnosis, verdict=Verdict.PARTLY_EXPLAINED, causes=(cause,), unknown=unknown, minor=("alpha_delay",),
         not_testable={"flap_moment": "channel flap does not move in this record"},
-    )
+    )  # fmt: skip
     text = " ".join(sentences(replace(view, diagnosis=d)))
     for part in (cause.name, cause.claim, "mass_scale", "Cm", "phi", "25%", "alpha_delay", "flap"):
         assert part in text
@@ -371,13 +366,10 @@ def test_a_size_on_its_bound_is_no_measurement(diagnosed):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ((0.01, 0.001, "rad"), "0.573 ± 0.057 deg"),
-        ((1.5, 20.0, "m/s"), "2 ± 20 m/s"),
-        ((-0.0806, 0.0043, "1"), "-0.0806 ± 0.0043"),
-        ((0.5, 0.0, "1"), "0.5"),
-        ((0.5, float("nan"), "s"), "0.5 s"),
+        ((0.01, 0.001, "rad"), "0.573 ± 0.057 deg"), ((1.5, 20.0, "m/s"), "2 ± 20 m/s"),
+        ((-0.0806, 0.0043, "1"), "-0.0806 ± 0.0043"), ((0.5, 0.0, "1"), "0.5"), ((0.5, float("nan"), "s"), "0.5 s"),
     ],
-)
+)  # fmt: skip
 def test_sizes_as_people_read_them(given, text):
     assert size_text(*given) == text
 

@@ -25,28 +25,28 @@ from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.comparison import next_flight
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import page_table
 from bayes_aero.report.pooled import next_flight_sentences, next_flight_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.across_cases import holdout_table
 from bayes_aero.report.tables.comparison import ordered, scatter
 from bayes_aero.report.tables.fly import error_table, gust_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
-from bayes_aero.report.tables.table import Change, Column, Estimate, Table, cell_text, columns_of, write_csv
+from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv
 from bayes_aero.report.text.phrases import concise, plus_minus, size_text
 from bayes_aero.units import number
 
 
-def printed(two_rows: Table, width: int = 80) -> str:
+def printed(table: Table, width: int = 80, **options) -> str:
     text = io.StringIO()
-    Console(file=text, width=width).print(two_rows.terminal())
+    Console(file=text, width=width, **options).print(table.terminal())
     return text.getvalue()
 
 
 @pytest.fixture(scope="module")
 def two_rows() -> Table:
     """Two parameters, one without an estimate; a page has the parts of the change, a terminal both in one."""
-    ends, changes = ("estimate", "sd", "low"), [Change(0.25, 0.5), Change(None, 1.0 / 3.0)]
+    ends, changes = ("estimate", "sd", "low"), [BeforeAfter(0.25, 0.5), BeforeAfter(None, 1.0 / 3.0)]
     return Table(
         [
             Column(["a", "b"], "name", "parameter", ""),
@@ -98,7 +98,7 @@ def test_what_is_no_number_is_a_dash(value, form):
 
 def test_a_narrow_terminal_loses_no_digit_and_shows_units():
     head = [f"output {k} [m/s]" for k in range(6)]
-    columns = [Column([Change(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
+    columns = [Column([BeforeAfter(12.25 + k, 0.125)], "", None, name, ".3f") for k, name in enumerate(head)]
     text = printed(Table([Column(["flight"], "name", None, "manoeuvre"), *columns]))
     assert "…" not in text
     assert all(f"{12.25 + k:.3f}" in text for k in range(6))
@@ -125,15 +125,17 @@ def test_words_keep_room_on_a_terminal_of_80_columns():
 
 
 @pytest.mark.parametrize(
-    ("value", "sd", "text"),
+    ("value", "sd", "text", "brackets"),
     [
-        (-0.39102, 0.0159, "-0.391 ± 0.016"), (23.716, 1.5, "23.7 ± 1.5"), (1.5, np.nan, "1.5"), (1.5, 0.0, "1.5"),
-        (-0.03, 5.7, "0.0 ± 5.7"), (12345.6, 0.0, "12346"),
+        (-0.39102, 0.0159, "-0.391 ± 0.016", "-0.391(16)"), (23.716, 1.5, "23.7 ± 1.5", "23.7(15)"),
+        (120.4, 35.0, "120 ± 35", "120(35)"), (1.5, np.nan, "1.5", "1.5"), (1.5, 0.0, "1.5", "1.5"),
+        (-0.03, 5.7, "0.0 ± 5.7", "0.0(57)"), (12345.6, 0.0, "12346", "12346"),
     ],
 )  # fmt: skip
-def test_numbers_with_standard_errors(value, sd, text):
+def test_numbers_with_standard_errors(value, sd, text, brackets):
     assert plus_minus(value, sd) == text
     assert size_text(value, sd, "1") == text
+    assert concise(value, sd) == brackets
 
 
 @pytest.mark.parametrize(
@@ -165,12 +167,10 @@ def test_gusts_of_all_manoeuvres_stand_in_one_file(tmp_path):
 
 @pytest.mark.parametrize("markup", [True, False])
 def test_units_in_brackets_are_shown_whatever_a_console_takes_for_markup(markup):
-    shown = io.StringIO()
-    two_rows = Table([Column([1.0], terminal="V [m/s]"), Column([2.0], terminal="α [deg]")], "errors [SI]")
-    Console(file=shown, markup=markup, width=80).print(two_rows.terminal())
-    assert "V [m/s]" in shown.getvalue()
-    assert "errors [SI]" in shown.getvalue()
-    assert "\\" not in shown.getvalue()
+    table = Table([Column([1.0], terminal="V [m/s]"), Column([2.0], terminal="α [deg]")], "errors [SI]")
+    shown = printed(table, markup=markup)
+    holds(shown, "V [m/s]", "errors [SI]")
+    assert "\\" not in shown
 
 
 def test_parameters_come_in_the_canonical_order_and_a_user_s_where_it_says():
@@ -200,22 +200,11 @@ def test_the_parameter_table_and_the_scatter_between_manoeuvres_by_hand(full, tm
     assert list(table.index) == ["CD0", "CL0", "CLa", "Cm0", "Cma", "Cmde"]
     row = table.loc["Cma"]
     assert row["unit"] == "1/rad"
-    expected = {
-        "estimate": -0.5,
-        "crb": 0.01,
-        "crb_corrected": 0.04,
-        "white_mean": -0.5,
-        "white_sd": 0.01,
-        "emcee_mean": -0.2,  # 30 bounds of 0.01 above
-        "emcee_sd": 0.02,
-        "emcee_ci95_low": -0.2 - 1.96 * 0.02,
-        "emcee_ci95_high": -0.2 + 1.96 * 0.02,
-        "nuts_mean": -0.2,
-        "nuts_sd": 0.02,
-        "flight1_estimate": -0.5,
-        "flight2_crb": 0.01,
-        "between_manoeuvres_sd": 0.0,
-    }
+    expected = {  # posteriors are 30 bounds of 0.01 above
+        "estimate": -0.5, "crb": 0.01, "crb_corrected": 0.04, "white_mean": -0.5, "white_sd": 0.01, "emcee_mean": -0.2,
+        "emcee_sd": 0.02, "emcee_ci95_low": -0.2 - 1.96 * 0.02, "emcee_ci95_high": -0.2 + 1.96 * 0.02,
+        "nuts_mean": -0.2, "nuts_sd": 0.02, "flight1_estimate": -0.5, "flight2_crb": 0.01, "between_manoeuvres_sd": 0.0,
+    }  # fmt: skip
     for column, value in expected.items():
         assert row[column] == pytest.approx(value, abs=1e-12), column
     row = parameter_table(full).frame().loc["Cmde"]
@@ -282,14 +271,6 @@ def test_a_manoeuvre_that_identifies_nothing_alone_shows_no_numbers(make):
     assert np.isnan(parameter_table(run).frame().loc["Cma", "between_manoeuvres_sd"])
 
 
-@pytest.mark.parametrize(
-    ("value", "sd", "text"),
-    [(-0.39102, 0.0159, "-0.391(16)"), (23.716, 1.5, "23.7(15)"), (120.4, 35.0, "120(35)"), (1.5, np.nan, "1.5")],
-)
-def test_concise_numbers(value, sd, text):
-    assert concise(value, sd) == text
-
-
 def marginal(mean, sd):
     return Marginal(mean, sd, (mean - 2.0 * sd, mean + 2.0 * sd), 900.0, 800.0, 1.001)
 
@@ -300,21 +281,14 @@ def pooled(full):
     names = full.mle.names
     both = ("flight1", "flight2")
     own = {"flight1": dict.fromkeys(names, (1.0, 0.1)), "flight2": {n: (1.2, 0.2) for n in names if n != "Cmde"}}
+    each = {"aircraft": (1.15, 0.1), "scatter": (0.3, 0.1), "following": (1.15, 0.4)}
     found = NextFlight(
-        parameters=full.mle.parameters,
-        manoeuvres=both,
-        alone=own,
+        parameters=full.mle.parameters, manoeuvres=both, alone=own,
         pooled={m: dict.fromkeys(names, marginal(1.1, 0.05)) for m in both},
-        aircraft=dict.fromkeys(names, marginal(1.15, 0.1)),
-        scatter=dict.fromkeys(names, marginal(0.3, 0.1)),
-        following=dict.fromkeys(names, marginal(1.15, 0.4)),
-        narrowed={n: 0.9 if n in ("CLa", "Cmde") else 0.3 for n in names},
-        undetermined={"Cmde": ("flight2",)},
-        left_out={"flight3": "stopped"},
-        tree=xr.DataTree(),
-        status=PosteriorStatus.CONVERGED,
-        seconds=1.0,
-    )
+        **{what: dict.fromkeys(names, marginal(*size)) for what, size in each.items()},
+        narrowed={n: 0.9 if n in ("CLa", "Cmde") else 0.3 for n in names}, undetermined={"Cmde": ("flight2",)},
+        left_out={"flight3": "stopped"}, tree=xr.DataTree(), status=PosteriorStatus.CONVERGED, seconds=1.0,
+    )  # fmt: skip
     found.tree.attrs["likelihood"] = "normal approximation"
     return replace(full, next_flight=found)
 

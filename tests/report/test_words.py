@@ -148,13 +148,11 @@ CHANGE = ParameterChange(
     ("changed", "said"),
     [
         ({}, ("Cm0", "43.0 s of run2", "42.8 to 43.4 s", "0.0591 ± 0.0011", "0.0651 ± 0.0012", "0.00600 ± 0.00050")),
-        ({}, ("62%", "trim or flaps", "centre of gravity")),
-        ({"at": 0.0}, ("from run2 on",)),
-        ({"at": 0.0, "lasts": False}, ("in run2",)),
-        ({"lasts": False}, ("the value before in later records",)),
+        ({}, ("62%", "trim or flaps", "centre of gravity")), ({"at": 0.0}, ("from run2 on",)),
+        ({"at": 0.0, "lasts": False}, ("in run2",)), ({"lasts": False}, ("the value before in later records",)),
         ({"ambiguous_with": ("Cma", "CmX")}, ("Cma and CmX",)),
     ],
-)
+)  # fmt: skip
 def test_a_change_is_told_with_its_time_values_possible_reasons_and_rivals(changed, said):
     (text,) = change_sentences([replace(CHANGE, **changed)])
     assert [part for part in said if part not in text] == [], text
@@ -247,13 +245,11 @@ def test_linear_derivatives_have_the_signs_of_their_counterparts():
 
 
 REASONS = {
-    "canard_drag": "channel canard was not recorded",
-    "canard_lift": "channel canard was not recorded",
+    "canard_drag": "channel canard was not recorded", "canard_lift": "channel canard was not recorded",
     "dlc_lift": "channel dlc_left, dlc_right was not recorded",
-    "sideslip_drag": "channel beta does not move in this record",
-    "drag_offset": "the model has no e",
+    "sideslip_drag": "channel beta does not move in this record", "drag_offset": "the model has no e",
     "separation_lag": "a lag is a state of its own, {tried} later",
-}
+}  # fmt: skip
 
 
 def test_one_sentence_counts_every_effect_once():

@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.trajectories.results import Disagreement, LagTest, Pro
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.inference.scores import Calibration, OneStep, Predicted, Share
 from bayes_aero.report.figures.posterior import one_step_quantiles
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import page_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.fly import one_step_table, parameter_table
 from bayes_aero.report.text.fly import (

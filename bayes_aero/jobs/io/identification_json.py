@@ -26,7 +26,7 @@ from bayes_aero.jobs.provenance import write_json
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables.comparison import flown
-from bayes_aero.report.tables.run_tables import Pooled, parameter_table, validation_table
+from bayes_aero.report.tables.run_tables import PooledScores, parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.identification import verdict
 
@@ -178,7 +178,7 @@ def _gpr(report: GPReport) -> dict[str, Any]:
 
 def _pooled(folds: list[Validation]) -> dict[str, Any]:
     """Scores over the test points of all folds together, and each fold's own."""
-    all_folds = Pooled.of(folds)
+    all_folds = PooledScores.of(folds)
     return {
         **_scores(all_folds.gp),
         **{f"coverage{round(100 * level)}": share for level, share in all_folds.coverage.items()},

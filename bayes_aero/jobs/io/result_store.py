@@ -19,8 +19,7 @@ from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.report.design import points_table
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.page_context import PageContext
-from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,42 +14,41 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
-from bayes_aero.diagnosis.result import FLIGHT_PATH, Cause
+from bayes_aero.diagnosis.result import FLIGHT_PATH
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
-from bayes_aero.report.style import PHONE, NotDrawn, column_width, housed, panels, refuse_many
 from bayes_aero.report.tables.diagnosis_tables import SPLITS
-from bayes_aero.report.text.phrases import bracket, for_people, short, size_text
+from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, size_text
 
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same
 LONGEST_LAG = 10.0  # s
 NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorder": 5, "fontsize": 8.0}
+LABELS = {"before": "card's model", "after": "extended model"}
 TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
-
-
-def width_of(names: Sequence[str]) -> float:
-    """Inches for a figure with a column for each coefficient."""
-    return 4.0 * len(names) + 1.0
 
 
 def models_of(view: View) -> list[tuple[str, str, Fitted]]:
     """What is compared: label, colour, model: the card's, and the extended one where there is one."""
-    found = [("card's model", COLOURS["before"], view.card)]
-    return [*found, ("extended model", COLOURS["after"], view.extended)] if view.changed else found
+    found = [
+        (LABELS[when], COLOURS[when], fitted) for when, fitted in (("before", view.card), ("after", view.extended))
+    ]
+    return found if view.changed else found[:1]
 
 
-@housed
+@style.housed
 def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
     models, count = models_of(view), len(view.names)
-    refuse_many(count)
+    style.refuse_many(count)
     rows = len(view.coefficients) * len(models)
-    figure, axes = panels(rows, count, (column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False)
+    figure, axes = style.panels(
+        rows, count, (style.column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False
+    )
     for c, name in enumerate(view.coefficients):
         z = view.measured[:, c]
         curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
@@ -55,65 +56,65 @@ def measured_simulated(view: View) -> Figure:
         for k, (label, colour, fitted) in enumerate(models):
             for number, ax in enumerate(axes[c * len(models) + k]):
                 mine = view.manoeuvre == number
-                t, measured = view.time[mine], z[mine]
-                simulated = measured - fitted.residual[mine, c]
-                ax.fill_between(t, measured, simulated, color=colour, alpha=0.35, lw=0.0)
-                ax.plot(t, measured, color=COLOURS["measured"], lw=0.6)
-                ax.plot(t, simulated, color=colour, lw=1.0)
+                simulated = z[mine] - fitted.residual[mine, c]
+                found = score(z[mine], simulated)
+                text = f"{label}: R² = {found.r2:.3f}, r = {found.r:.3f}, RMSE = {found.rmse:.2g}"
+                _error_shaded(ax, view.time[mine], z[mine], simulated, colour)
                 ax.set_ylim(low - 0.08 * (high - low), high + 0.22 * (high - low))
                 ax.margins(x=0.01)
-                found = score(measured, simulated)
-                text = f"{label}: R² = {found.r2:.3f}, r = {found.r:.3f}, RMSE = {found.rmse:.2g}"
                 ax.text(0.01, 0.95, text, transform=ax.transAxes, va="top", **NOTE)
             axes[c * len(models) + k, 0].set_ylabel(f"{name} [-]")
-    for ax, name in zip(axes[0], view.names, strict=True):
-        ax.set_title(name)
-    for ax in axes[-1]:
-        ax.set_xlabel("time from start of record [s]")
-    figure.align_ylabels(list(axes[:, 0]))
+    style.name_panels(axes, view.names)
     figure.suptitle("Measured (black) and simulated coefficients, the error shaded; all manoeuvres fitted jointly")
     return figure
 
 
-@housed
+def _error_shaded(ax: Axes, time: np.ndarray, measured: np.ndarray, simulated: np.ndarray, colour: str) -> None:
+    ax.fill_between(time, measured, simulated, color=colour, alpha=0.35, lw=0.0)
+    ax.plot(time, measured, color=COLOURS["measured"], lw=0.6)
+    ax.plot(time, simulated, color=colour, lw=1.0)
+
+
+@style.housed
 def ranking(view: View) -> Figure:
     """Score of every candidate in the first screening of each stage, and the level of selection."""
     if not view.rankings:
-        raise NotDrawn("no screening was done")
+        raise style.NotDrawn("no screening was done")
     rows = [len(r.candidate_scores) + 1.0 for r in view.rankings]
-    figure, axes = panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
+    figure, axes = style.panels(len(rows), 1, (8.5, 0.2 * sum(rows) + 0.9 * len(rows) + 0.6), height_ratios=rows)
     for ax, one in zip(axes[:, 0], view.rankings, strict=True):
-        _bars(ax, one, {c.name for c in view.diagnosis.causes if c.stage == one.stage})
+        causes = {c.name for c in view.diagnosis.causes if c.stage == one.stage}
+        scores = [s.score for s in one.candidate_scores]
+        colours = [COLOURS["chosen" if s.effect in causes else "candidate"] for s in one.candidate_scores]
+        widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
+        ax.barh(range(len(scores)), scores, color=colours, height=0.75)
+        for y, x in enumerate(scores):
+            ax.text(x + 0.01 * widest, y, f"{x:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
+        if np.isfinite(one.threshold):
+            ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
+            label = f"noise alone exceeds\n{one.threshold:.1f} in {100.0 * one.level:g} % of replicates"
+            ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
+        _rows_of(ax, [s.effect for s in one.candidate_scores])
+        ax.set_xlim(0.0, 1.1 * widest)
+        ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
+        ax.set_title(f"Stage: {one.stage}")
     figure.suptitle("Candidates before any addition\n(named causes in colour; later screenings may reorder them)")
     return figure
 
 
-def _bars(ax: Axes, one: Ranking, causes: set[str]) -> None:
-    scores = [s.score for s in one.candidate_scores]
-    colours = [COLOURS["chosen"] if s.effect in causes else COLOURS["candidate"] for s in one.candidate_scores]
-    place = range(len(scores))
-    widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
-    ax.barh(place, scores, color=colours, height=0.75)
-    for y, s in zip(place, one.candidate_scores, strict=True):
-        ax.text(s.score + 0.01 * widest, y, f"{s.score:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
-    if np.isfinite(one.threshold):
-        ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
-        label = f"noise alone exceeds\n{one.threshold:.1f} in {100.0 * one.level:g} % of replicates"
-        ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
-    ax.set_yticks(place, [s.effect for s in one.candidate_scores])
-    ax.set_ylim(len(scores) - 0.4, -0.6)
-    ax.set_xlim(0.0, 1.1 * widest)
+def _rows_of(ax: Axes, names: Sequence[str]) -> None:
+    """Names of horizontal bars, the first at the top."""
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
     ax.grid(False, axis="y")
-    ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
-    ax.set_title(f"Stage: {one.stage}")
 
 
-@housed
+@style.housed
 def gain(view: View) -> Figure:
     """R2 and RMSE of each coefficient on data that were not fitted, along the chain of causes."""
     causes = [c for c in view.diagnosis.causes if c.gain.before]
     if not causes:
-        raise NotDrawn("no cause was added")
+        raise style.NotDrawn("no cause was added")
     links: list[tuple[str, dict[str, Scores]]] = [("card's model", dict(causes[0].gain.before))]
     colours, stage = [COLOURS["before"]], causes[0].stage
     for cause in causes:
@@ -125,9 +126,9 @@ def gain(view: View) -> Figure:
         colours.append(COLOURS["candidate"] if cause.confirmed else COLOURS["unconfirmed"])
     last = max((k for k, colour in enumerate(colours) if k and colour == COLOURS["candidate"]), default=0)
     colours[last] = COLOURS["after"] if last else colours[0]
-    place = np.arange(len(links))
-    names = view.coefficients
-    figure, axes = panels(2, len(names), (width_of(names), 2 * (0.30 * len(links) + 1.0) + 0.8), sharey=True)
+    place, names = np.arange(len(links)), view.coefficients
+    size = 4.0 * len(names) + 1.0, 2 * (0.30 * len(links) + 1.0) + 0.8
+    figure, axes = style.panels(2, len(names), size, sharey=True)
     for row, (key, label) in zip(axes, (("r2", "R²"), ("rmse", "RMSE")), strict=True):
         for ax, name in zip(row, names, strict=True):
             values = np.array([getattr(scores[name], key) for _, scores in links])
@@ -135,12 +136,11 @@ def gain(view: View) -> Figure:
             ax.barh(place, shown, color=colours, height=0.7)
             for y, x, value in zip(place, shown, values, strict=True):
                 ax.text(max(x, 0.0), y, f" {value:.3f}" if key == "r2" else f" {value:.4f}", va="center", fontsize=7.5)
-            ax.set_yticks(place, [text for text, _ in links])
+            _rows_of(ax, [text for text, _ in links])
             ax.set_ylim(len(links) - 0.5, -0.5)
             finite = shown[np.isfinite(shown)]
             left = min(0.0, float(finite.min())) if key == "r2" else 0.0
             ax.set_xlim(left, 1.22 if key == "r2" else 1.25 * float(finite.max()))
-            ax.grid(False, axis="y")
             ticks = MaxNLocator(5).tick_values(*ax.get_xlim())
             ax.set_xticks([x for x in ticks if left <= x and (key == "rmse" or x <= 1.0)])
             ax.set_xlabel(f"{label} of {name} [-]")
@@ -149,14 +149,14 @@ def gain(view: View) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def moves(view: View) -> Figure:
     """Change of the card's parameters, in their standard error after the causes are added."""
     if not view.changed or not view.moves:
-        raise NotDrawn("nothing was added, so nothing moved")
+        raise style.NotDrawn("nothing was added, so nothing moved")
     names = list(view.moves)
     place = np.arange(len(names))
-    figure, axes = panels(1, 1, (9.5, 0.32 * len(names) + 1.6))
+    figure, axes = style.panels(1, 1, (9.5, 0.32 * len(names) + 1.6))
     ax = axes[0, 0]
     for shift, when in ((-0.14, "before"), (0.14, "after")):
         centre, sd = [], []
@@ -164,14 +164,12 @@ def moves(view: View) -> Figure:
             size = max(move.sd_after, 1e-300)
             centre.append((getattr(move, when) - move.before) / size)
             sd.append(getattr(move, f"sd_{when}") / size)
-        label = {"before": "card's model", "after": "extended model"}[when]
-        ax.errorbar(
-            centre, place + shift, xerr=sd, fmt="o", ms=4.0, lw=1.2, capsize=2.0, color=COLOURS[when], label=label
-        )
+        look = {"fmt": "o", "ms": 4.0, "lw": 1.2, "capsize": 2.0, "color": COLOURS[when]}
+        ax.errorbar(centre, place + shift, xerr=sd, label=LABELS[when], **look)
     for y, move in zip(place, view.moves.values(), strict=True):
         unit, factor = for_people(move.unit)
-        before = size_text(factor * move.before, factor * move.sd_before, "1")
-        after = size_text(factor * move.after, factor * move.sd_after, "1")
+        sizes = (move.before, move.sd_before), (move.after, move.sd_after)
+        before, after = (size_text(factor * x, factor * sd, "1") for x, sd in sizes)
         text = f"{before}  →  {after} {'' if unit == '1' else bracket(unit)}"
         ax.text(1.01, y, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0)
     ax.axvline(0.0, color="#777777", lw=0.8, zorder=0)
@@ -193,27 +191,28 @@ def channel_label(name: str) -> tuple[str, float]:
     }
     if name in plain:
         return plain[name]
-    unit, factor = shown_in(name)
-    return f"{SYMBOLS.get(name, name.replace('_', ' '))} {bracket(unit)}", factor
+    label, factor = channel_axis(name)
+    return label.replace("_", " "), factor
 
 
-@housed
+@style.housed
 def residual_profiles(view: View) -> Figure:
     """Mean residual over the channels on which the card's model leaves the clearest trace, before and after."""
-    models = models_of(view)
     names = view.coefficients
-    figure, axes = panels(len(names), PROFILES, (13.0, 2.6 * len(names) + 0.4), sharey="row")
+    figure, axes = style.panels(len(names), PROFILES, (13.0, 2.6 * len(names) + 0.4), sharey="row")
     for row, (c, name) in zip(axes, enumerate(names), strict=True):
-        channels = _clearest(view, c)
-        for label, colour, fitted in models:
+        channels: list[str] = []  # on which the card's model leaves the clearest trace, none a near copy of another
+        for p in view.card.profiles[c]:
+            pairs = [(view.channels[p.channel], view.channels[name]) for name in channels]
+            if not any(abs(np.corrcoef(*pair)[0, 1]) > COPY for pair in pairs):
+                channels.append(p.channel)
+        channels = channels[:PROFILES]
+        for label, colour, fitted in models_of(view):
             found = {p.channel: p for p in fitted.profiles[c]}
             for ax, channel in zip(row, channels, strict=False):
                 text, factor = channel_label(channel)
-                p = found[channel]
-                ax.errorbar(
-                    factor * p.centre, p.mean, yerr=p.deviation, fmt="o-", ms=3.0, lw=1.0, capsize=2.0, color=colour,
-                    label=label,
-                )  # fmt: skip
+                p, look = found[channel], {"fmt": "o-", "ms": 3.0, "lw": 1.0, "capsize": 2.0, "color": colour}
+                ax.errorbar(factor * p.centre, p.mean, yerr=p.deviation, label=label, **look)
                 ax.set_xlabel(text)
         for ax in row[: len(channels)]:
             ax.axhline(0.0, color="#777777", lw=0.8, zorder=0)
@@ -221,27 +220,16 @@ def residual_profiles(view: View) -> Figure:
             ax.remove()
         row[0].set_ylabel(f"mean residual of {name} [-]")
     figure.align_ylabels(list(axes[:, 0]))
-    figure.suptitle(
-        "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
-    )
-    _legend(figure, axes)
+    title = "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
+    figure.suptitle(title)
+    style.legend_below(figure, axes[0, 0])
     return figure
 
 
-def _clearest(view: View, c: int) -> list[str]:
-    """Channels on which the card's model leaves the clearest trace in a coefficient, none a near copy of another."""
-    chosen: list[str] = []
-    for p in view.card.profiles[c]:
-        copies = [abs(np.corrcoef(view.channels[p.channel], view.channels[name])[0, 1]) > COPY for name in chosen]
-        if not any(copies):
-            chosen.append(p.channel)
-    return chosen[:PROFILES]
-
-
-@housed
+@style.housed
 def residual_colour(view: View) -> Figure:
     """Autocorrelation and spectrum of the residuals, before and after."""
-    figure, axes = panels(2, len(view.coefficients), (width_of(view.coefficients), 6.4), sharex="row")
+    figure, axes = style.panels(2, len(view.coefficients), (4.0 * len(view.coefficients) + 1.0, 6.4), sharex="row")
     dt = view.seconds
     for label, colour, fitted in models_of(view):
         for c, name in enumerate(view.coefficients):
@@ -259,7 +247,7 @@ def residual_colour(view: View) -> Figure:
     axes[0, 0].set_ylabel("autocorrelation of the residual [-]")
     axes[1, 0].set_ylabel("power spectral density [1/Hz]")
     figure.suptitle("Autocorrelation of the residuals")
-    _legend(figure, axes)
+    style.legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -276,21 +264,6 @@ def spectrum(parts: list[Float[np.ndarray, " _"]], dt: float) -> tuple[np.ndarra
     segment = min(*(len(p) for p in parts), round(25.0 / dt))
     found = [welch(p, 1.0 / dt, nperseg=segment) for p in parts]
     return found[0][0], np.average([f[1] for f in found], axis=0, weights=[len(p) for p in parts])
-
-
-def _legend(figure: Figure, axes: np.ndarray) -> None:
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)))
-
-
-DIAGNOSIS_FIGURES = {
-    "measured_simulated": measured_simulated,
-    "ranking": ranking,
-    "gain": gain,
-    "moves": moves,
-    "residual_profiles": residual_profiles,
-    "residual_colour": residual_colour,
-}
 
 
 # --- A diagnosis in one figure: the largest error of the card's model, the screening, the error of the extended
@@ -311,52 +284,37 @@ class Telling:
     simulated: Sequence[tuple[str, str, np.ndarray, str]]  # model, colour, values, note
 
 
-@housed
-def found(view: View) -> Figure:
-    """The quantity with the largest gain, by each model with its error shaded, and the deciding screening."""
-    shown, ranking = telling(view), _decisive(view)
+def _found(narrow: bool, view: View) -> Figure:
+    """The quantity with the largest gain, its error by each model shaded, and the deciding screening."""
+    shown, causes = telling(view), view.diagnosis.causes
+    ranking = view.rankings[-1] if view.rankings else None  # the last stage's, or of that which named the first cause
+    if causes:
+        ranking = {r.stage: r for r in view.rankings}.get(causes[0].stage)
     rows = "ab"[: len(shown.simulated)]
-    figure = Figure(figsize=(11.0, 1.9 * len(rows) + 1.0), layout="constrained")
-    beside = "" if ranking is None else "R"
-    axes = figure.subplot_mosaic(";".join(row + beside for row in rows), width_ratios=[1.7, 1.0][: 1 + len(beside)])
-    _fill(axes, shown, ranking, view)
-    return figure
-
-
-@housed
-def found_narrow(view: View) -> Figure:
-    """The same for a phone: one panel below the other."""
-    shown, ranking = telling(view), _decisive(view)
-    rows = "ab"[: len(shown.simulated)]
-    heights = [1.7] * len(rows) + ([] if ranking is None else [3.2])
-    figure = Figure(figsize=(PHONE, sum(heights) + 0.9), layout="constrained")
-    below = [] if ranking is None else ["R"]
-    axes = figure.subplot_mosaic([[key] for key in (*rows, *below)], height_ratios=heights)
-    _fill(axes, shown, ranking, view)
-    return figure
-
-
-def _fill(axes: Mapping[str, Axes], shown: Telling, ranking: Ranking | None, view: View) -> None:
-    """Time histories a and b, the screening R."""
-    rows = "ab"[: len(shown.simulated)]
-    z, t = shown.measured, shown.time
+    options: dict[str, Any] = {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
+    size, below = (11.0, 1.9 * len(rows) + 1.0), [] if ranking is None else ["R"]
+    places: list[Any] = [[row, *below] for row in rows]
+    if narrow:
+        places = [[row] for row in (*rows, *below)]
+        options = {"height_ratios": [3.2 if row == "R" else 1.7 for (row,) in places]}
+        size = style.PHONE, sum(options["height_ratios"]) + 0.9
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplot_mosaic(places, **options)
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
         ax = axes[row]
-        ax.fill_between(t, z, simulated, color=colour, alpha=0.35, lw=0.0)
-        ax.plot(t, z, color=COLOURS["measured"], lw=0.6)
-        ax.plot(t, simulated, color=colour, lw=1.0)
+        _error_shaded(ax, shown.time, shown.measured, simulated, colour)
         ax.margins(x=0.01, y=0.2)
         ax.text(0.01, 0.97, f"{label}: {note}", transform=ax.transAxes, va="top", **NOTE)
         ax.set_ylabel(shown.label)
     axes[rows[0]].set_title("Measured (black) and simulated, the error shaded")
     axes[rows[-1]].set_xlabel(f"time from start of {shown.manoeuvre} [s]")
     if ranking is not None:
-        _election(axes["R"], ranking, view)
+        _candidates(axes["R"], ranking, view)
+    return figure
 
 
 def telling(view: View) -> Telling:
-    """The coefficient whose share of explained variance the extension raises most; where the first cause is an error of
-    a sensor, which coefficients may not show, the simulated output whose error falls most."""
+    """The coefficient (the output, for an error of a sensor, which coefficients may not show) that gains the most."""
     causes = view.diagnosis.causes
     if causes and causes[0].stage == FLIGHT_PATH and view.trajectories is not None:
         output = _output(view.trajectories)
@@ -393,29 +351,15 @@ def _output(flown: Trajectories) -> Telling | None:
         return None
     _, output, card, extended = best
     unit, factor = for_people(STANDARD_CHANNELS[output].unit)
-    simulated = [
-        (
-            label,
-            COLOURS[role],
-            factor * path.simulated[output],
-            f"RMS error {short(factor * path.errors[output].rms)} {unit}",
-        )
-        for label, role, path in (("card's model", "before", card), ("extended model", "after", extended))
-    ]
-    z = factor * card.measured[output]
-    label = f"{output.replace('_', ' ')} [{unit}]"
+    simulated = []
+    for when, path in (("before", card), ("after", extended)):
+        note = f"RMS error {short(factor * path.errors[output].rms)} {unit}"
+        simulated.append((LABELS[when], COLOURS[when], factor * path.simulated[output], note))
+    z, label = factor * card.measured[output], f"{output.replace('_', ' ')} [{unit}]"
     return Telling(output, label, card.manoeuvre, card.time - card.time[0], z, simulated)
 
 
-def _decisive(view: View) -> Ranking | None:
-    """The first screening of the stage that named the first cause; without a cause, of the last stage."""
-    stages = {r.stage: r for r in view.rankings}
-    if view.diagnosis.causes:
-        return stages.get(view.diagnosis.causes[0].stage)
-    return view.rankings[-1] if view.rankings else None
-
-
-def _election(ax: Axes, ranking: Ranking, view: View) -> None:
+def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
     """Candidates in the order in which they are considered; named causes in colour, with their size in the end."""
     named = {c.name: c for c in view.diagnosis.causes}
     leaders = sorted(ranking.leaders, key=lambda s: -s.explains)
@@ -425,39 +369,41 @@ def _election(ax: Axes, ranking: Ranking, view: View) -> None:
         chance = np.isfinite(ranking.threshold) and s.score < ranking.threshold
         colour = COLOURS["chosen" if s.effect in named else "candidate"]
         ax.barh(y, x, height=0.75, color=colour, alpha=0.45 if chance else 1.0)
-        text = _sizes(named[s.effect]) if s.effect in named else f"score {s.score:.1f}"
+        text = f"score {s.score:.1f}"
+        if s.effect in named:  # with names where there are several, each on its own line where one would be too wide
+            sizes = {n: size_text(x.mean, x.sd, x.unit) for n, x in named[s.effect].parameters.items()}
+            listed = [f"{n} = {size}" for n, size in sizes.items()] if len(sizes) > 1 else list(sizes.values())
+            line = ", ".join(listed)
+            text = line if WIDTH * len(line) < 1.0 or len(listed) < 2 else "\n".join(listed)
         wide = WIDTH * max(map(len, text.split("\n"))) * widest
         if wide < x:
             ink = "white" if s.effect in named and not chance else "black"
-            style = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
+            look = {"x": x - 0.01 * widest, "ha": "right", "color": ink}
         elif x + wide < widest:
-            style = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
+            look = {"x": x + 0.01 * widest, "ha": "left", "color": "black", "bbox": TIGHT}
         else:  # room neither in the bar nor beside it
-            style = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
-        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **style)
+            look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
+        ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
     if np.isfinite(ranking.threshold):
         text = f"pale: score below {ranking.threshold:.1f}, which noise\n"
         text += f"alone exceeds in {100.0 * ranking.level:g} % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
             text += f"\n{left} more with lower scores: see screen.csv"
         ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
-    ax.set_yticks(range(len(leaders)), [s.effect for s in leaders])
-    ax.set_ylim(len(leaders) - 0.4, -0.6)
+    _rows_of(ax, [s.effect for s in leaders])
     ax.set_xlim(0.0, 1.03 * widest)
-    ax.grid(False, axis="y")
     ax.set_xlabel("share of the remaining variance explained [%]")
     ax.set_title(f"First screening, {ranking.stage}")
 
 
-def _sizes(cause: Cause) -> str:
-    """Sizes; named where there are several, each on its own line where one line would be wider than the panel."""
-    sizes = {name: size_text(x.mean, x.sd, x.unit) for name, x in cause.parameters.items()}
-    if len(sizes) < 2:
-        return "".join(sizes.values())
-    listed = [f"{name} = {x}" for name, x in sizes.items()]
-    line = ", ".join(listed)
-    return line if WIDTH * len(line) < 1.0 else "\n".join(listed)
-
-
-DIAGNOSIS_FIGURES |= {"found": found, "found_narrow": found_narrow}
+DIAGNOSIS_FIGURES = {
+    "measured_simulated": measured_simulated,
+    "ranking": ranking,
+    "gain": gain,
+    "moves": moves,
+    "residual_profiles": residual_profiles,
+    "residual_colour": residual_colour,
+    "found": style.housed(partial(_found, False)),
+    "found_narrow": style.housed(partial(_found, True)),
+}
 AFTER_TRAJECTORIES = ("found", "found_narrow")

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import arviz_base as azb
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise
-from bayes_aero.inference.identification import Identification, PitResult
+from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour
 from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient
-from bayes_aero.report.style import (
-    NotDrawn,
-    arviz_plots,
-    close,
-    column_width,
-    grid_of,
-    housed,
-    panels,
-    quiet_pyplot,
-    refuse_many,
-)
 from bayes_aero.report.tables.across_cases import predicted, what_is_shown
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.tables.fly import CALIBRATION
-from bayes_aero.report.text.phrases import GREEK, bracket, several
+from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, several
 
 TRACE_DRAWS = 1000  # per chain: more draws than a panel has pixels only cost time
 RANK_DRAWS = 250  # per chain: the band is found by simulation, whose time grows with it
@@ -42,35 +31,24 @@ MOST_PAIRED = 6  # parameters of a figure that chooses them
 CHAIN_COLOURS = ["#0072B2", "#E69F00", "#009E73", "#CC79A7"]
 
 
-def _posterior(identification: Identification, engine: str) -> Posterior:
-    if engine not in identification.posteriors:
-        raise NotDrawn(f"this run has no posterior by {engine_label(engine)}")
-    return identification.posteriors[engine]
-
-
 def _thinned(posterior: Posterior, names: list[str], most: int) -> xr.DataTree:
     """The posterior group with draws of `names`, thinned evenly to at most `most` a chain."""
     dataset = posterior.tree["posterior"].to_dataset()[names]
-    step = max(1, -(-dataset.sizes["draw"] // most))
-    thin = dataset.isel(draw=slice(None, None, step))
+    thin = dataset.isel(draw=slice(None, None, max(1, -(-dataset.sizes["draw"] // most))))
     values = {name: np.asarray(thin[name].transpose("chain", "draw")) for name in names}
     return azb.from_dict({"posterior": values})
 
 
 def _draw(kind: str, tree: xr.DataTree, size: tuple[float, float], **options: Any) -> Figure:
     """Call arviz_plots' plot `kind` and take its figure out of pyplot."""
-    with quiet_pyplot():
-        plots = arviz_plots()
+    with style.quiet_pyplot():
+        plots = style.arviz_plots()
         layout = {"figsize": size, "figsize_units": "inches"}
         collection = getattr(plots, f"plot_{kind}")(tree, backend="matplotlib", figure_kwargs=layout, **options)
         figure = collection.get_viz("figure")
         figure.set_layout_engine("constrained")
-        close(figure)
+        style.close(figure)
     return figure
-
-
-def _size(count: int, columns: int) -> tuple[float, float]:
-    return 3.7 * min(count, columns), 2.1 * -(-count // columns) + 0.6
 
 
 def _title(identification: Identification, engine: str, what: str) -> str:
@@ -83,98 +61,73 @@ def _title(identification: Identification, engine: str, what: str) -> str:
     )
 
 
-def _trace(identification: Identification, engine: str) -> Figure:
-    posterior = _posterior(identification, engine)
-    names = ordered(posterior.names, identification.mle.parameters)
-    tree = _thinned(posterior, names, TRACE_DRAWS)
-    figure = _draw(
-        "trace",
-        tree,
-        _size(len(names), 4),
-        col_wrap=4,
-        aes={"color": ["chain"]},
-        color=CHAIN_COLOURS,
-        visuals={"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False},
-    )
-    thinned = tree["posterior"].sizes["draw"] < posterior.tree["posterior"].sizes["draw"]
-    along = ("draw, walkers end to end" if engine == "emcee" else "draw") + (", thinned [-]" if thinned else " [-]")
-    axes = [ax for ax in figure.axes if ax.has_data()]
-    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
-        if number >= len(names) - 4:
-            ax.set_xlabel(along)
-    figure.suptitle(_title(identification, engine, "Trace"))
-    return figure
+def _chains(kind: str, engine: str) -> style.Drawing:
+    """The plot of `arviz_plots` of every parameter's chains by an engine: traces, or ranks (ECDF less uniform)."""
+
+    def drawn(identification: Identification) -> Figure:
+        if engine not in identification.posteriors:
+            raise style.NotDrawn(f"this run has no posterior by {engine_label(engine)}")
+        posterior = identification.posteriors[engine]
+        names, sizes = ordered(posterior.names, identification.mle.parameters), posterior.tree["posterior"].sizes
+        size = 3.7 * min(len(names), 4), 2.1 * -(-len(names) // 4) + 0.6
+        if kind == "trace":
+            tree = _thinned(posterior, names, TRACE_DRAWS)
+            how = {"trace": {"alpha": 0.6, "width": 0.4}, "xlabel": False, "ticklabels": False, "title": False}
+            figure = _draw("trace", tree, size, col_wrap=4, aes={"color": ["chain"]}, color=CHAIN_COLOURS, visuals=how)
+            thinned = ", thinned [-]" if tree["posterior"].sizes["draw"] < sizes["draw"] else " [-]"
+            below, title = ("draw, walkers end to end" if engine == "emcee" else "draw") + thinned, "Trace"
+        else:
+            independent = min(m.ess_bulk for m in posterior.marginals.values())
+            tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / sizes["chain"]))))
+            figure = _draw("rank", tree, size, col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
+            below, title = "fractional rank [-]", "Rank"
+        for number, (ax, name) in enumerate(zip([ax for ax in figure.axes if ax.has_data()], names, strict=True)):
+            if kind == "trace":
+                ax.set_ylabel(f"{name} {bracket(unit_of(identification, name))}")
+            else:
+                ax.set_title(name)
+                ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
+            if number >= len(names) - 4:
+                ax.set_xlabel(below)
+        band = "\nthinned to independent draws; band: 99 % for chains that agree" if kind == "rank" else ""
+        figure.suptitle(_title(identification, engine, title) + band)
+        return figure
+
+    return style.housed(drawn)
 
 
-def _rank(identification: Identification, engine: str) -> Figure:
-    posterior = _posterior(identification, engine)
-    names = ordered(posterior.names, identification.mle.parameters)
-    independent = min(m.ess_bulk for m in posterior.marginals.values())
-    chains = posterior.tree["posterior"].sizes["chain"]
-    tree = _thinned(posterior, names, min(RANK_DRAWS, max(50, int(independent / chains))))
-    figure = _draw("rank", tree, _size(len(names), 4), col_wrap=4, color=CHAIN_COLOURS, visuals={"xlabel": False})
-    axes = [ax for ax in figure.axes if ax.has_data()]
-    for number, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        ax.set_title(name)
-        ax.set_ylabel("Δ ECDF [-]" if number % 4 == 0 else "")
-        if number >= len(names) - 4:
-            ax.set_xlabel("fractional rank [-]")
-    figure.suptitle(
-        _title(identification, engine, "Rank") + "\nthinned to independent draws; band: 99 % for chains that agree"
-    )
-    return figure
-
-
-@housed
-def trace_emcee(identification: Identification) -> Figure:
-    """Trace of every parameter by emcee, one colour per ensemble."""
-    return _trace(identification, "emcee")
-
-
-@housed
-def trace_nuts(identification: Identification) -> Figure:
-    """Trace of every parameter by NUTS, one colour per chain."""
-    return _trace(identification, "nuts")
-
-
-@housed
-def rank_emcee(identification: Identification) -> Figure:
-    """Rank plot (difference of the ECDF of ranks from uniform) of every parameter, one line per ensemble."""
-    return _rank(identification, "emcee")
-
-
-@housed
-def rank_nuts(identification: Identification) -> Figure:
-    """Rank plot (difference of the ECDF of ranks from uniform) of every parameter, one line per chain."""
-    return _rank(identification, "nuts")
-
-
-@housed
+@style.housed
 def pair(identification: Identification) -> Figure:
     """Scatter of the model's parameters against each other, marginals on the diagonal, by the first engine there is."""
     engines = chosen_posteriors(identification)
     if not engines:
-        raise NotDrawn("this run has no posterior")
+        raise style.NotDrawn("this run has no posterior")
     engine, posterior = next(iter(engines.items()))
     names = ordered((n for n in posterior.names if n in identification.mle.names), identification.mle.parameters)
     if len(names) < 2:
-        raise NotDrawn("a pair plot needs two parameters")
+        raise style.NotDrawn("a pair plot needs two parameters")
     figure = _pair(engine, posterior, names)
-    _label_matrix(identification, figure, names)
+    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
+    labels = [f"{name} {bracket(unit_of(identification, name))}" for name in names]
+    for ax, (row, column) in zip(figure.axes, places, strict=True):  # a lower triangle, named on its outer axes
+        last = row == len(names) - 1
+        ax.locator_params(nbins=3)
+        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
+        if row == column:
+            ax.set_yticks([])
+        ax.set_xlabel(labels[column] if last else "")
+        ax.set_ylabel(("density" if row == 0 else labels[row]) if column == 0 else "")
     figure.suptitle(_title(identification, engine, "Posterior of the model's parameters"))
     return figure
 
 
-@housed
+@style.housed
 def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
     """The same of a fit with process noise, by the first sampler: the parameters that vary together the most."""
     if not posteriors:
-        raise NotDrawn("there is no posterior")
+        raise style.NotDrawn("there is no posterior")
     engine, posterior = next(iter(posteriors.items()))
     figure = _pair(engine, posterior, posterior.most_correlated(MOST_PAIRED))
-    for axis in [axis for axis in figure.axes if not axis.has_data()]:
-        axis.remove()
     figure.suptitle(
         f"Posterior with process noise by {engine_label(engine)}: the parameters of the largest correlations"
     )
@@ -182,35 +135,18 @@ def pair_of(posteriors: Mapping[str, Posterior]) -> Figure:
 
 
 def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
+    """A matrix of panels without the empty ones."""
     side = 1.15 * len(names) + 1.0
-    style = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
+    look = {"alpha": 0.25, "size": 3.0, "color": COLOURS.get(engine, COLOURS["mle"]), "edgecolor": "none"}
     tree = _thinned(posterior, names, PAIR_DRAWS)
-    return _draw("pair", tree, (side, side), visuals={"scatter": style, "dist": {"color": style["color"]}})
-
-
-def _label_matrix(identification: Identification, figure: Figure, names: list[str]) -> None:
-    """Names with units on the outer axes of a lower-triangular pair plot, and tick labels there only."""
+    figure = _draw("pair", tree, (side, side), visuals={"scatter": look, "dist": {"color": look["color"]}})
     for ax in [ax for ax in figure.axes if not ax.has_data()]:
         ax.remove()
-    places = [(row, column) for row in range(len(names)) for column in range(row + 1)]
-    for ax, (row, column) in zip(figure.axes, places, strict=True):
-        last = row == len(names) - 1
-        ax.locator_params(nbins=3)
-        ax.tick_params(labelbottom=last, labelleft=column == 0 and row > 0)
-        if row == column:
-            ax.set_yticks([])
-        ax.set_xlabel(f"{names[column]} {bracket(unit_of(identification, names[column]))}" if last else "")
-        density = "density" if row == 0 else f"{names[row]} {bracket(unit_of(identification, names[row]))}"
-        ax.set_ylabel(density if column == 0 else "")
+    return figure
 
 
-FIGURES = {
-    "trace_emcee": trace_emcee,
-    "trace_nuts": trace_nuts,
-    "rank_emcee": rank_emcee,
-    "rank_nuts": rank_nuts,
-    "pair": pair,
-}
+FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
+FIGURES |= {"pair": pair}
 
 
 # --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
@@ -219,14 +155,14 @@ SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is
 CHANCE = 3.0  # deviations of the correlation of independent neighbours
 
 
-@housed
+@style.housed
 def pit_histogram(identification: Identification) -> Figure:
     """A panel for each coefficient: density of the values, and the band of independent uniform ones."""
     t = identification.pit
     if t is None:
-        raise NotDrawn("no posterior was sampled")
+        raise style.NotDrawn("no posterior was sampled")
     names = identification.observations.coefficients
-    figure, axes = grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
+    figure, axes = style.grid_of(len(names), 3, (3.0, 3.2), sharex=True, sharey=True)
     for ax, name, bars, r in zip(axes, names, t.bars, t.correlation, strict=True):
         ax.axhspan(bars.lower, bars.upper, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="band of uniform values")
         ax.axhline(1.0, color=COLOURS["measured"], lw=0.8, ls=":")
@@ -236,24 +172,19 @@ def pit_histogram(identification: Identification) -> Figure:
         ax.set_xlabel("probability of less than measured [-]")
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("density, 1 if calibrated [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    style.legend_below(figure, axes[0], 2)
     figure.suptitle(f"Where measurements fall in the {what_predicts(identification)} ({engine_label(t.engine)})")
     return figure
 
 
-@housed
+@style.housed
 def one_step_quantiles(found: ProcessNoise) -> Figure:
-    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones.
-
-    Raises:
-        NotDrawn: the fit did not converge.
-    """
+    """A panel for each output, and one for all together: quantiles of innovations over those of calibrated ones."""
     if found.one_step is None:
-        raise NotDrawn("the fit with process noise did not converge")
+        raise style.NotDrawn("the fit with process noise did not converge")
     shown = dict(found.one_step.outputs)
     shown |= {"all together": found.one_step.together} if len(shown) > 1 else {}
-    figure, axes = grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
+    figure, axes = style.grid_of(len(shown), 4, (2.4, 2.5), sharex=True, sharey=True)
     for ax, (name, one) in zip(axes, shown.items(), strict=True):
         score, value, low, high = one.quantiles.T
         ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
@@ -265,8 +196,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
         ax.tick_params(labelbottom=True)
     for ax in axes[::4]:
         ax.set_ylabel("innovation / predicted sd [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    style.legend_below(figure, axes[0], 3)
     figure.suptitle("Quantiles of innovations, predicted one step ahead")
     return figure
 
@@ -281,6 +211,14 @@ def pit_words(identification: Identification) -> tuple[str, str]:
     t = identification.pit
     assert t is not None, "the figure was drawn"
     names = identification.observations.coefficients
+    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
+    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
+    independence = "That is near enough to independence for the band."
+    if coloured:
+        independence = (
+            f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
+            "narrow there if neighbours resemble each other, and bars outside it prove little."
+        )
     listed = several(f"{n} {r:+.2f}" for n, r in zip(names, t.correlation, strict=True))
     if identification.noise is Colour.WHITE:
         how = "White noise predicts each sample by itself"
@@ -288,25 +226,10 @@ def pit_words(identification: Identification) -> tuple[str, str]:
         how = "Each sample is predicted from those before it, so its error is an innovation of the noise model"
     outside = several(f"{b.outside} of {len(b.height)} ({n})" for n, b in zip(names, t.bars, strict=True))
     return (
-        "Probability that the posterior gives to less than what was measured: flat if the model is calibrated, "
-        "∩-shaped if its intervals are mostly too wide (as where buffet enlarges one variance for all samples), "
-        "∪-shaped if too narrow, sloped if it is biased. The parameters were fitted to the same samples. "
-        f"{how}; neighbours correlate by {listed}. {_independence(t, names)}",
+        f"{WORDS['captions']['pit']} {how}; neighbours correlate by {listed}. {independence}",
         f"Histograms of the probability integral transform for {several(names)} under the "
         f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
         f"Lag-1 correlation of neighbours: {listed}.",
-    )
-
-
-def _independence(t: PitResult, names: Sequence[str]) -> str:
-    """Whether neighbours are independent, as the band assumes."""
-    limit = max(SLIGHT, CHANCE / np.sqrt(len(t.values)))
-    coloured = [n for n, r in zip(names, t.correlation, strict=True) if abs(r) > limit]
-    if not coloured:
-        return "That is near enough to independence for the band."
-    return (
-        f"The residuals of {several(coloured)} are coloured: the band takes samples as independent, so it is too "
-        "narrow there if neighbours resemble each other, and bars outside it prove little."
     )
 
 
@@ -323,7 +246,7 @@ def _correlation(identification: Identification, name: str) -> Figure:
     if points.gp is not None:
         pairs.append(("Gaussian-process regression", COLOURS["gpr"], points.gp))
     size = (4.9 * len(pairs) + 0.2, 5.75)
-    figure, axes = panels(1, len(pairs), size, sharex=True, sharey=True)
+    figure, axes = style.panels(1, len(pairs), size, sharex=True, sharey=True)
     both = np.concatenate([points.measured, *(values for _, _, values in pairs)])
     ends = np.array([both.min(), both.max()]) + 0.03 * np.ptp(both) * np.array([-1.0, 1.0])
     for ax, (title, colour, values) in zip(axes[0], pairs, strict=True):
@@ -338,42 +261,35 @@ def _correlation(identification: Identification, name: str) -> Figure:
     return figure
 
 
-@housed
+@style.housed
 def hysteresis(identification: Identification) -> Figure:
     """CL against angle of attack, rising and falling separate: measured, maximum likelihood, GPR."""
     o = identification.observations
     if "CL" not in o.coefficients:
-        raise NotDrawn("the model has no CL")
+        raise style.NotDrawn("the model has no CL")
     points = predicted(identification, "CL")
-    everything = np.arange(o.n)
-    sources = [("measured", everything, np.asarray(o.measured)[:, o.coefficients.index("CL")])]
+    alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
+    sources = [("measured", np.arange(o.n), np.asarray(o.measured)[:, o.coefficients.index("CL")])]
     sources.append(("maximum likelihood", points.index, points.mle))
     if points.gp is not None:
         sources.append(("GPR", points.index, points.gp))
     rows = len(o.names)
-    refuse_many(rows)
-    size = (4.4 * len(sources), min(3.6, 0.8 * column_width(rows)) * rows + 0.9)
-    figure, axes = panels(rows, len(sources), size, sharex=True, sharey=True)
+    style.refuse_many(rows)
+    size = (4.4 * len(sources), min(3.6, 0.8 * style.column_width(rows)) * rows + 0.9)
+    figure, axes = style.panels(rows, len(sources), size, sharex=True, sharey=True)
     for number, row in enumerate(axes):
         for ax, (title, index, values) in zip(row, sources, strict=True):
             mine = o.manoeuvre[index] == number
-            _loop(ax, identification, index[mine], values[mine])
+            for key, way in (("rising", rising[index]), ("falling", ~rising[index])):
+                x, y = alpha[index][mine & way], values[mine & way]
+                ax.plot(x, y, ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
             ax.set_title(f"{o.names[number]}, {title}")
         row[0].set_ylabel("CL [-]")
     for ax in axes[-1]:
         ax.set_xlabel("α [deg]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4)
+    style.legend_below(figure, axes[0, 0], 2, markerscale=4)
     figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
     return figure
-
-
-def _loop(ax: Axes, identification: Identification, index: np.ndarray, values: np.ndarray) -> None:
-    signals = identification.observations.signals
-    alpha = np.rad2deg(np.asarray(signals["alpha"])[index])
-    rising = np.asarray(signals["alpha_dot"])[index] > 0.0
-    for key, mask in (("rising", rising), ("falling", ~rising)):
-        ax.plot(alpha[mask], values[mask], ".", ms=2.0, color=COLOURS[key], alpha=0.7, label=f"α {key}")
 
 
 FIGURES |= {

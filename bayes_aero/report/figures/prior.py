@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,26 +18,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
 
-from bayes_aero.diagnosis.view.results import Fitted, View
+from bayes_aero.diagnosis.view.results import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.identification import Identification, Stall
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import PHONE, NotDrawn, grid_of, housed, panels
+from bayes_aero.report.style import PHONE, Drawing, NotDrawn, grid_of, housed, legend_below, panels
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered
 from bayes_aero.report.text.phrases import bracket
 
 WIDE, NARROW = 12.0, 4.0  # posterior deviations either side of its mean that a panel spans at most, at least
-
-
-def _density(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kernel density estimate of draws by arviz_stats, between their 0.1 % and 99.9 % quantiles."""
-    low, high = np.quantile(draws, [0.001, 0.999])
-    grid, density, _ = array_stats.kde(np.ravel(draws), bw="scott")
-    inside = (grid >= low) & (grid <= high)
-    return grid[inside], density[inside]
 
 
 @housed
@@ -56,37 +48,36 @@ def prior_posterior(identification: Identification) -> Figure:
         _prior_panel(ax, parameters[name], shown)
         if number % 4 == 0:
             ax.set_ylabel("density / peak [-]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    legend_below(figure, axes[0])
     figure.suptitle(f"Prior against posterior, {noise_label(identification.noise)} noise")
     return figure
 
 
 def _prior_panel(ax: Axes, parameter: Parameter, shown: dict[str, tuple[str, Posterior]]) -> None:
     """Each posterior's density over its own peak; the prior's over the first posterior's, so that these compare."""
-    name = parameter.name
-    curves = {}
+    name, curves = parameter.name, {}
     for label, (key, posterior) in shown.items():
         if name in posterior.marginals:
             draws = np.asarray(posterior.tree["posterior"][name])
-            curves[label] = (key, *_density(draws), posterior.marginals[name])
-    main = next(iter(curves.values()))[3]
+            low, high = np.quantile(draws, [0.001, 0.999])
+            grid, density, _ = array_stats.kde(np.ravel(draws), bw="scott")
+            inside = (grid >= low) & (grid <= high)
+            curves[label] = (key, grid[inside], density[inside], posterior.marginals[name])
+    _, _, first, main = next(iter(curves.values()))
     prior_sd = float(np.std(np.asarray(next(iter(shown.values()))[1].tree["prior"][name])))
     reach = float(np.clip(2.0 * prior_sd, NARROW * main.sd, WIDE * main.sd))
     low = min(main.mean - reach, *(c[1].min() for c in curves.values()))
     high = max(main.mean + reach, *(c[1].max() for c in curves.values()))
     x = np.linspace(max(low, parameter.bounds[0]), min(high, parameter.bounds[1]), 402)[1:-1]
-    prior = np.exp(np.asarray(jax.vmap(parameter.prior.log_density)(jnp.asarray(x))))
-    peak = float(next(iter(curves.values()))[2].max())
-    ax.fill_between(x, prior / peak, color=COLOURS["prior"], alpha=0.6, lw=0.0, label="prior")
-    ax.plot(x, prior / peak, color="#777777", lw=1.0)
+    prior = np.exp(np.asarray(jax.vmap(parameter.prior.log_density)(jnp.asarray(x)))) / float(first.max())
+    ax.fill_between(x, prior, color=COLOURS["prior"], alpha=0.6, lw=0.0, label="prior")
+    ax.plot(x, prior, color="#777777", lw=1.0)
     for label, (key, grid, density, _) in curves.items():
         ax.plot(grid, density / density.max(), color=COLOURS.get(key, "#555555"), lw=1.3, label=label)
     ratio = prior_sd / main.sd
     ax.set_title(f"prior sd = {ratio:.{0 if ratio >= 10.0 else 1}f} × posterior sd", fontsize=8.0, color="#333333")
     ax.set_xlabel(f"{name} {bracket(parameter.unit)}", labelpad=1)
-    ax.set_ylim(0.0, 1.08)
-    ax.set_yticks([0.0, 0.5, 1.0])
+    ax.set(ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
 
 
 @housed
@@ -99,21 +90,28 @@ def gp_prior_posterior(identification: Identification) -> Figure:
         raise NotDrawn("no Gaussian process has an accepted posterior of its hyperparameters")
     draws = {name: (_flat(tree, "prior"), _flat(tree, "posterior")) for name, tree in trees.items()}
     hypers = list(dict.fromkeys(h for _, posterior in draws.values() for h in posterior))
-    size = (4.2 * len(draws) + 0.4, 1.6 * len(hypers) + 1.2)
-    figure, axes = panels(len(hypers), len(draws), size)
+    figure, axes = panels(len(hypers), len(draws), (4.2 * len(draws) + 0.4, 1.6 * len(hypers) + 1.2))
     for column, (name, (prior, posterior)) in zip(axes.T, draws.items(), strict=True):
         for ax, hyper in zip(column, hypers, strict=True):
             _log_density(ax, prior[hyper], "prior")
             _log_density(ax, posterior[hyper], "gpr")
             ax.set(xscale="log", ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
-            _plain_ticks(ax)
-            ax.set_xlabel(f"{hyper} {_hyper_unit(hyper)}", labelpad=1)
+            low, high = ax.get_xlim()
+            if high < 10.0 * low:  # less than a decade, where powers of ten would run into each other
+                ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+                ax.xaxis.set_major_formatter(FormatStrFormatter("%.3g"))
+                ax.xaxis.set_minor_locator(NullLocator())
+            # a length scale has its input's unit, a slope its inverse
+            kind, _, channel = hyper.rstrip("]").partition("[")
+            si = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "SI unit" if channel else "1"
+            inverse = f"1/({si})" if "/" in si else f"1/{si}"
+            unit = si if kind.startswith("length") or si == "1" else inverse
+            ax.set_xlabel(f"{hyper} {bracket(unit)}", labelpad=1)
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
         ax.set_ylabel("density / peak [-]")
     figure.align_ylabels(list(axes[:, 0]))
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, axes[0, 0], 2)
     figure.suptitle(
         "GP hyperparameters, prior against posterior \n(densities of the logarithm, each over its own peak)"
     )
@@ -133,25 +131,6 @@ def _flat(tree: xr.DataTree, group: str) -> dict[str, np.ndarray]:
     return found
 
 
-def _hyper_unit(hyper: str) -> str:
-    """Unit of a hyperparameter in brackets: a length scale has its input's, a slope its inverse, the rest none."""
-    kind, _, channel = hyper.rstrip("]").partition("[")
-    known = STANDARD_CHANNELS.get(channel)
-    unit = known.unit if known else "SI unit"
-    if not channel or unit == "1":
-        return "[-]"
-    return bracket(unit if kind.startswith("length") else f"1/({unit})" if "/" in unit else f"1/{unit}")
-
-
-def _plain_ticks(ax: Axes) -> None:
-    """Few plain numbers on a logarithmic axis of less than a decade, whose powers of ten would run into each other."""
-    low, high = ax.get_xlim()
-    if high < 10.0 * low:
-        ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-        ax.xaxis.set_major_formatter(FormatStrFormatter("%.3g"))
-        ax.xaxis.set_minor_locator(NullLocator())
-
-
 def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:
     """Density of log10 of draws over its own peak, where it is more than a hundredth of that."""
     logs = np.log10(np.ravel(draws))
@@ -164,9 +143,6 @@ def _log_density(ax: Axes, draws: np.ndarray, key: str) -> None:
     label = "prior" if key == "prior" else "posterior"
     ax.fill_between(x, y, color=COLOURS[key], alpha=0.5, lw=0.0, label=label)
     ax.plot(x, y, color=COLOURS[key], lw=1.0)
-
-
-FIGURES = {"prior_posterior": prior_posterior, "gp_prior_posterior": gp_prior_posterior}
 
 
 # --- Number of effects that need each recorded channel.
@@ -236,80 +212,27 @@ def of_identification(identification: Identification) -> list[StallData]:
     """The one model of a run."""
     if identification.stall is None:
         raise NotDrawn("the stall was not computed: that needs a posterior that converged")
-    o = identification.observations
-    return [
-        StallData(
-            "",
-            COLOURS["mle"],
-            np.rad2deg(np.asarray(o.signals["alpha"])),
-            np.asarray(o.signals["alpha_dot"]) > 0.0,
-            np.asarray(o.measured),
-            identification.fitted,
-            o.manoeuvre,
-            o.dt,
-            identification.stall,
-        )
-    ]
+    o, fitted = identification.observations, identification.fitted
+    alpha, rising = np.rad2deg(np.asarray(o.signals["alpha"])), np.asarray(o.signals["alpha_dot"]) > 0.0
+    flown = np.asarray(o.measured), fitted, o.manoeuvre, o.dt, identification.stall
+    return [StallData("", COLOURS["mle"], alpha, rising, *flown)]
 
 
 def of_view(view: View) -> list[StallData]:
     """The card's model, and the extended one where there is one; each with the sensors as it corrects them."""
     if not view.stalls:
         raise NotDrawn("the stall was not computed")
-    models: list[tuple[str, str, str, Fitted]] = [("card", "card's model", COLOURS["before"], view.card)]
-    if "extended" in view.stalls:
-        models.append(("extended", "extended model", COLOURS["after"], view.extended))
-    return [
-        StallData(
-            label,
-            colour,
-            np.rad2deg(fitted.signals["alpha"]),
-            fitted.signals["alpha_dot"] > 0.0,
-            fitted.signals["measured"],
-            fitted.signals["modelled"],
-            view.manoeuvre,
-            view.seconds,
-            view.stalls[key],
-        )
-        for key, label, colour, fitted in models
-    ]
-
-
-@housed
-def stall(identification: Identification) -> Figure:
-    """Lift over the angle of attack, where the time was spent, and the polar."""
-    return _stall(of_identification(identification))
-
-
-@housed
-def stall_narrow(identification: Identification) -> Figure:
-    """`stall` for a phone: one panel below the other."""
-    figure, axes = panels(3, 1, (PHONE, 8.4), height_ratios=(4, 1, 3))
-    lift, time, polar = axes[:, 0]
-    _fill(lift, time, polar, of_identification(identification)[0])
-    _keys(figure, [lift], 2)
-    return figure
-
-
-@housed
-def stall_models(view: View) -> Figure:
-    """The same of the card's model and of the extended one."""
-    return _stall(of_view(view))
-
-
-@housed
-def separation(identification: Identification) -> Figure:
-    """The separation point over the angle of attack at three rates of it."""
-    return _separation(of_identification(identification))
-
-
-@housed
-def separation_models(view: View) -> Figure:
-    """The same of the card's model and of the extended one."""
-    return _separation(of_view(view))
+    found = []
+    for key, colour, fitted in (("card", "before", view.card), ("extended", "after", view.extended)):
+        if key == "card" or key in view.stalls:
+            label, s = "card's model" if key == "card" else "extended model", fitted.signals
+            flown = s["measured"], s["modelled"], view.manoeuvre, view.seconds, view.stalls[key]
+            found.append(StallData(label, COLOURS[colour], np.rad2deg(s["alpha"]), s["alpha_dot"] > 0.0, *flown))
+    return found
 
 
 def _stall(models: list[StallData]) -> Figure:
+    """Lift over the angle of attack, where the time was spent, and the polar; a pair of rows for each model."""
     rows = len(models)
     figure, axes = panels(2 * rows, 2, (10.5, 5.0 * rows + 0.7), height_ratios=(4, 1) * rows, width_ratios=(3, 2))
     for number, flown in enumerate(models):
@@ -320,12 +243,14 @@ def _stall(models: list[StallData]) -> Figure:
     return figure
 
 
-def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
-    _lift(lift, flown)
-    _time_spent(time, flown)
-    time.sharex(lift)
-    lift.tick_params(labelbottom=False)
-    _polar(polar, flown)
+@housed
+def stall_narrow(identification: Identification) -> Figure:
+    """The stall for a phone: one panel below the other."""
+    figure, axes = panels(3, 1, (PHONE, 8.4), height_ratios=(4, 1, 3))
+    lift, time, polar = axes[:, 0]
+    _fill(lift, time, polar, of_identification(identification)[0])
+    _keys(figure, [lift], 2)
+    return figure
 
 
 def _keys(figure: Figure, axes: list[Axes], columns: int) -> None:
@@ -337,64 +262,51 @@ def _keys(figure: Figure, axes: list[Axes], columns: int) -> None:
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)
 
 
-def _lift(ax: Axes, flown: StallData) -> None:
-    s = flown.stall
+def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
+    """Lift and drag as measured, fitted and in steady flow, and the time spent at each angle."""
+    s, whose = flown.stall, f", {flown.title}" if flown.title else ""
+    dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5}
     for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
-        ax.plot(
-            flown.alpha[mask], flown.measured[mask, 0], ".", ms=2.5, alpha=0.5, color=COLOURS[key],
-            label=f"measured, α {key}",
-        )  # fmt: skip
+        dots["color"], CL = COLOURS[key], flown.measured[mask, 0]
+        lift.plot(flown.alpha[mask], CL, ms=2.5, label=f"measured, α {key}", **dots)
+        polar.plot(flown.measured[mask, 1], CL, ms=2.0, **dots)
     for k in range(int(flown.manoeuvre[-1]) + 1):
         mine = flown.manoeuvre == k
         label = "fitted, as flown" if k == 0 else None
-        ax.plot(flown.alpha[mine], flown.modelled[mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
-    degrees, whose = np.rad2deg(s.alpha), f", {flown.title}" if flown.title else ""
-    ax.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label=f"steady flow, 95 % band{whose}", **BAND)
-    ax.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
-    _peak(ax, flown)
-    ax.set_ylabel("CL [-]")
-    ax.set_title(f"Lift{f', {flown.title}' if flown.title else ''}")
+        lift.plot(flown.alpha[mine], flown.modelled[mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
+    degrees = np.rad2deg(s.alpha)
+    lift.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label=f"steady flow, 95 % band{whose}", **BAND)
+    lift.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
+    _peak(lift, s)
+    lift.set(ylabel="CL [-]", title=f"Lift{whose}")
+    edges = np.arange(np.floor(flown.alpha.min()), np.ceil(flown.alpha.max()) + 1.0)
+    time.hist(flown.alpha, bins=edges, weights=np.full(len(flown.alpha), flown.seconds), color="#9fb8c9")
+    time.set(xlabel="α [deg]", ylabel="time [s/deg]")
+    time.sharex(lift)
+    lift.tick_params(labelbottom=False)
+    polar.plot(s.CD[1], s.CL[1], color=flown.colour, lw=1.8)
+    if s.seen:
+        at = int(np.argmax(s.CL[1]))
+        polar.plot(s.CD[1][at], s.CL[1][at], "o", ms=5.0, color="black", mec="white", zorder=6)
+    polar.set(xlabel="CD [-]", ylabel="CL [-]", title=f"Drag polar{whose}")
 
 
-def _peak(ax: Axes, flown: StallData) -> None:
-    s = flown.stall
+def _peak(ax: Axes, s: Stall) -> None:
+    place = {"transform": ax.transAxes, "ha": "right"}
     if not s.seen:
-        note = (
-            "no maximum inside\nthe angles flown" if s.at_edge > 0.5 else "maximum near the edge\nof the angles flown"
-        )
-        ax.text(0.97, 0.05, note, transform=ax.transAxes, ha="right", fontsize=8.5)
+        where = "inside\nthe angles flown" if s.at_edge > 0.5 else "near the edge\nof the angles flown"
+        ax.text(0.97, 0.05, f"{'no maximum' if s.at_edge > 0.5 else 'maximum'} {where}", fontsize=8.5, **place)
         return
     x, y = np.rad2deg(s.alpha_max.median), s.CL_max.median
     low, high = np.rad2deg([s.alpha_max.low, s.alpha_max.high])
-    ax.errorbar(
-        x, y, xerr=[[x - low], [high - x]], yerr=[[y - s.CL_max.low], [s.CL_max.high - y]], fmt="o", ms=5.0,
-        color="black", mec="white", capsize=3.0, zorder=6, label="CLmax and its angle, 95 %",
-    )  # fmt: skip
-    ax.text(0.97, 0.05, f"CLmax {y:.3f}\nat {x:.1f} deg", transform=ax.transAxes, ha="right", fontsize=9.5)
-
-
-def _time_spent(ax: Axes, flown: StallData) -> None:
-    edges = np.arange(np.floor(flown.alpha.min()), np.ceil(flown.alpha.max()) + 1.0)
-    weights = np.full(len(flown.alpha), flown.seconds)
-    ax.hist(flown.alpha, bins=edges, weights=weights, color="#9fb8c9")
-    ax.set_xlabel("α [deg]")
-    ax.set_ylabel("time [s/deg]")
-
-
-def _polar(ax: Axes, flown: StallData) -> None:
-    s = flown.stall
-    for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
-        ax.plot(flown.measured[mask, 1], flown.measured[mask, 0], ".", ms=2.0, alpha=0.5, color=COLOURS[key])
-    ax.plot(s.CD[1], s.CL[1], color=flown.colour, lw=1.8)
-    if s.seen:
-        at = int(np.argmax(s.CL[1]))
-        ax.plot(s.CD[1][at], s.CL[1][at], "o", ms=5.0, color="black", mec="white", zorder=6)
-    ax.set_xlabel("CD [-]")
-    ax.set_ylabel("CL [-]")
-    ax.set_title(f"Drag polar{f', {flown.title}' if flown.title else ''}")
+    ends = {"xerr": [[x - low], [high - x]], "yerr": [[y - s.CL_max.low], [s.CL_max.high - y]]}
+    style = {"fmt": "o", "ms": 5.0, "color": "black", "mec": "white", "capsize": 3.0, "zorder": 6}
+    ax.errorbar(x, y, **ends, **style, label="CLmax and its angle, 95 %")
+    ax.text(0.97, 0.05, f"CLmax {y:.3f}\nat {x:.1f} deg", fontsize=9.5, **place)
 
 
 def _separation(models: list[StallData]) -> Figure:
+    """The separation point over the angle of attack at three rates of it; a panel for each model."""
     figure, axes = panels(1, len(models), (6.2 * len(models) if len(models) > 1 else 7.5, 4.2), sharey=True)
     for ax, flown in zip(axes[0], models, strict=True):
         s = flown.stall
@@ -402,16 +314,22 @@ def _separation(models: list[StallData]) -> Figure:
         for rate, band, key in zip(s.rates, s.X, RATE_COLOURS, strict=True):
             ax.fill_between(degrees, band[0], band[2], color=COLOURS[key], **BAND)
             label = f"α̇ = {np.rad2deg(rate):+.1f} deg/s" if rate else "α̇ = 0 (steady)"
-            dash = "--" if rate > 0.0 else "-"
-            ax.plot(degrees, band[1], color=COLOURS[key], ls=dash, lw=1.5, label=label)
+            ax.plot(degrees, band[1], color=COLOURS[key], ls="--" if rate > 0.0 else "-", lw=1.5, label=label)
         ax.plot(flown.alpha, np.full_like(flown.alpha, -0.04), "|", ms=4.0, alpha=0.08, color="black")
-        ax.set_xlabel("α [deg]")
-        ax.set_ylim(-0.07, 1.05)
-        ax.set_title(flown.title or "Separation point")
+        ax.set(xlabel="α [deg]", ylim=(-0.07, 1.05), title=flown.title or "Separation point")
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.08))
     axes[0, 0].set_ylabel("separation point X [-] (1 attached, 0 separated)")
     return figure
 
 
-FIGURES |= {"stall": stall, "stall_narrow": stall_narrow, "separation": separation}
-DIAGNOSIS_FIGURES = {"stall_models": stall_models, "separation_models": separation_models}
+FIGURES: dict[str, Drawing] = {
+    "prior_posterior": prior_posterior,
+    "gp_prior_posterior": gp_prior_posterior,
+    "stall": housed(lambda run: _stall(of_identification(run))),
+    "stall_narrow": stall_narrow,
+    "separation": housed(lambda run: _separation(of_identification(run))),
+}
+DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {
+    "stall_models": housed(lambda view: _stall(of_view(view))),
+    "separation_models": housed(lambda view: _separation(of_view(view))),
+}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,25 +18,13 @@ from bayes_aero.inference.identification import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import Drawing, NotDrawn, column_width, housed, panels, refuse_many
-from bayes_aero.report.tables.across_cases import Predicted, broken, clock, predicted, what_is_shown
-from bayes_aero.report.text.phrases import GREEK, bracket, for_people, short
+from bayes_aero.report.tables.across_cases import PredictedPoints, broken, clock, predicted, what_is_shown
+from bayes_aero.report.text.phrases import axis_label, channel_axis, for_people, short
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
-SYMBOLS = {
-    "alpha": "α",
-    "theta": "θ",
-    "beta": "β",
-    "elevator": "δe",
-    "aileron": "δa",
-    "rudder": "δr",
-    "airspeed": "V",
-    "altitude": "h",
-    "mach": "Mach",
-    "thrust": "T",
-}
 LONG_NAMES = {
     "CL": "lift coefficient CL",
     "CD": "drag coefficient CD",
@@ -48,65 +35,50 @@ LONG_NAMES = {
 }
 
 
-def shown_in(channel: str) -> tuple[str, float]:
-    """The unit in which people read a channel, and the factor to it from SI."""
-    unit = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "N"
-    return for_people(unit)
-
-
-def _channel(identification: Identification, record: FlightRecord, name: str) -> np.ndarray | None:
-    """A recorded channel, or one that the card forms of recorded ones; None where there is neither."""
-    card = identification.card
-    if record.has(name) or name not in {*card.sums, *card.tables, *card.derived}:
-        return record[name] if record.has(name) else None
-    return with_sums(record, card).get(name)
-
-
-@housed
+@style.housed
 def time_history(identification: Identification) -> Figure:
     """Recorded channels: one column per manoeuvre, one row per channel, angles in degrees."""
-    records = identification.records
-    refuse_many(len(records))
-    values = {name: [_channel(identification, record, name) for record in records] for name in HISTORY}
+    records, card = identification.records, identification.card
+    style.refuse_many(len(records))
+    formed = {*card.sums, *card.tables, *card.derived}  # by the card, of recorded ones
+
+    def values_of(record: FlightRecord, name: str) -> np.ndarray | None:
+        if record.has(name) or name not in formed:
+            return record[name] if record.has(name) else None
+        return with_sums(record, card).get(name)
+
+    values = {name: [values_of(record, name) for record in records] for name in HISTORY}
     rows = [name for name, columns in values.items() if any(c is not None for c in columns)]
-    width = column_width(len(records))
-    figure, axes = panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
+    width = style.column_width(len(records))
+    figure, axes = style.panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
     for row, name in zip(axes, rows, strict=True):
-        unit, factor = shown_in(name)
+        label, factor = channel_axis(name)
         for ax, record, column in zip(row, records, values[name], strict=True):
             ax.margins(x=0.01)
             if column is None:
                 ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", color="#777777")
                 continue
             ax.plot(record.time - record.time[0], factor * column, color=COLOURS["measured"], lw=0.8)
-        _same_limits([ax for ax, c in zip(row, values[name], strict=True) if c is not None])
-        row[0].set_ylabel(f"{SYMBOLS.get(name, name)} {bracket(unit)}")
-    for ax, record in zip(axes[0], records, strict=True):
-        ax.set_title(f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)")
-    for ax in axes[-1]:
-        ax.set_xlabel("time from start of record [s]")
-    figure.align_ylabels(list(axes[:, 0]))
-    figure.suptitle(f"Manoeuvres flown: {identification.card.title}")
+        drawn = [ax for ax, c in zip(row, values[name], strict=True) if c is not None]
+        low, high = zip(*(ax.get_ylim() for ax in drawn), strict=True)
+        for ax in drawn:  # one vertical scale for a row, so that manoeuvres are comparable
+            ax.set_ylim(min(low), max(high))
+        row[0].set_ylabel(label)
+    style.name_panels(axes, [f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)" for record in records])
+    figure.suptitle(f"Manoeuvres flown: {card.title}")
     return figure
 
 
-def _same_limits(row: list[Axes]) -> None:
-    """One vertical scale for a row, so that manoeuvres are comparable."""
-    limits = np.array([ax.get_ylim() for ax in row])
-    for ax in row:
-        ax.set_ylim(limits[:, 0].min(), limits[:, 1].max())
-
-
-@housed
+@style.housed
 def gpr_fit(identification: Identification) -> Figure:
     """The Gaussian process's coefficients over the measured ones, with its 95 % predictive band."""
     if identification.gp is None:
-        raise NotDrawn("this run has no Gaussian process")
+        raise style.NotDrawn("this run has no Gaussian process")
     count = len(identification.observations.names)
-    refuse_many(count)
+    style.refuse_many(count)
     names = identification.observations.coefficients
-    size = (column_width(count) * count, 2.4 * len(names) + 0.8)
-    figure, axes = panels(len(names), count, size, sharex="col", sharey="row")
+    size = (style.column_width(count) * count, 2.4 * len(names) + 0.8)
+    figure, axes = style.panels(len(names), count, size, sharex="col", sharey="row")
     for row, name in zip(axes, names, strict=True):
         points = predicted(identification, name)
         for number, ax in enumerate(row):
@@ -123,14 +95,19 @@ def gpr_fit(identification: Identification) -> Figure:
 def _validation(identification: Identification, name: str) -> Figure:
     """One coefficient over time, measured and predicted, with the errors below; a column per manoeuvre."""
     count = len(identification.observations.names)
-    refuse_many(count)
-    size = (column_width(count) * count, 6.5)
-    figure, axes = panels(2, count, size, sharex="col", sharey="row", height_ratios=(2, 1))
+    style.refuse_many(count)
+    size = (style.column_width(count) * count, 6.5)
+    figure, axes = style.panels(2, count, size, sharex="col", sharey="row", height_ratios=(2, 1))
     points = predicted(identification, name)
     engines = ("mle",) if points.gp is None else ("mle", "gpr")
     for number, (above, below) in enumerate(axes.T):
         _history(above, identification, name, points, number, engines)
-        _errors(below, identification, points, number)
+        shown = points.of(identification.observations.manoeuvre == number)
+        at = clock(identification)[shown.index]
+        below.axhline(0.0, color="#777777", lw=0.8)
+        below.plot(*broken(at, shown.measured - shown.mle), color=COLOURS["mle"], lw=0.9)
+        if shown.gp is not None:
+            below.plot(at, shown.measured - shown.gp, ".", ms=2.2, color=COLOURS["gpr"])
     axes[0, 0].set_ylabel(f"{name} [-]")
     axes[1, 0].set_ylabel(f"measured - predicted {name} [-]")
     _finish(figure, axes, identification, f"Validation of the {LONG_NAMES[name]}")
@@ -138,7 +115,7 @@ def _validation(identification: Identification, name: str) -> Figure:
 
 
 def _history(
-    ax: Axes, identification: Identification, name: str, points: Predicted, number: int, engines: tuple[str, ...]
+    ax: Axes, identification: Identification, name: str, points: PredictedPoints, number: int, engines: tuple[str, ...]
 ) -> None:
     """Measured thin, predictions at their test points: the band and the dots of the GP, the line of the ML model."""
     o = identification.observations
@@ -157,36 +134,21 @@ def _history(
     ax.margins(x=0.01)
 
 
-def _errors(ax: Axes, identification: Identification, points: Predicted, number: int) -> None:
-    shown = points.of(identification.observations.manoeuvre == number)
-    at = clock(identification)[shown.index]
-    ax.axhline(0.0, color="#777777", lw=0.8)
-    ax.plot(*broken(at, shown.measured - shown.mle), color=COLOURS["mle"], lw=0.9)
-    if shown.gp is not None:
-        ax.plot(at, shown.measured - shown.gp, ".", ms=2.2, color=COLOURS["gpr"])
-
-
 def _finish(figure: Figure, axes: np.ndarray, identification: Identification, title: str) -> None:
-    names = identification.observations.names
-    for ax, name in zip(axes[0], names, strict=True):
-        ax.set_title(name)
-    for ax in axes[-1]:
-        ax.set_xlabel("time from start of record [s]")
-    figure.align_ylabels(list(axes[:, 0]))
+    style.name_panels(axes, identification.observations.names)
     figure.suptitle(f"{title}: {what_is_shown(identification)}")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), markerscale=4)
+    style.legend_below(figure, axes[0, 0], markerscale=4)
 
 
-def of_coefficient(draw: Callable[[Identification, str], Figure], name: str) -> Drawing:
+def of_coefficient(draw: Callable[[Identification, str], Figure], name: str) -> style.Drawing:
     """A figure of one coefficient; not drawn for a model without it."""
 
     def drawn(identification: Identification) -> Figure:
         if name not in identification.observations.coefficients:
-            raise NotDrawn(f"the model has no {name}")
+            raise style.NotDrawn(f"the model has no {name}")
         return draw(identification, name)
 
-    return housed(drawn)
+    return style.housed(drawn)
 
 
 FIGURES = {
@@ -207,42 +169,36 @@ Curve = tuple[SimulatedManoeuvre, str, str]
 """A path with its label and colour."""
 
 
-def _shown(view: View, split: str) -> Figure:
+def _shown(split: str, title: str, view: View) -> Figure:
+    """Every manoeuvre of a split: simulated with the fit to the others, or with the joint fit."""
     flown = view.trajectories
     if flown is None:
-        raise NotDrawn("nothing was simulated")
+        raise style.NotDrawn("nothing was simulated")
     names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
     if not names:
-        raise NotDrawn(f"no manoeuvre is {split}")
+        raise style.NotDrawn(f"no manoeuvre is {split}")
     columns = {
-        name: [(p, label, colour) for key, label, colour in MODELS if (p := flown.path(name, key, split)) is not None]
+        name: [(p, label, colour) for model, label, colour in MODELS if (p := flown.path(name, model, split))]
         for name in names
     }
-    captions = {
-        "hold_out": "Simulated from the measured initial state, with parameters fitted without this flight",
-        "fitted": "Simulated with parameters fitted to all of it",
-    }
-    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, captions[split])
+    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, title)
 
 
 def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, str], title: str) -> Figure:
     """A row of panels for each output (with its SI unit), a column for each manoeuvre."""
     tall = 1.35 if len(outputs) > 1 else 2.6
-    size = (column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
-    figure, axes = panels(len(outputs), len(columns), size, sharex="col", sharey="row")
+    size = (style.column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
+    figure, axes = style.panels(len(outputs), len(columns), size, sharex="col", sharey="row")
     reach: dict[int, list[tuple[float, float]]] = {}
-    for column, (name, curves) in enumerate(columns.items()):
+    for column, curves in enumerate(columns.values()):
         for row, (output, unit) in enumerate(outputs.items()):
             reach.setdefault(row, []).append(_panel(axes[row, column], curves, output, unit))
-        axes[0, column].set_title(name)
-        axes[-1, column].set_xlabel("time from start of record [s]")
     for row, (output, unit) in enumerate(outputs.items()):
         low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
         axes[row, 0].set_ylim(min(low), max(high))
-        axes[row, 0].set_ylabel(f"{GREEK.get(output, output)} {bracket(for_people(unit)[0])}")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    figure.align_ylabels(list(axes[:, 0]))
+        axes[row, 0].set_ylabel(axis_label(output, unit))
+    style.name_panels(axes, columns)
+    style.legend_below(figure, axes[0, 0], 4)
     figure.suptitle(title)
     return figure
 
@@ -268,25 +224,19 @@ def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> tuple[fl
     return low - reach, high + reach
 
 
-@housed
-def trajectories_hold_out(view: View) -> Figure:
-    """Every manoeuvre simulated with the fit to the others, from its measured initial state."""
-    return _shown(view, "hold_out")
-
-
-@housed
-def trajectories_fitted(view: View) -> Figure:
-    """Every manoeuvre simulated with the joint fit, initial states included."""
-    return _shown(view, "fitted")
-
-
-DIAGNOSIS_FIGURES = {"trajectories_hold_out": trajectories_hold_out, "trajectories_fitted": trajectories_fitted}
-AFTER_TRAJECTORIES = ("trajectories_hold_out", "trajectories_fitted")
+DIAGNOSIS_FIGURES = {
+    f"trajectories_{split}": style.housed(partial(_shown, split, title))
+    for split, title in (
+        ("hold_out", "Simulated from the measured initial state, with parameters fitted without this flight"),
+        ("fitted", "Simulated with parameters fitted to all of it"),
+    )
+}
+AFTER_TRAJECTORIES = tuple(DIAGNOSIS_FIGURES)
 
 
 def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
     """A figure for each output, by the stem of its file."""
-    return {stem_of(n): housed(partial(_of, n)) for n in flown.outputs}
+    return {stem_of(n): style.housed(partial(_simulated, n)) for n in flown.outputs}
 
 
 def stem_of(output: str) -> str:
@@ -294,11 +244,9 @@ def stem_of(output: str) -> str:
     return f"trajectory_{re.sub(r'[^A-Za-z0-9_-]', '_', output)}"
 
 
-def _of(output: str, flown: TrajectoryFit) -> Figure:
-    refuse_many(len(flown.manoeuvres))
-    columns = {
-        name: [(flown.path(name, model), label, colour) for model, label, colour in FLOWN] for name in flown.manoeuvres
-    }
+def _simulated(output: str, flown: TrajectoryFit) -> Figure:
+    style.refuse_many(len(flown.manoeuvres))
+    columns = {name: [(flown.path(name, model), x, colour) for model, x, colour in FLOWN] for name in flown.manoeuvres}
     title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
     return over_measured(columns, {output: flown.units[output]}, title)
 
@@ -309,36 +257,24 @@ MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "bu
 BAND = 1.96  # standard deviations
 
 
-@housed
+@style.housed
 def gusts(found: ProcessNoise) -> Figure:
-    """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust.
-
-    Raises:
-        NotDrawn: no gust has an intensity.
-    """
+    """Estimated gusts with their bands: a row for each manoeuvre, a column for each gust."""
     if not found.histories:
-        raise NotDrawn("no gust has an intensity")
-    refuse_many(len(found.histories))
+        raise style.NotDrawn("no gust has an intensity")
+    style.refuse_many(len(found.histories))
     labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
-    figure, axes = _banded_rows({h.manoeuvre: (h.time, h.gusts) for h in found.histories}, labels)
-    for axis in axes.flat:
-        axis.axhline(0.0, color="#999999", linewidth=0.6)
+    rows = len(found.histories)
+    figure = Figure(figsize=(4.2 * len(labels) + 1.2, 1.9 * rows + 0.9), layout="constrained")
+    axes = figure.subplots(rows, len(labels), squeeze=False, sharey="col")
+    for row, h in zip(axes, found.histories, strict=True):
+        for ax, (name, label) in zip(row, labels.items(), strict=True):
+            mean, sd = h.gusts[name]
+            band = {"color": COLOURS["after"], "alpha": 0.25, "linewidth": 0.0}
+            ax.fill_between(h.time, mean - BAND * sd, mean + BAND * sd, **band)
+            ax.plot(h.time, mean, color=COLOURS["after"])
+            ax.set_title(h.manoeuvre, loc="left")
+            ax.set(xlabel="time [s]", ylabel=label)
+            ax.axhline(0.0, color="#999999", linewidth=0.6)
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
-
-
-def _banded_rows(rows: Mapping[str, tuple[Any, Mapping[str, tuple[Any, Any]]]], labels: Mapping[str, str]):
-    """Means with bands over time: rows by manoeuvre (time, mean and standard deviation by name), columns by label."""
-    figure = Figure(figsize=(4.2 * len(labels) + 1.2, 1.9 * len(rows) + 0.9), layout="constrained")
-    axes = figure.subplots(len(rows), len(labels), squeeze=False, sharey="col")
-    for row, (manoeuvre, (time, found)) in zip(axes, rows.items(), strict=True):
-        for axis, (name, label) in zip(row, labels.items(), strict=True):
-            mean, sd = found[name]
-            axis.fill_between(
-                time, mean - BAND * sd, mean + BAND * sd, color=COLOURS["after"], alpha=0.25, linewidth=0.0
-            )
-            axis.plot(time, mean, color=COLOURS["after"])
-            axis.set_title(manoeuvre, loc="left")
-            axis.set_ylabel(label)
-            axis.set_xlabel("time [s]")
-    return figure, axes

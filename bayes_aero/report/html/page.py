@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,11 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
-from bayes_aero.report.html.plots import MOST, TIME, Over, Panel, linked
-from bayes_aero.report.text.check import consistency_sentences
-from bayes_aero.report.text.phrases import GREEK, bracket, for_people, plain_unit, several
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
+from bayes_aero.report.tables.table import Table, cell_text
+from bayes_aero.report.text.check import among_text, consistency_sentences, not_told_apart
+from bayes_aero.report.text.phrases import WORDS, bracket, channel_axis, for_people, plain_unit, several, symbol
 from bayes_aero.units import number
 
 ACROSS = 150  # characters in a row of a table from which paper is turned
@@ -71,31 +74,23 @@ class Facts:
 
 @dataclass(frozen=True)
 class HtmlTable:
-    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading. `groups` span
-    several headings each.
-
-    `words` are the columns that hold text (left-aligned) beside the first. `links` are relative addresses that the
-    first cells lead to, one a row, empty for none.
-    """
+    """Rows of text under headings (of numbers: `page_table`); the first cell of a row is its heading."""
 
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    groups: tuple[tuple[str, int], ...] = ()
-    words: tuple[int, ...] = ()
+    groups: tuple[tuple[str, int], ...] = ()  # with the number of headings that each spans
+    words: tuple[int, ...] = ()  # columns that hold text (left-aligned) beside the first
     note: str = ""
-    links: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()  # relative addresses that the first cells lead to, one a row, empty for none
     kind: str = field(default="table", init=False)
 
     def lean(self) -> HtmlTable:
         """Without the columns that are empty in every row."""
         kept = [i for i in range(len(self.head)) if any(row[i] for row in self.rows)]
-        return replace(
-            self,
-            head=tuple(self.head[i] for i in kept),
-            rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
-            words=tuple(new for new, i in enumerate(kept) if i in self.words),
-        )
+        head, *rows = (tuple(row[i] for i in kept) for row in (self.head, *self.rows))
+        words = tuple(new for new, i in enumerate(kept) if i in self.words)
+        return replace(self, head=head, rows=tuple(rows), words=words)
 
     def _widths(self) -> list[int]:
         """Characters in the longest line of each column."""
@@ -123,26 +118,21 @@ class HtmlTable:
 
 @dataclass(frozen=True)
 class Picture:
-    """A static figure: `source` is a data URI, `alt` says in words and numbers what it shows.
+    """A static figure."""
 
-    `width` and `height` in pixels of the picture, `natural` its width on a screen at which its text has nominal size.
-    `narrow` is the same figure drawn for a phone, a data URI; empty where there is none.
-    """
-
-    source: str
-    alt: str
+    source: str  # a data URI
+    alt: str  # says in words and numbers what it shows
     caption: str
-    width: int
+    width: int  # pixels of the picture
     height: int
-    natural: int
-    narrow: str = ""
+    natural: int  # its width on a screen at which its text has nominal size
+    narrow: str = ""  # the same figure drawn for a phone, a data URI; empty where there is none
     kind: str = field(default="picture", init=False)
 
 
 @dataclass(frozen=True)
 class Plot:
-    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style) and words as for a
-    picture."""
+    """An interactive figure: what Bokeh needs to draw it, a legend (label, colour, style), words as for a picture."""
 
     item: Mapping[str, Any]
     legend: tuple[tuple[str, str, str], ...]
@@ -174,7 +164,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Page:
+class Report:
     """A report: doubts of the records, if any; a verdict in one sentence, one picture, then sections."""
 
     title: str
@@ -199,7 +189,7 @@ def filled(*sections: Section) -> tuple[Section, ...]:
     return tuple(section for section in sections if section.blocks)
 
 
-def render(page: Page) -> str:
+def render(page: Report) -> str:
     """The page as HTML."""
     environment = Environment(
         loader=PackageLoader("bayes_aero.report", "templates"),
@@ -211,27 +201,31 @@ def render(page: Page) -> str:
     plots = [*_plots(page.lead), *(plot for section in page.sections for plot in _plots(section.blocks))]
     environment.filters["breakable"] = _breakable
     numbers = {id(plot): number for number, plot in enumerate(plots)}
+    data = json.dumps([plot.item for plot in plots], separators=(",", ":"), allow_nan=True)
+    for sign in "<>&\u2028\u2029":  # so that it cannot end the script element around it
+        data = data.replace(sign, f"\\u{ord(sign):04x}")
+    library = Markup("")
+    if plots:  # BokehJS without widgets, tables and MathJax, which would be fetched
+        from bokeh.resources import Resources
+
+        library = Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
     return environment.get_template("page.html").render(
         page=page,
-        library=_library() if plots else "",
-        plots=Markup(_script_json([plot.item for plot in plots])),
+        library=library,
+        plots=Markup(data),
         number=lambda plot: numbers[id(plot)],
         version=__version__,
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
 
 
-def write_page(page: Page, path: Path) -> Path:
+def write_page(page: Report, path: Path) -> Path:
     """Write the page whole or not at all."""
     return write_whole(render(page), path)
 
 
-def put_page(make: Callable[[], Page], folder: Path, name: str = "report.html") -> tuple[str, ...]:
-    """Write the page `name` into `folder`; parts that cannot be made are left out.
-
-    Returns:
-        A sentence on each failure: of the page, or of sections that say on it why they are not there.
-    """
+def put_page(make: Callable[[], Report], folder: Path, name: str = "report.html") -> tuple[str, ...]:
+    """Write the page `name` into `folder`; a sentence on each failure, of the page or of sections that say it there."""
     try:
         page = make()
         write_page(page, folder / name)
@@ -255,57 +249,37 @@ def _plots(blocks: Iterable[Block]) -> Iterable[Plot]:
             yield from _plots(block.blocks)
 
 
-def _script_json(content: Any) -> str:
-    """JSON that cannot end the script element around it."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=True)
-    for sign in "<>&\u2028\u2029":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    return text
-
-
-def _library() -> Markup:
-    """BokehJS without widgets, tables and MathJax, which would be fetched."""
-    from bokeh.resources import Resources
-
-    return Markup("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
-
-
 # --- Common parts of pages: the records at a glance, and the provenance.
 
 GLANCE = ("airspeed", "alpha", "altitude", "elevator", "q")
 LATERAL_GLANCE = (
-    "airspeed",
-    "alpha",
-    "beta",
-    "altitude",
-    "elevator",
-    "aileron",
-    "aileron_right",
-    "rudder",
-    "p",
-    "q",
-    "r",
-)
+    "airspeed", "alpha", "beta", "altitude", "elevator", "aileron", "aileron_right", "rudder", "p", "q", "r",
+)  # fmt: skip
+MEASURED = ("measured", COLOURS["measured"], "solid")  # in legends
+NOT_DRAWN = Text("Static pictures were not drawn in this run; tables and interactive figures are complete.")
 MOST_SHOWN = 6  # manoeuvres whose time histories are on the page: each costs a browser a second on a phone
 
 
 def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...]:
-    """Manoeuvres and recorded channels."""
-    units = _glanced(card)
+    """Manoeuvres and recorded channels: the main ones are those of most flights, or of a linear card's rows."""
+    names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
+    units = {name: STANDARD_CHANNELS[name].unit for name in names}
+    if (rows := card.linear) is not None:
+        units = {name: channel_units(card)[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
     shown = [name for name in units if any(record.has(name) for record in records)]
-    heads = [f"{_name(name)}\n{bracket(for_people(units[name])[0])}" for name in shown]
-    rows = [
-        (
-            record.name,
-            f"{record.time[-1] - record.time[0]:.1f}",
-            str(record.n),
-            f"{1.0 / record.dt:.4g}",
-            str(len(record.channels)),
-            *(_range(record, name, units[name]) for name in shown),
-        )
-        for record in records
-    ]
+    words = {n: n if symbol(n) == n else f"{n} {symbol(n)}" for n in shown}
+    words |= {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
+    heads = [f"{words[name]}\n{bracket(for_people(units[name])[0])}" for name in shown]
+    lines = []
+    for record in records:
+        seconds, ranges = record.time[-1] - record.time[0], (_range(record, name, units[name]) for name in shown)
+        what = (f"{seconds:.1f}", str(record.n), f"{1.0 / record.dt:.4g}", str(len(record.channels)))
+        lines.append((record.name, *what, *ranges))
     channels = sorted({name for record in records for name in record.channels})
+    described = dict.fromkeys(channels, "a channel of the card's own")
+    for name in (name for name in channels if name in STANDARD_CHANNELS):
+        channel = STANDARD_CHANNELS[name]
+        described[name] = f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
     total = sum(float(record.time[-1] - record.time[0]) for record in records)
     many = f"{len(records)} manoeuvres" if len(records) > 1 else "One manoeuvre"
     return (
@@ -313,26 +287,20 @@ def at_a_glance(records: Sequence[FlightRecord], card: Card) -> tuple[Block, ...
         HtmlTable(
             "Records: smallest to largest value of the main channels",
             ("record", "duration\n[s]", "samples", "rate\n[Hz]", "channels", *heads),
-            tuple(rows),
+            tuple(lines),
         ),
-        Fold("Channels and signs", (Facts(tuple((n, _described(n)) for n in channels)), Text(conventions(card)))),
+        Fold("Channels and signs", (Facts(tuple(described.items())), Text(conventions(card)))),
     )
 
 
-def records_and_faults(
-    records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]
-) -> tuple[Block, ...]:
+def records_section(records: Sequence[FlightRecord], card: Card, health: Sequence[HealthFinding]) -> Section:
     """`at_a_glance`, and faults of channels that no result uses; the other faults are in `doubts`."""
-    minor = bullets([f"{finding.sentence}." for finding in health if not finding.grave])
-    return (*minor, *at_a_glance(records, card))
+    minor = [f"{finding.sentence}." for finding in health if not finding.grave]
+    return section("records", "The records at a glance", lambda: (*bullets(minor), *at_a_glance(records, card)))
 
 
 def doubts(
-    health: Sequence[HealthFinding],
-    agreement: Consistency | None,
-    *,
-    corrects: bool,
-    failures: Sequence[str] = (),
+    health: Sequence[HealthFinding], agreement: Consistency | None, *, corrects: bool, failures: Sequence[str] = ()
 ) -> tuple[Text, ...]:
     """First part of a page: failed parts of the job, disagreement of the sensors, and faulty channels."""
     faults = (Text(f"{finding.sentence}.", "warning") for finding in health if finding.grave)
@@ -348,41 +316,15 @@ def consistency_lead(found: Consistency | None, *, corrects: bool) -> tuple[Text
     return (Text(answer, "warning") if found.disagrees else Text(answer),)
 
 
-def _glanced(card: Card) -> dict[str, str]:
-    """Main channels with their SI units: those of most flights, or those of a linear card's rows."""
-    if card.linear is None:
-        names = LATERAL_GLANCE if Axis.LATERAL in card.axes else GLANCE
-        return {name: STANDARD_CHANNELS[name].unit for name in names}
-    rows, units = card.linear, channel_units(card)
-    return {name: units[name] for name in (*rows.states, *rows.outputs, *rows.inputs)}
-
-
-AXES = "Body axes: x forward, y right, z down. Elevator trailing edge down is positive"
-CONVENTIONS = (
-    f"{AXES}, so Cmde is negative. CL and CD are in stability axes about the centre of gravity, Cm about the "
-    "aerodynamic reference point. Pitch rate enters as q c/V (many texts use q c/2V, which doubles Cmq). tau1 and tau2 "
-    "are in chords travelled: times c/V they are seconds."
-)
-
-
-LATERAL_CONVENTIONS = (
-    " Sideslip is positive from the right. A positive aileron has the right trailing edge down, a positive rudder the "
-    "trailing edge left, so Clda and Cndr are negative. p and r enter as p l/V and r l/V, l the card's "
-    "lateral_rate_length (half the span, unless it states another)."
-)
+MODEL_CONVENTIONS: str = WORDS["conventions"]["model"]
 
 
 def conventions(card: Card) -> str:
     """Axes and signs of the card's model."""
-    if card.linear is None:
-        return CONVENTIONS + (LATERAL_CONVENTIONS if Axis.LATERAL in card.axes else "")
-    return f"{AXES}. Derivatives are dimensional, in SI and radians, and multiply whole channels, not departures."
-
-
-def _name(channel: str) -> str:
-    words = {"p": "roll rate p", "q": "pitch rate q", "r": "yaw rate r", "aileron_right": "right aileron"}
-    symbol = GREEK.get(channel, channel)
-    return words.get(channel, channel if symbol == channel else f"{channel} {symbol}")
+    said = WORDS["conventions"]
+    if card.linear is not None:
+        return said["linear"]
+    return f"{said['model']} {said['lateral']}" if Axis.LATERAL in card.axes else said["model"]
 
 
 def _range(record: FlightRecord, name: str, unit: str) -> str:
@@ -394,15 +336,8 @@ def _range(record: FlightRecord, name: str, unit: str) -> str:
     return f"{low:.{places}f} to {high:.{places}f}"
 
 
-def _described(name: str) -> str:
-    if name not in STANDARD_CHANNELS:
-        return "a channel of the card's own"
-    channel = STANDARD_CHANNELS[name]
-    return f"{channel.description} [{plain_unit(for_people(channel.unit)[0])}]"
-
-
 def symbols(
-    parameters: Iterable[Parameter], names: Iterable[str], said: str = CONVENTIONS, *, degrees: bool = False
+    parameters: Iterable[Parameter], names: Iterable[str], said: str = MODEL_CONVENTIONS, *, degrees: bool = False
 ) -> Fold:
     """Meaning of each parameter, and the conventions; `degrees` where the page shows angles in degrees."""
     known = {p.name: p for p in parameters}
@@ -418,6 +353,15 @@ def first(names: Sequence[str]) -> tuple[Sequence[str], tuple[Block, ...]]:
     return names[:MOST_SHOWN], (Text(f"The first {MOST_SHOWN} of {len(names)} manoeuvres are shown."),)
 
 
+def context_panels(channels: Mapping[str, np.ndarray]) -> list[Panel]:
+    """Low panels of measured channels (SI), below those of outputs."""
+    panels = []
+    for name, values in channels.items():
+        label, factor = channel_axis(name)
+        panels.append(Panel(label, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
+    return panels
+
+
 def histories(
     name: str,
     key: str,
@@ -428,31 +372,20 @@ def histories(
     over: Over = TIME,
 ) -> Plot:
     """One manoeuvre's panels; `what` begins the words that describe them."""
-    labels = several(panel.label for panel in panels)
-    thinned = (
-        f"Drawn from {len(time)} samples, thinned so that every peak stays (least and largest value of each stretch)."
-        if len(time) > MOST
-        else ""
-    )
-    spans = "; ".join(
-        f"{panel.label} from {number(float(np.nanmin(panel.lines[0].values)))} to "
-        f"{number(float(np.nanmax(panel.lines[0].values)))}"
-        for panel in panels
-    )
-    return Plot(
-        item=linked(time - time[0], panels, key, over),
-        legend=legend,
-        alt=f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}.",
-        caption=thinned,
-        title=name,
-    )
+    firsts = [(panel.label, panel.lines[0].values) for panel in panels]
+    spans = "; ".join(f"{x} from {number(float(np.nanmin(y)))} to {number(float(np.nanmax(y)))}" for x, y in firsts)
+    labels = several(label for label, _ in firsts)
+    alt = f"{what} of {name} over {time[-1] - time[0]:.0f} {over.unit}: {labels}. Measured: {spans}."
+    thinned = "thinned so that every peak stays (least and largest value of each stretch)"
+    caption = f"Drawn from {len(time)} samples, {thinned}." if len(time) > MOST else ""
+    return Plot(linked(time - time[0], panels, key, over), legend, alt, caption, name)
 
 
 def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seconds: Mapping[str, float] | None = None):
     """Inputs, versions and the command, which reproduce the run."""
     inputs = tuple((i["name"], i["source"], i["sha256"] or "–") for i in source.get("inputs", ()))
-    cards = tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
-    files = tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
+    inputs += tuple((str(c["name"]), "card", str(c["sha256"])) for c in (source.get("card"),) if c)
+    inputs += tuple((f["name"], "effects", f["sha256"]) for f in source.get("effect_files", ()))
     facts = [
         ("Command", str(source.get("command", "–"))),
         *([("Seed", str(source["seed"]))] if "seed" in source else []),
@@ -463,7 +396,7 @@ def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seco
     blocks: list[Block] = [Text(note, "warning") for note in notes]
     blocks += [
         Facts(tuple(facts)),
-        *_inputs((*inputs, *cards, *files)),
+        *([HtmlTable("Inputs", ("name", "file", "SHA-256"), inputs, words=(1, 2))] if inputs else []),
         Fold("Versions", (Facts(tuple((k, str(v)) for k, v in dict(source.get("versions", {})).items())),)),
     ]
     if seconds:
@@ -472,11 +405,67 @@ def provenance_blocks(source: Mapping[str, Any], notes: Sequence[str] = (), seco
     return tuple(blocks)
 
 
-def _inputs(rows: tuple[tuple[str, str, str], ...]) -> tuple[Block, ...]:
-    return (HtmlTable("Inputs", ("name", "file", "SHA-256"), rows, words=(1, 2)),) if rows else ()
+def provenance_section(source: Mapping[str, Any]) -> Section:
+    """The same, folded."""
+    title = "Inputs, versions and the command that repeat the run"
+    return section("provenance", "Provenance", lambda: (Fold(title, provenance_blocks(source)),))
 
 
 def bullets(items: Iterable[str]) -> tuple[Block, ...]:
     """A list, or nothing."""
     given = tuple(items)
     return (Points(given),) if given else ()
+
+
+# --- Folded lists, the glossary, and tables of numbers.
+
+
+def not_testable_list(reasons: Mapping[str, str]) -> tuple[Fold, ...]:
+    """Every effect that is not testable, by reason, folded."""
+    if not reasons:
+        return ()
+    listed: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        listed.setdefault(reason, []).append(name)
+    rows = tuple((reason, ", ".join(names)) for reason, names in listed.items())
+    table = HtmlTable("Effects that are not testable on this record", ("reason", "effects"), rows, words=(1,))
+    return (Fold(f"The {len(reasons)} effects that are not testable", (table,)),)
+
+
+def open_list(found: Consistency) -> tuple[Fold, ...]:
+    """Each error that others imitate, which those are, and how well it is known with them possible."""
+    alike = not_told_apart(found)
+    if not alike:
+        return ()
+    rows = tuple((e.name, several(e.imitators), f"± {among_text(e)}") for e in alike)
+    title = "Errors of sensors and winds that others imitate along this flight path"
+    head = ("error", "not distinguishable from", "standard error\nif those are possible")
+    table = HtmlTable(title, head, rows, words=(1,))
+    return (Fold(f"The {len(alike)} errors that are not testable along this flight path", (table,)),)
+
+
+def terms(table: str) -> Fold:
+    """A glossary of `words.toml` behind a line that opens it."""
+    return Fold("Terms used here", (Facts(tuple(WORDS[table].items())),))
+
+
+# --- A table of numbers as a page shows it.
+
+
+def page_table(table: Table) -> HtmlTable:
+    """The columns that have a heading on a page, every cell as text."""
+    shown = [(head, c, values) for c in table.columns for head, values in c.under(c.page)]
+    groups = tuple((group, len(list(some))) for group, some in groupby(c.group for _, c, _ in shown))
+    rows = list(zip(*([cell_text(x, c.form) for x in values] for _, c, values in shown), strict=True))
+    if len(set(table.below)) > 1:
+        first = [k for k, name in enumerate(table.below) if k == 0 or name != table.below[k - 1]]
+        for k in reversed(first):
+            rows.insert(k, (table.below[k], *[""] * (len(shown) - 1)))
+    return HtmlTable(
+        table.title,
+        tuple(head for head, *_ in shown),
+        tuple(rows),
+        groups if any(group for group, _ in groups) else (),
+        tuple(k for k, (_, c, _) in enumerate(shown) if c.words),
+        table.note,
+    )

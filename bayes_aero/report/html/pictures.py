@@ -27,17 +27,17 @@ class Gallery:
 
     def __call__(self, *stems: str, widest: int = WIDEST) -> tuple[Picture, ...]:
         """The pictures of these stems that were drawn."""
-        return tuple(self._picture(stem, widest) for stem in stems if stem in self.paths)
+        pictures = []
+        for stem in (stem for stem in stems if stem in self.paths):
+            (caption, alt), twin = self.texts[stem], self.paths.get(narrow(stem))
+            source, size, natural = embedded(self.paths[stem], widest)
+            small = embedded(twin, PHONE)[0] if twin else ""
+            pictures.append(Picture(source, alt, caption, *size, natural, small))
+        return tuple(pictures)
 
     def folded(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures at a smaller size."""
         return self(*stems, widest=FOLDED)
-
-    def _picture(self, stem: str, widest: int) -> Picture:
-        caption, alt = self.texts[stem]
-        source, size, natural = embedded(self.paths[stem], widest)
-        twin = self.paths.get(narrow(stem))
-        return Picture(source, alt, caption, *size, natural, embedded(twin, PHONE)[0] if twin else "")
 
 
 def narrow(stem: str) -> str:
@@ -46,8 +46,7 @@ def narrow(stem: str) -> str:
 
 
 def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:
-    """A PNG as a data URI with a palette of its own, at most `widest` pixels wide; its size, and its width on a
-    screen."""
+    """A PNG as a data URI with a palette of its own, its size (at most `widest` pixels), and its width on a screen."""
     with Image.open(path) as opened:
         image = opened.convert("RGB")
     natural = round(CSS_INCH * image.width / DPI)

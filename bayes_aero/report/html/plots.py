@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -17,29 +18,11 @@ HIGHEST = 2 * PANEL  # whatever a channel is called
 PAPER = 580  # pixels of all panels together on paper, so that two figures share a sheet
 LEAST = 0.5  # of a panel's height there, however many panels there are
 FARTHEST = 1e30  # single precision ends soon beyond
+BORDERS: dict[str, Any] = {f"min_border_{k}": x for k, x in (("left", 66), ("right", 8), ("top", 6), ("bottom", 6))}
 INK, GRID = "#222222", "#dddddd"
 
-
-FIT_HEIGHT = """
-const whole = x.start <= first && x.end >= last;
-ranges.forEach((range, i) => {
-  const [bottom, top] = full[i];
-  let low = top, high = bottom;
-  const {t, ...curves} = sources[i].data;
-  for (const y of Object.values(curves)) {
-    for (let k = 0; k < t.length; k++) {
-      if (t[k] >= x.start && t[k] <= x.end && isFinite(y[k])) {
-        low = Math.min(low, y[k]);
-        high = Math.max(high, y[k]);
-      }
-    }
-  }
-  low = Math.max(low, bottom);
-  high = Math.min(high, top);
-  const room = 0.06 * (high - low);
-  range.setv(whole || !(high > low) ? {start: bottom, end: top} : {start: low - room, end: high + room});
-});
-"""  # what is seen of a stretch of time fills its panel; nothing leaves the scale of the whole
+FIT_HEIGHT = files("bayes_aero.report").joinpath("templates/fit_height.js").read_text("utf-8")
+"""What is seen of a stretch of time fills its panel; nothing leaves the scale of the whole."""
 
 
 @dataclass(frozen=True)
@@ -69,25 +52,17 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over time; the first one sets the scale.
-
-    `shade` pairs lines (by index) between which the difference is filled with the second one's colour. `band` is half
-    the width of a tolerance about the first line.
-    """
+    """Curves over time; the first one sets the scale."""
 
     label: str  # with unit
     lines: tuple[Line, ...]
-    shade: tuple[tuple[int, int], ...] = ()
-    band: float | None = None
+    shade: tuple[tuple[int, int], ...] = ()  # lines (by index) with the difference filled, in the second one's colour
+    band: float | None = None  # half the width of a tolerance about the first line
     height: int = PANEL
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
-    """Indices that keep every column's shape at some `most` points: least and largest of each in equal stretches.
-
-    All kept points are recorded samples, the first and the last among them; a shorter record is kept whole. Several
-    columns share the indices of all, so that there may be up to `most` for each of them.
-    """
+    """Indices that keep each column's shape at some `most` points: extremes of equal stretches, and the ends."""
     n = len(columns[0])
     if n <= most:
         return np.arange(n)
@@ -113,8 +88,12 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
     shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
     figures = [_panel(time, panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
-    for f, height in zip(figures, _on_paper(panels), strict=True):
-        f.tags = [height]
+    fitting = [_fitting(panel) for panel in panels]
+    share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
+    for f, (label, height) in zip(figures, fitting, strict=True):
+        # when printed lower than on a screen, though never than a label is long; the axis stands with the last
+        longest = LETTER * max(map(len, label.split("\n")))
+        f.tags = [int(min(max(share * height, longest + 6), height)) + (AXIS if f is figures[-1] else 0)]
     fit = {
         "x": shared,
         "first": shared.start,
@@ -132,10 +111,12 @@ def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, ov
 
 
 def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, *, last: bool) -> Any:
-    from bokeh.models import BoxZoomTool, CrosshairTool, PanTool, ResetTool, SaveTool, WheelZoomTool
+    from bokeh import models
     from bokeh.plotting import figure
 
-    box = BoxZoomTool(dimensions="width")
+    box = models.BoxZoomTool(dimensions="width")
+    wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+    others = models.ResetTool(), models.SaveTool(), models.CrosshairTool(overlay=cross)
     label, height = _fitting(panel)
     f = figure(
         height=height + (AXIS if last else 0),
@@ -144,54 +125,20 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         y_range=scale(panel),
         y_axis_label=label,
         x_axis_label=over.label if last else None,
-        tools=[
-            box,
-            PanTool(dimensions="width"),
-            WheelZoomTool(dimensions="width", modifiers={"ctrl": True}),
-            ResetTool(),
-            SaveTool(),
-            CrosshairTool(overlay=cross),
-        ],
+        tools=[box, models.PanTool(dimensions="width"), wheel, *others],
         active_drag=box,
-        min_border_left=66,
-        min_border_right=8,
-        min_border_top=6,
-        min_border_bottom=6,
         background_fill_color="#ffffff",
         border_fill_color="#ffffff",
+        **BORDERS,
     )
-    _draw(f, time, panel, over)
-    dress(f, last, height)
-    return f
-
-
-def _fitting(panel: Panel) -> tuple[str, int]:
-    """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
-    if LETTER * len(panel.label) <= panel.height:
-        return panel.label, panel.height
-    label = "\n[".join(panel.label.rsplit(" [", 1))
-    longest = LETTER * max(map(len, label.split("\n")))
-    return label, int(min(max(panel.height, longest), HIGHEST))
-
-
-def _on_paper(panels: Sequence[Panel]) -> list[int]:
-    """Heights when printed, the axis with the last: lower than on a screen, though never than a label is long."""
-    fitting = [_fitting(panel) for panel in panels]
-    share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
-    longest = [LETTER * max(map(len, label.split("\n"))) for label, _ in fitting]
-    heights = [int(min(max(share * h, long + 6), h)) for (_, h), long in zip(fitting, longest, strict=True)]
-    return [*heights[:-1], heights[-1] + AXIS]
-
-
-def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
-    from bokeh.models import ColumnDataSource, HoverTool
-
     index = extremes([line.values for line in panel.lines])
     columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
-    columns |= {f"y{i}": _drawable(line.values[index]) for i, line in enumerate(panel.lines)}
+    for i, line in enumerate(panel.lines):  # those of a diverged simulation are gaps
+        values = line.values[index]
+        columns[f"y{i}"] = np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
     if panel.band is not None:
         columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
-    source = ColumnDataSource(columns)
+    source = models.ColumnDataSource(columns)
     if panel.band is not None:
         f.varea("t", "low", "high", source=source, fill_color="#999999", fill_alpha=0.28)
     for first, second in panel.shade:
@@ -203,12 +150,18 @@ def _draw(f: Any, time: np.ndarray, panel: Panel, over: Over) -> None:
     unit = panel.label.rpartition("[")[2].rstrip("]").replace("-", "") if panel.label.endswith("]") else ""
     values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
     tips = [(over.name, f"@t{over.digits} {over.unit if over is TIME else ''}".strip()), *values]
-    f.add_tools(HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+    f.add_tools(models.HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
+    dress(f, last, height)
+    return f
 
 
-def _drawable(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Values in single precision; those of a diverged simulation are gaps."""
-    return np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
+def _fitting(panel: Panel) -> tuple[str, int]:
+    """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
+    if LETTER * len(panel.label) <= panel.height:
+        return panel.label, panel.height
+    label = "\n[".join(panel.label.rsplit(" [", 1))
+    longest = LETTER * max(map(len, label.split("\n")))
+    return label, int(min(max(panel.height, longest), HIGHEST))
 
 
 def dress(f: Any, last: bool, panel_height: int) -> None:
@@ -227,8 +180,7 @@ def dress(f: Any, last: bool, panel_height: int) -> None:
 
 
 def scale(panel: Panel) -> Any:
-    """The first line's span, widened for its tolerance; a simulation that has lost the flight would flatten all
-    else."""
+    """The first line's span, widened for its tolerance: a simulation that has lost the flight would flatten it."""
     from bokeh.models import Range1d
 
     first = panel.lines[0].values[np.isfinite(panel.lines[0].values)]

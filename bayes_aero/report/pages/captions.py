@@ -12,226 +12,110 @@ from bayes_aero.report.figures.diagnosis import telling
 from bayes_aero.report.html.page import Block, HtmlTable, Text
 from bayes_aero.report.pooled import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
-from bayes_aero.report.text.phrases import plus_minus, several
+from bayes_aero.report.text.phrases import WORDS, plus_minus, several
 from bayes_aero.units import number
 
-OFF = (
-    "The steady curve holds controls, airspeed and Mach number as near the largest lift, so it leaves the data where "
-    "the aircraft flew otherwise."
-)
+DEG = 180.0 / np.pi
+CAPTIONS = WORDS["captions"]
 
 
 def diagnosis_alternatives(view: View) -> dict[str, tuple[str, str]]:
     """Caption and alternative text by stem."""
-    before, after = view.card.composition, view.extended.composition
-    lag = {name: (before[name]["lag1"], after[name]["lag1"]) for name in before}
-    best = telling(view)
+    before, after, best = view.card.composition, view.extended.composition, telling(view)
     what = best.quantity.replace("_", " ")
-    leaders = "; ".join(
-        f"{r.stage}: {several(f'{s.effect} {s.score:.1f}' for s in r.candidate_scores[:3])}" for r in view.rankings
-    )
-    far = sorted(
-        view.moves.items(), key=lambda item: -abs(item[1].after - item[1].before) / max(item[1].sd_after, 1e-300)
-    )
+    lags = several(f"{name} {numbers['lag1']:.2f} and {after[name]['lag1']:.2f}" for name, numbers in before.items())
+    errors = several(f"{n} {numbers['rmse']:.4f} and {after[n]['rmse']:.4f}" for n, numbers in before.items())
+    leading = {r.stage: several(f"{s.effect} {s.score:.1f}" for s in r.candidate_scores[:3]) for r in view.rankings}
+    leaders = "; ".join(f"{stage}: {listed}" for stage, listed in leading.items())
+    moves = [(abs(m.after - m.before) / max(m.sd_after, 1e-300), n, m) for n, m in view.moves.items()]
+    far = sorted(moves, key=lambda move: -move[0])[:3]
+    moved = several(f"{n} from {number(m.before)} to {number(m.after)}" for _, n, m in far)
     change = several(f"{note} with the {label}" for label, _, _, note in best.simulated)
-    return {
-        "found": (
-            f"Measured and by each model: {what} of {best.manoeuvre}, where the extended model gains most, the error "
-            "shaded; and the first screening: a bar is the share of the remaining variance that a candidate explains. "
-            "Named causes are in colour and carry their size.",
-            f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: {leaders}.",
-        ),
-        "ranking": (
-            "Score of every candidate before anything was added; named causes drawn in colour.",
-            f"Bar chart of candidates' scores. Leading: {leaders}.",
-        ),
-        "gain": (
-            "R² and RMSE on hold-out data as the causes are added one after the other, top to bottom.",
-            "Bar chart of scores on hold-out data by cause. " + gained(view),
-        ),
-        "moves": (
-            "Change of each of the card's parameters when the causes are added.",
-            "Dot plot of parameters before and after. Furthest: "
-            + several(f"{n} from {number(m.before)} to {number(m.after)}" for n, m in far[:3])
-            + ".",
-        ),
-        "residual_profiles": (
-            "Mean residual over the channels with the clearest dependence, before and after. A correct model has a "
-            "flat "
-            "line at zero.",
-            f"Binned residuals of {several(before)} over three channels each. RMSE before and after: "
-            + several(f"{n} {before[n]['rmse']:.4f} and {after[n]['rmse']:.4f}" for n in before)
-            + ".",
-        ),
-        "residual_colour": (
-            "Autocorrelation and spectrum of the residuals, before and after. The autocorrelation of independent "
-            "noise is zero from the first lag.",
-            "Lag-1 correlation before and after: "
-            + several(f"{n} {a:.2f} and {b:.2f}" for n, (a, b) in lag.items())
-            + ".",
-        ),
-        **_stall_models(view),
-        "measured_simulated": (
-            "Coefficients measured and simulated by both models, the error shaded.",
-            f"Time histories of {several(before)}. {what} of {best.manoeuvre}: {change}.",
-        ),
+    peaks, apart = [], []
+    for label, s in view.stalls.items():
+        X, ends = s.X[1][1], [f"{DEG * alpha:.1f} deg" for alpha in s.alpha[[0, -1]]]
+        apart.append(f"In steady flow, {label} model: X from {X[0]:.2f} at {ends[0]} to {X[-1]:.2f} at {ends[1]}.")
+        peaks.append(
+            f"Steady maximum, {label} model: CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
+            if s.seen
+            else f"The {label} model's steady lift still rises at the edge of the angles flown."
+        )
+    texts = {
+        "found": f"Time history of {what} for {best.manoeuvre}: {change}. Scores of the candidates, leading: "
+        f"{leaders}.",
+        "ranking": f"Bar chart of candidates' scores. Leading: {leaders}.",
+        "gain": f"Bar chart of scores on hold-out data by cause. {gained(view)}",
+        "moves": f"Dot plot of parameters before and after. Furthest: {moved}.",
+        "residual_profiles": f"Binned residuals of {several(before)} over three channels each. RMSE before and after: "
+        f"{errors}.",
+        "residual_colour": f"Lag-1 correlation before and after: {lags}.",
+        "stall_models": f"Hysteresis loops of CL over angle of attack, and polars. {' '.join(peaks)}",
+        "separation_models": f"Separation point over angle of attack. {' '.join(apart)}",
+        "measured_simulated": f"Time histories of {several(before)}. {what} of {best.manoeuvre}: {change}.",
     }
-
-
-def _stall_models(view: View) -> dict[str, tuple[str, str]]:
-    return {
-        "stall_models": (
-            "Lift over the angle of attack as measured (α rising and falling), as fitted, and in steady flow with "
-            "its 95 % band; "
-            "below, the time spent at each angle; right, the drag polar with the data on it. One row for each model. "
-            + OFF,
-            "Hysteresis loops of CL over angle of attack, and polars. " + " ".join(_peaks(view)),
-        ),
-        "separation_models": (
-            "Separation point: X = 1 attached, 0 separated from the leading edge, at three rates of the angle of "
-            "attack, "
-            "with 95 % bands. Ticks at the bottom: angles flown.",
-            "Separation point over angle of attack. " + " ".join(_apart(label, s) for label, s in view.stalls.items()),
-        ),
-    }
+    return {stem: (CAPTIONS[stem].format(what, best.manoeuvre), text) for stem, text in texts.items()}
 
 
 def gained(view: View) -> str:
-    scores = view.unseen_scores
-    if scores is None:
+    """R² of each coefficient on hold-out data before and after, where it changes."""
+    if view.unseen_scores is None:
         return ""
-    first, last = scores
+    first, last = view.unseen_scores
     pairs = {n: (f"{first[n].r2:.3f}", f"{last[n].r2:.3f}") for n in first if n in last}
     moved = {n: pair for n, pair in pairs.items() if pair[0] != pair[1]}
     return several(f"{n} R² from {before} to {after}" for n, (before, after) in moved.items()) + "." if moved else ""
 
 
-def _peaks(view: View) -> list[str]:
-    return [
-        f"Steady maximum, {label} model: CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
-        if s.seen
-        else f"The {label} model's steady lift still rises at the edge of the angles flown."
-        for label, s in view.stalls.items()
-    ]
-
-
-def _apart(label: str, s: Stall) -> str:
-    middle = np.asarray(s.X[1][1])
-    return (
-        f"In steady flow, {label} model: X from {middle[0]:.2f} at {s.alpha[0] * DEG:.1f} deg to {middle[-1]:.2f} at "
-        f"{s.alpha[-1] * DEG:.1f} deg."
-    )
-
-
 def identification_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
     """Caption and alternative text of every figure, by stem."""
-    o = run.observations
-    alpha = DEG * np.asarray(o.signals["alpha"])
-    flown = f"angles of attack from {alpha.min():.1f} to {alpha.max():.1f} deg"
-    mle, found = run.mle, methods(run)
-    crb = found[0].estimates
+    mle, found, fitted = run.mle, methods(run), several(run.mle.fit)
+    count, crb = f"{len(mle.names)} parameters", found[0].estimates
     wider = {m.label: [e.sd / crb[n].sd for n, e in m.estimates.items() if crb[n].sd > 0.0] for m in found[1:]}
     ratios = "; ".join(f"{label} {np.median(times):.2f} times" for label, times in wider.items() if times)
-    numbers = "; ".join(
-        f"{n} {plus_minus(x, s)}" for n, x, s in zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
-    )
+    estimates = zip(mle.names, mle.estimate, mle.crb_corrected, strict=True)
+    numbers = "; ".join(f"{n} {plus_minus(x, sd)}" for n, x, sd in estimates)
+    strong = "; ".join(f"{a} and {b} {r:+.2f}" for a, b, r in mle.strong_correlations()[:5]) or "none beyond 0.9"
     texts = {
-        "forest": (
-            "Every parameter by every method, with 95 % intervals; the vertical line is the maximum-likelihood "
-            "estimate.",
-            f"Forest plot of {len(mle.names)} parameters by {len(found)} methods and {len(run.alone)} manoeuvres "
-            f"alone. "
-            f"Maximum likelihood with corrected standard errors: {numbers}.",
-        ),
-        "next_flight": (
-            "Joint fit, aircraft and next flight with 95 % intervals, and every manoeuvre alone (grey) and pooled: a "
-            "value moves towards the aircraft's the more, the less its own record says.",
-            f"Forest plot of {len(mle.names)} parameters. " + " ".join(next_flight_sentences(run)[:1]),
-        ),
-        "crb_vs_credible": (
-            "Standard deviation of every parameter by each method, over its Cramér–Rao bound (line at 1). Right of "
-            "the line: less certain than the bound.",
-            f"Dot plot, logarithmic: standard deviation over the Cramér–Rao one, median over parameters: {ratios}.",
-        ),
-        "prior_posterior": (
-            "Prior (grey) and posterior density of every parameter.",
-            f"Prior and posterior densities of {len(mle.names)} parameters. The numbers are in the table of "
-            f"parameters.",
-        ),
-        "gp_prior_posterior": (
-            "Prior and posterior of the Gaussian process's hyperparameters.",
-            f"Prior and posterior densities of the hyperparameters of the Gaussian processes of {several(mle.fit)}.",
-        ),
-        "pair": (
-            "Posterior of every pair of parameters.",
-            "Matrix of scatter plots of posterior draws. Strongest correlations: "
-            + ("; ".join(f"{a} and {b} {r:+.2f}" for a, b, r in mle.strong_correlations()[:5]) or "none beyond 0.9")
-            + ".",
-        ),
-        "fig2_gpr_fit": (
-            f"{several(mle.fit)} measured, and predicted by the Gaussian process with its 95 % band.",
-            "Time histories of measured coefficients and the Gaussian process's predictions; the table gives the "
-            "scores.",
-        ),
+        "forest": f"Forest plot of {count} by {len(found)} methods and {len(run.alone)} manoeuvres alone. Maximum "
+        f"likelihood with corrected standard errors: {numbers}.",
+        "next_flight": f"Forest plot of {count}. " + " ".join(next_flight_sentences(run)[:1]),
+        "crb_vs_credible": "Dot plot, logarithmic: standard deviation over the Cramér–Rao one, median over parameters: "
+        f"{ratios}.",
+        "prior_posterior": f"Prior and posterior densities of {count}. The numbers are in the table of parameters.",
+        "gp_prior_posterior": "Prior and posterior densities of the hyperparameters of the Gaussian processes of "
+        f"{fitted}.",
+        "pair": f"Matrix of scatter plots of posterior draws. Strongest correlations: {strong}.",
+        "fig2_gpr_fit": "Time histories of measured coefficients and the Gaussian process's predictions; the table "
+        "gives the scores.",
     }
     if run.stall is not None:
-        texts |= _stall_alternatives(run.stall, flown)
-    texts |= _chain_alternatives(run)
-    numbered = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
-    for c in mle.fit:
-        stem = numbered.get(c, f"correlation_{c}")
-        texts[stem] = (
-            f"{c} measured against predicted.",
-            f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
-            f"{mle.fit[c].r:.4f}.",
-        )
-    return texts
-
-
-def _stall_alternatives(s: Stall, flown: str) -> dict[str, tuple[str, str]]:
-    what = (
-        f"The steady maximum is CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
-        if s.seen
-        else "The steady lift still rises at the edge of the angles flown."
-    )
-    stall = (
-        "Top left: lift over the angle of attack as measured (α rising and falling), as fitted, and in steady "
-        "flow with its "
-        "95 % band. Below: the time spent at each angle. Right: the drag polar with the data on it. " + OFF,
-        f"Lift coefficient over {flown}, a hysteresis loop of measured points beside the fitted model. {what} "
-        f"Right: CL over "
-        "CD.",
-    )
-    middle = s.X[1][1]
-    separation = (
-        "Where the flow separates: X = 1 attached, 0 separated from the leading edge, at three rates of the "
-        "angle of attack, "
-        "with 95 % bands. Ticks at the bottom: angles flown.",
-        f"Separation point over angle of attack. In steady flow X falls from {middle[0]:.2f} at "
-        f"{s.alpha[0] * DEG:.1f} deg to "
-        f"{middle[-1]:.2f} at {s.alpha[-1] * DEG:.1f} deg; at {s.rates[0] * DEG:.1f} deg/s it ends at "
-        f"{s.X[0][1][-1]:.2f}.",
-    )
-    return {"stall": stall, "separation": separation}
-
-
-def _chain_alternatives(run: Identification) -> dict[str, tuple[str, str]]:
-    texts = {}
+        s, X, alpha = run.stall, run.stall.X[1][1], DEG * np.asarray(run.observations.signals["alpha"])
+        ends = [f"{DEG * angle:.1f} deg" for angle in s.alpha[[0, -1]]]
+        what = "The steady lift still rises at the edge of the angles flown."
+        if s.seen:
+            what = f"The steady maximum is CL {interval(s.CL_max)} at {interval(s.alpha_max, DEG, 1)} deg."
+        texts |= {
+            "stall": f"Lift coefficient over angles of attack from {alpha.min():.1f} to {alpha.max():.1f} deg, a "
+            f"hysteresis loop of measured points beside the fitted model. {what} Right: CL over CD.",
+            "separation": f"Separation point over angle of attack. In steady flow X falls from {X[0]:.2f} at {ends[0]} "
+            f"to {X[-1]:.2f} at {ends[1]}; at {s.rates[0] * DEG:.1f} deg/s it ends at {s.X[0][1][-1]:.2f}.",
+        }
+    words = {stem: (CAPTIONS[stem].format(fitted), text) for stem, text in texts.items()}
     for engine, posterior in run.posteriors.items():
-        worst = max(m.rhat for m in posterior.marginals.values())
-        ess = min(m.ess_bulk for m in posterior.marginals.values())
-        name = f"{engine_label(engine)}: largest R-hat {worst:.3f}, smallest bulk effective sample size {ess:.0f}"
-        texts[f"trace_{engine}"] = (f"Traces, {engine_label(engine)}.", f"Trace plots of every parameter by {name}.")
-        texts[f"rank_{engine}"] = (
-            f"Ranks of the draws by chain, {engine_label(engine)}: flat lines inside the band mean mixed chains.",
-            f"Rank plots of every parameter by {name}.",
-        )
-    return texts
+        label, marginals = engine_label(engine), posterior.marginals.values()
+        sizes = f"largest R-hat {max(m.rhat for m in marginals):.3f}, smallest bulk effective sample size "
+        name = f"every parameter by {label}: {sizes}{min(m.ess_bulk for m in marginals):.0f}"
+        for kind in ("trace", "rank"):
+            words[f"{kind}_{engine}"] = CAPTIONS[kind].format(label), f"{kind.capitalize()} plots of {name}."
+    numbered = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
+    for c, scores in mle.fit.items():
+        text = f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
+        words[numbered.get(c, f"correlation_{c}")] = CAPTIONS["correlation"].format(c), f"{text}{scores.r:.4f}."
+    return words
 
 
 # --- The stall in numbers.
 
-DEG = 180.0 / np.pi
 MOST_PLACES = 6  # digits behind the point
 
 
@@ -245,7 +129,7 @@ def interval(value: Interval, factor: float = 1.0, places: int = 3) -> str:
 
 def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
     """CLmax and its angle for each model, with a warning where the record does not show them."""
-    rows = []
+    rows, warnings = [], []
     for label, s in stalls.items():
         flown = f"{s.alpha[0] * DEG:.1f} to {s.alpha[-1] * DEG:.1f}"
         edge = f"{s.at_edge:.0%}" if s.at_edge in (0.0, 1.0) or s.at_edge >= 0.01 else "< 1%"
@@ -253,38 +137,22 @@ def stall_table(stalls: Mapping[str, Stall], what: str) -> tuple[Block, ...]:
         if not s.seen:
             peak = f"at least {peak}"
             angle = "not shown by this record" if s.at_edge > 0.5 else f"at least {angle}"
+            text = (
+                f"{label[:1].upper() + label[1:]}: for {s.at_edge:.0%} of the draws CL still rises at the edge of the "
+                "angles flown, so the record gives a lower limit of CLmax, not the stall angle."
+            )
+            warnings.append(Text(text, "warning"))
         rows.append((label, peak, angle, flown, edge))
-    first = next(iter(stalls.values()))
-    held = [
-        f"{name} {number(first.reference[key] * factor)} {unit}".strip()
-        for key, name, factor, unit in (
-            ("airspeed", "V", 1.0, "m/s"),
-            ("mach", "Mach", 1.0, ""),
-            ("elevator", "elevator", DEG, "deg"),
-        )
-        if key in first.reference
-    ]
-    blocks: list[Block] = [
-        HtmlTable(
-            "Steady stall: highest lift coefficient and its angle of attack, with 95 % intervals",
-            ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
-            tuple(rows),
-            words=(1, 2),
-            note=f"Steady means α̇ = 0 and no rotation, and the other inputs as near the largest lift "
-            f"({', '.join(held)}). {what} "
-            f"“Maximum at "
-            "the edge” is the share of draws whose largest CL is at the last angle flown: the true maximum then lies "
-            "beyond the record.",
-        )
-    ]
-    blocks += [
-        Text(
-            f"{label[:1].upper() + label[1:]}: for {s.at_edge:.0%} of the draws CL still rises at the edge of the "
-            f"angles flown, so the record "
-            "gives a lower limit of CLmax, not the stall angle.",
-            "warning",
-        )
-        for label, s in stalls.items()
-        if not s.seen
-    ]
-    return tuple(blocks)
+    reference = next(iter(stalls.values())).reference
+    shown = (("airspeed", "V", 1.0, "m/s"), ("mach", "Mach", 1.0, ""), ("elevator", "elevator", DEG, "deg"))
+    held = [f"{name} {number(reference[key] * x)} {unit}".strip() for key, name, x, unit in shown if key in reference]
+    table = HtmlTable(
+        "Steady stall: highest lift coefficient and its angle of attack, with 95 % intervals",
+        ("model", "CLmax [-]", "at α [deg]", "α flown [deg]", "maximum at\nthe edge"),
+        tuple(rows),
+        words=(1, 2),
+        note=f"Steady means α̇ = 0 and no rotation, and the other inputs as near the largest lift ({', '.join(held)}). "
+        f"{what} “Maximum at the edge” is the share of draws whose largest CL is at the last angle flown: the true "
+        "maximum then lies beyond the record.",
+    )
+    return (table, *warnings)

@@ -7,18 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.report.figures.prior import needed
-from bayes_aero.report.html.page import (
-    Block,
-    Facts,
-    Fold,
-    HtmlTable,
-    Page,
-    Picture,
-    Section,
-    filled,
-    provenance_blocks,
-    section,
-)
+from bayes_aero.report.html import page as html
+from bayes_aero.report.html.page import Block, HtmlTable, section
 from bayes_aero.report.text.check import facts, shown, worked
 from bayes_aero.report.text.phrases import bracket, plain_unit, several
 
@@ -29,23 +19,28 @@ def effects_page(
     found: Sequence[Described],
     source: Mapping[str, Any],
     aircraft: str | None = None,
-    pictures: Sequence[Picture] = (),
-) -> Page:
+    pictures: Sequence[html.Picture] = (),
+) -> html.Report:
     """The page; `found` are effects as the catalogue describes them, `aircraft` the title of the card, if any."""
     if len(found) == 1:
         title, verdict = f"Effect: {found[0]['name']}", found[0]["claim"]
-        parts: tuple[Section, ...] = (section("effect", "Description", lambda: _explained(found[0])),)
+        parts = [section("effect", "Description", lambda: _explained(found[0]))]
     else:
-        title, verdict = "Catalogue of effects", _counted(found, aircraft)
-        kinds = dict.fromkeys(sorted(effect["kind"] for effect in found))
-        parts = tuple(_kind(kind, [e for e in found if e["kind"] == kind]) for kind in kinds)
-    return Page(
+        kinds = Counter(effect["kind"] for effect in found)
+        title = "Catalogue of effects"
+        verdict = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
+        verdict += f"; diagnose screens {sum(effect['proposed_by_diagnose'] for effect in found)} of them"
+        if aircraft:
+            verdict += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
+        verdict += "."
+        parts = [_kind(kind, [e for e in found if e["kind"] == kind]) for kind in sorted(kinds)]
+    return html.Report(
         title=title,
         subtitle="Effects of the aircraft, its sensors and the air for a model"
         + (f"; card: {aircraft}" if aircraft else ""),
         verdict=verdict,
         lead=tuple(pictures),
-        sections=filled(*parts, section("provenance", "Provenance", lambda: provenance_blocks(source))),
+        sections=html.filled(*parts, section("provenance", "Provenance", lambda: html.provenance_blocks(source))),
     )
 
 
@@ -58,30 +53,16 @@ def picture_words(found: Sequence[Described]) -> tuple[str, str]:
     )
 
 
-def _counted(found: Sequence[Described], aircraft: str | None) -> str:
-    kinds = Counter(effect["kind"] for effect in found)
-    text = f"{len(found)} effects: {several(f'{n} of {kind}' for kind, n in sorted(kinds.items()))}"
-    proposed = sum(effect["proposed_by_diagnose"] for effect in found)
-    text += f"; diagnose screens {proposed} of them"
-    if aircraft:
-        text += f"; {sum(bool(effect['model']) for effect in found)} are in the card's model"
-    return text + "."
-
-
-def _kind(kind: str, found: Sequence[Described]) -> Section:
-    rows = tuple((e["name"], e["claim"], _parameters(e), ", ".join(e["needs"]), _remark(e)) for e in found)
+def _kind(kind: str, found: Sequence[Described]) -> html.Section:
+    rows = []
+    for e in found:
+        parameters = ", ".join(f"{p['name']} {bracket(plain_unit(p['unit']))}" for p in e["parameters"])
+        remarks = ["in the card's model"] if e["model"] else []
+        remarks += [] if e["proposed_by_diagnose"] else ["never proposed by diagnose"]
+        rows.append((e["name"], e["claim"], parameters, ", ".join(e["needs"]), ", ".join(remarks)))
     head = ("effect", "claim", "parameters", "channels", "remark")
-    table = HtmlTable(f"Effects of {kind}", head, rows, words=(1, 2, 3, 4)).lean()
-    return section(kind, kind.capitalize(), lambda: (table, *(Fold(e["name"], _explained(e)) for e in found)))
-
-
-def _parameters(effect: Described) -> str:
-    return ", ".join(f"{p['name']} {bracket(plain_unit(p['unit']))}" for p in effect["parameters"])
-
-
-def _remark(effect: Described) -> str:
-    sentences = ["in the card's model"] if effect["model"] else []
-    return ", ".join([*sentences, *([] if effect["proposed_by_diagnose"] else ["never proposed by diagnose"])])
+    table = HtmlTable(f"Effects of {kind}", head, tuple(rows), words=(1, 2, 3, 4)).lean()
+    return section(kind, kind.capitalize(), lambda: (table, *(html.Fold(e["name"], _explained(e)) for e in found)))
 
 
 def _explained(effect: Described) -> tuple[Block, ...]:
@@ -99,4 +80,4 @@ def _explained(effect: Described) -> tuple[Block, ...]:
         for p in effect["parameters"]
     )
     table = HtmlTable("Parameters, SI and radians", head, rows, words=(1, 4))
-    return (Facts(about), *((table,) if rows else ()))
+    return (html.Facts(about), *((table,) if rows else ()))

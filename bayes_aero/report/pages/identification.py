@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre as Simulated
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
@@ -20,47 +18,24 @@ from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.posterior import pit_words
-from bayes_aero.report.figures.time_histories import SYMBOLS, shown_in
-from bayes_aero.report.html.page import (
-    MOST_SHOWN,
-    Block,
-    Fold,
-    Page,
-    Text,
-    bullets,
-    doubts,
-    filled,
-    first,
-    histories,
-    provenance_blocks,
-    records_and_faults,
-    section,
-    symbols,
-)
-from bayes_aero.report.html.parts import WORDS, page_table
+from bayes_aero.report.html import page as html
+from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
 from bayes_aero.report.html.pictures import Gallery
-from bayes_aero.report.html.plots import LOW, Line, Panel
+from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
 from bayes_aero.report.pages.fly import Curve, over_measured, sources
 from bayes_aero.report.pooled import next_flight_table
+from bayes_aero.report.tables import run_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.tables.fly import given_table
-from bayes_aero.report.tables.run_tables import (
-    alone_table,
-    coverage_table,
-    fit_table,
-    parameter_table,
-    sampler_table,
-    validation_table,
-)
 from bayes_aero.report.text.identification import disputed, verdict
-from bayes_aero.report.text.phrases import bracket, several
+from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.report.text.restraints import unparted
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
 LEGEND = (
-    ("measured", COLOURS["measured"], "solid"),
+    html.MEASURED,
     ("fitted (maximum likelihood)", COLOURS["mle"], "solid"),
     ("error", COLOURS["mle"], "area"),
 )
@@ -76,50 +51,38 @@ def identification_page(
     run: Identification,
     source: Mapping[str, Any],
     figures: Mapping[str, Path],
-    flown: Sequence[Simulated] = (),
-) -> Page:
-    """The page; `figures` are the drawn ones by stem, none where they were not asked for.
-
-    `flown` are the simulated manoeuvres, none where the model could not be flown.
-    """
+    flown: Sequence[SimulatedManoeuvre] = (),
+) -> html.Report:
+    """The page, with the drawn `figures` by stem and the simulated manoeuvres, where there are any."""
     gallery = Gallery(figures, identification_alternatives(run))
     sentences = verdict(run)
-    lead: list[Block] = [Text(w, "warning") for w in _warnings(run)]
-    pictures = gallery("stall") or gallery("crb_vs_credible")
-    lead += pictures
-    if not figures:
-        lead.append(Text("Static pictures were not drawn in this run; tables and interactive figures are complete."))
-    return Page(
+    doubtful = [p for p in run.posteriors.values() if p.status is not PosteriorStatus.CONVERGED]
+    labels = [f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}." for p in doubtful]
+    return html.Report(
         title=f"Identification: {run.card.title}",
         subtitle="Aerodynamic model identified from flight data, with uncertainty",
         verdict=headline(run),
-        lead=tuple(lead),
-        doubts=doubts(run.health, run.consistency, corrects=False, failures=run.failures),
-        sections=filled(
-            section("findings", "Findings", lambda: (*bullets(sentences), WORDS)),
-            section(
-                "records", "The records at a glance", lambda: records_and_faults(run.records, run.card, run.health)
-            ),
-            section(
-                "fit",
-                "Measured and fitted",
-                lambda: (
-                    Text(
-                        "Coefficients of forces and moments reconstructed from the accelerometers and rate "
-                        "gyros, and "
-                        "the fitted model. The shaded area between the curves is the error."
-                    ),
-                    *_histories(run),
-                    page_table(fit_table(run)),
-                ),
-            ),
+        lead=(
+            *(Text(label, "warning") for label in labels),
+            *(gallery("stall") or gallery("crb_vs_credible")),
+            *(() if figures else (html.NOT_DRAWN,)),
+        ),
+        doubts=html.doubts(run.health, run.consistency, corrects=False, failures=run.failures),
+        sections=html.filled(
+            section("findings", "Findings", lambda: (*bullets(sentences), html.terms("glossary"))),
+            html.records_section(run.records, run.card, run.health),
+            section("fit", "Measured and fitted", lambda: _fit(run)),
             section("simulated", "Measured and simulated", lambda: given_flights(flown, run.card)),
             section("stall", "The stall", lambda: _stall(run, gallery)),
             section("parameters", "Parameters", lambda: _parameters(run, gallery)),
-            section("next-flight", "The next flight", lambda: _next_flight(run, gallery)),
+            section(
+                "next-flight",
+                "The next flight",
+                lambda: (page_table(next_flight_table(run)), *gallery("next_flight")) if run.next_flight else (),
+            ),
             section("prediction", "Prediction of hold-out data", lambda: _validation(run, gallery)),
             section("diagnostics", "Diagnostics", lambda: _diagnostics(run, gallery)),
-            section("provenance", "Provenance", lambda: provenance_blocks(source, run.notes, run.seconds)),
+            section("provenance", "Provenance", lambda: html.provenance_blocks(source, run.notes, run.seconds)),
         ),
     )
 
@@ -137,8 +100,7 @@ def headline(run: Identification) -> str:
         s = run.stall
         text += (
             f"; the steady stall is at CLmax = {interval(s.CL_max, 1.0, 2)} and α = {interval(s.alpha_max, DEG, 1)} "
-            f"deg "
-            "(95 % intervals)"
+            "deg (95 % intervals)"
         )
     elif run.stall is not None:
         text += "; the records do not show the angle of the steady stall"
@@ -151,55 +113,33 @@ def headline(run: Identification) -> str:
     return text + "."
 
 
-def _warnings(run: Identification) -> list[str]:
-    """Warnings that apply to the numbers."""
-    return [
-        f"{engine_label(p.engine)} under {noise_label(p.noise)} noise: {p.status.value}."
-        for p in run.posteriors.values()
-        if p.status is not PosteriorStatus.CONVERGED
-    ]
-
-
-def _histories(run: Identification) -> list[Block]:
+def _fit(run: Identification) -> list[Block]:
+    """Time histories of each manoeuvre, and the scores of the fit."""
     o = run.observations
     fitted, measured = run.fitted, np.asarray(o.measured)
-    shown, listed = first(o.names)
+    shown, listed = html.first(o.names)
+    context = SIX_CONTEXT if Axis.LATERAL in run.model.axes else CONTEXT
     plots: list[Block] = [*listed]
     for number, name in enumerate(shown):
-        mine = o.manoeuvre == number
-        panels = [
-            Panel(
-                f"{c} [-]",
-                (
-                    Line("measured", COLOURS["measured"], measured[mine, i], width=1.0),
-                    Line("fitted", COLOURS["mle"], fitted[mine, i]),
-                ),
-                shade=((0, 1),),
-            )
-            for i, c in enumerate(o.coefficients)
-        ]
-        for channel in SIX_CONTEXT if Axis.LATERAL in run.model.axes else CONTEXT:
-            if channel in o.signals:
-                unit, factor = shown_in(channel)
-                values = factor * np.asarray(o.signals[channel])[mine]
-                label = f"{SYMBOLS.get(channel, channel)} {bracket(unit)}"
-                panels.append(Panel(label, (Line("measured", COLOURS["measured"], values),), height=LOW))
+        mine, panels = o.manoeuvre == number, []
+        for i, coefficient in enumerate(o.coefficients):
+            line = Line("measured", COLOURS["measured"], measured[mine, i], width=1.0)
+            both = (line, Line("fitted", COLOURS["mle"], fitted[mine, i]))
+            panels.append(Panel(f"{coefficient} [-]", both, shade=((0, 1),)))
+        panels += html.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
         what = "Measured and fitted coefficients, and the manoeuvre flown,"
-        plots.append(histories(name, f"time-fit-{number}", o.time[mine], panels, LEGEND, what))
-    return plots
+        plots.append(html.histories(name, f"time-fit-{number}", o.time[mine], panels, LEGEND, what))
+    text = WORDS["paragraphs"]["fit"]
+    return [Text(text), *plots, page_table(run_tables.fit_table(run))]
 
 
 def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     if all(effect.stage is not Stage.SEPARATION for effect in run.model.effects):
         return (Text("The card's model has no separation of the flow, and so no stall."),)
     if run.stall is None:
-        return (
-            Text(
-                "CLmax and the stall angle are not given: no posterior was sampled or the fit did not reach an optimum."
-            ),
-        )
-    engine = next(iter(chosen_posteriors(run)))
-    label = f"{engine_label(engine)}, {noise_label(run.noise)} noise"
+        why = "no posterior was sampled or the fit did not reach an optimum"
+        return (Text(f"CLmax and the stall angle are not given: {why}."),)
+    label = f"{engine_label(next(iter(chosen_posteriors(run))))}, {noise_label(run.noise)} noise"
     pictures = gallery("separation") if "stall" in gallery.paths else gallery("stall", "separation")
     return (
         *stall_table({label: run.stall}, "Intervals are those of the posterior."),
@@ -209,63 +149,49 @@ def _stall(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
 
 
 def _parameters(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    names = ordered(run.mle.names, run.mle.parameters)
-    pictures = [*gallery("crb_vs_credible"), *gallery("forest")]  # the high one last: printed, it needs its own sheet
-    single = alone_table(run)
+    single = run_tables.alone_table(run)
     return (
-        page_table(parameter_table(run)),
+        page_table(run_tables.parameter_table(run)),
         *(() if single is None else (Fold("Each manoeuvre fitted alone", (page_table(single),)),)),
-        symbols(run.model.parameters, names),
-        *pictures,
+        html.symbols(run.model.parameters, ordered(run.mle.names, run.mle.parameters)),
+        *gallery("crb_vs_credible"),
+        *gallery("forest"),  # the high one last: printed, it needs its own sheet
     )
-
-
-def _next_flight(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    if run.next_flight is None:
-        return ()
-    return (page_table(next_flight_table(run)), *gallery("next_flight"))
 
 
 def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     if run.gp is None:
         return (Text("There are no hold-out data: this run trained no Gaussian process."),)
     return (
-        page_table(validation_table(run, each_fold=False)),
+        page_table(run_tables.validation_table(run, each_fold=False)),
         *gallery("gpr_fit", "fig2_gpr_fit"),
-        Fold(
-            "Measured against predicted",
-            gallery.folded(*CORRELATIONS),
-        ),
+        Fold("Measured against predicted", gallery.folded(*CORRELATIONS)),
     )
 
 
 def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
-    blocks: list[Block] = []
-    calibrated = coverage_table(run)
+    mle, calibration = run.mle, run_tables.coverage_table(run)
+    calibrated = [] if calibration is None else [page_table(calibration)]
     bars = Gallery(gallery.paths, {"pit": pit_words(run)}).folded("pit") if "pit" in gallery.paths else ()
-    if calibrated is not None or bars:
-        title = "Calibration of the posterior's predictions"
-        blocks.append(Fold(title, (*([] if calibrated is None else [page_table(calibrated)]), *bars)))
-    tables = [page_table(sampler_table(run, key)) for key in run.posteriors]
-    if tables:
-        pictures = gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts")
-        blocks.append(
-            Fold("Convergence of the samplers: R-hat, effective sample size, rank plots", (*tables, *pictures))
-        )
-    prior = gallery.folded("prior_posterior", "pair", "gp_prior_posterior")
-    if prior:
-        blocks.append(Fold("Prior and posterior", prior))
-    mle = run.mle
-    strong = [f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations()]
+    chains: list[Block] = [page_table(run_tables.sampler_table(run, key)) for key in run.posteriors]
+    chains += gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if chains else ()
     eigen = np.asarray(mle.eigenvalues)
     rank = (
         f"Maximum likelihood: {mle.status.value}, {mle.iterations} iterations. Information matrix of rank "
         f"{int(np.sum(eigen > 1e-11 * eigen.max()))} of {len(eigen)}; smallest eigenvalue (scaled to unit diagonal) "
         f"{eigen.min():.2g}. det R = {mle.det_R:.5g}."
     )
-    listed = bullets(strong) if strong else (Text("No two parameters are correlated beyond 0.9."),)
-    blocks.append(Fold("Identifiability: information matrix, correlated parameters", (Text(rank), *listed)))
-    return tuple(blocks)
+    strong = bullets(f"{a} and {b}: {r:+.3f}" for a, b, r in mle.strong_correlations())
+    folds: dict[str, Sequence[Block]] = {
+        "Calibration of the posterior's predictions": [*calibrated, *bars],
+        "Convergence of the samplers: R-hat, effective sample size, rank plots": chains,
+        "Prior and posterior": gallery.folded("prior_posterior", "pair", "gp_prior_posterior"),
+        "Identifiability: information matrix, correlated parameters": [
+            Text(rank),
+            *(strong or (Text("No two parameters are correlated beyond 0.9."),)),
+        ],
+    }
+    return tuple(Fold(title, tuple(blocks)) for title, blocks in folds.items() if blocks)
 
 
 # --- The identified model simulated with the recorded inputs: errors of its trajectories, and time histories.
@@ -276,25 +202,14 @@ def given_flights(paths: Sequence[SimulatedManoeuvre], card: Card) -> tuple[Bloc
     if not paths:
         return ()
     units = {name: STANDARD_CHANNELS[name].unit for name in paths[0].errors}
-    _, listed = first([path.manoeuvre for path in paths])
-    text = (
-        "A simulation with the fitted coefficients and the recorded inputs from the measured initial state, without "
-        "correction by measurements. Small errors of a coefficient accumulate here, so trajectories can drift although "
-        "the coefficients agree. Nothing was fitted to these trajectories: bayes-aero fly fits trajectories, and "
-        "bayes-aero diagnose names missing effects."
-    )
+    _, listed = html.first([path.manoeuvre for path in paths])
+    text = WORDS["paragraphs"]["given_flights"]
     if any(error.tolerance is not None for error in paths[0].errors.values()):
         text += " The grey band is the tolerance about the measurement."
-    what = "Measured outputs, and those simulated with the fitted coefficients,"
-    plots = [
-        over_measured(
-            path.manoeuvre, f"time-given-{order}", [Curve(path, "simulation", COLOURS["mle"], "solid")], units, what
-        )
-        for order, path in enumerate(islice(paths, MOST_SHOWN))
-    ]
-    lost = [
-        Text(f"The simulation of {path.manoeuvre} leaves the flight envelope.", "warning")
-        for path in paths
-        if not path.inside
-    ]
+    what, plots = "Measured outputs, and those simulated with the fitted coefficients,", []
+    for order, path in enumerate(paths[: html.MOST_SHOWN]):
+        curves = [Curve(path, "simulation", COLOURS["mle"], "solid")]
+        plots.append(over_measured(path.manoeuvre, f"time-given-{order}", curves, units, what))
+    left = [path.manoeuvre for path in paths if not path.inside]
+    lost = [Text(f"The simulation of {name} leaves the flight envelope.", "warning") for name in left]
     return (Text(text), *lost, *listed, *plots, page_table(given_table(paths)), *sources(card, units))

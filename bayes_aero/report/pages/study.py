@@ -11,13 +11,12 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from bayes_aero.report.html.page import Block, Facts, Page, Picture, Text, bullets, filled, section
-from bayes_aero.report.html.parts import page_table
+from bayes_aero.report.html.page import Block, Facts, Picture, Report, Text, bullets, filled, page_table, section
 from bayes_aero.report.html.pictures import embedded
 from bayes_aero.report.style import NotDrawn, save
-from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, Estimates, across, estimates, panels_of
+from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, AcrossUnits, across, estimates, panels_of
 from bayes_aero.report.tables.table import Table, columns_of
-from bayes_aero.report.text.phrases import plain_unit, several
+from bayes_aero.report.text.phrases import WORDS, plain_unit, several
 from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -36,10 +35,10 @@ class StudyContext:
     facts: Mapping[str, str]
 
 
-def study_page(context: StudyContext) -> Page:
+def study_page(context: StudyContext) -> Report:
     """The page of a study, from its tables."""
     found = estimates(context.units, context.results)
-    return Page(
+    return Report(
         title=f"Study: {context.title}",
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),
@@ -54,27 +53,17 @@ def study_page(context: StudyContext) -> Page:
 
 
 def study_headline(context: StudyContext) -> str:
-    """State of the study and joint results of its units, in one sentence."""
-    return f"{'; '.join([_progress(context.units), *_short(context)])}."
-
-
-def _progress(units: pd.DataFrame) -> str:
-    states = Counter(units["state"])
-    total, done = len(units), states.pop("done", 0)
-    if done == total:
-        return f"All {total} units are done" if total > 1 else "The unit is done"
-    return f"{done} of {total} units are done ({several(f'{n} {state}' for state, n in states.items())})"
-
-
-def _short(context: StudyContext) -> list[str]:
-    """Verdicts, the cause that most units name, the parameter that scatters farthest beyond its intervals."""
+    """State, verdicts, the commonest cause, and the parameter that scatters farthest beyond its intervals."""
+    states = Counter(context.units["state"])
+    total, ended = len(context.units), states.pop("done", 0)
+    sentences = [f"All {total} units are done" if total > 1 else "The unit is done"]
+    if ended != total:
+        others = several(f"{n} {state}" for state, n in states.items())
+        sentences = [f"{ended} of {total} units are done ({others})"]
     verdicts, causes, done = _counted(context)
-    sentences = []
     if verdicts:
-        all_same = len(verdicts) == 1 and done > 1
-        sentences.append(
-            several(f"{'all' if all_same else n} {_words(verdict)}" for verdict, n in verdicts.most_common())
-        )
+        count = {verdict: "all" if len(verdicts) == 1 and done > 1 else n for verdict, n in verdicts.most_common()}
+        sentences.append(several(f"{n} {verdict.replace('_', ' ')}" for verdict, n in count.items()))
     if causes:
         cause, n = causes.most_common(1)[0]
         sentences.append(f"{cause} is named in {n} of {done}")
@@ -85,11 +74,7 @@ def _short(context: StudyContext) -> list[str]:
         sentences.append(f"{worst.label} differs between units by {ratio}")
     elif compared:
         sentences.append(f"no parameter differs between units by more than {MIN_RATIO:g} times its intervals")
-    return sentences
-
-
-def _words(verdict: str) -> str:
-    return verdict.replace("_", " ")
+    return f"{'; '.join(sentences)}."
 
 
 def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
@@ -99,18 +84,19 @@ def _counted(context: StudyContext) -> tuple[Counter[str], Counter[str], int]:
     return Counter(v for v in done["verdict"] if v), Counter(cause for cause, _ in sorted(pairs) if cause), len(done)
 
 
-def _beyond(found: list[Estimates]) -> tuple[list[Estimates], list[Estimates]]:
+def _beyond(found: list[AcrossUnits]) -> tuple[list[AcrossUnits], list[AcrossUnits]]:
     """Estimates that several units have, by their most trusted method; those that scatter beyond their intervals."""
     compared = [group[0] for _, group in panels_of(found) if group and len(group[0].value) > 1]
     return compared, [e for e in compared if e.scatter > MIN_RATIO * e.claimed]
 
 
-def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
+def _findings(context: StudyContext, found: list[AcrossUnits]) -> list[str]:
     """Verdicts by number, causes by how many units name them, and parameters that scatter beyond their intervals."""
     verdicts, causes, done = _counted(context)
     sentences = []
     if verdicts:
-        sentences.append(f"Verdicts: {several(f'{n} {_words(verdict)}' for verdict, n in verdicts.most_common())}.")
+        listed = several(f"{n} {verdict.replace('_', ' ')}" for verdict, n in verdicts.most_common())
+        sentences.append(f"Verdicts: {listed}.")
     if causes:
         listed = several(f"{cause} {n}" for cause, n in causes.most_common())
         sentences.append(f"Causes, in how many units of {done}: {listed}.")
@@ -128,7 +114,7 @@ def _findings(context: StudyContext, found: list[Estimates]) -> list[str]:
     return sentences
 
 
-def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
+def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     """The picture of all estimates; a study without any has none."""
     path = folder / "across.png"
     try:
@@ -144,7 +130,7 @@ def _lead(found: list[Estimates], folder: Path) -> tuple[Block, ...]:
     return (Picture(source, f"Estimates of all units. Means: {means}.", caption, width, height, natural),)
 
 
-def _across(found: list[Estimates]) -> tuple[Block, ...]:
+def _across(found: list[AcrossUnits]) -> tuple[Block, ...]:
     if not found:
         return ()
     column = columns_of(found[:MOST_ROWS])
@@ -160,8 +146,7 @@ def _across(found: list[Estimates]) -> tuple[Block, ...]:
             column(lambda e: e.scatter / e.claimed if e.claimed > 0.0 else None, page="ratio", form=2),
         ],
         "Estimates of all units by parameter and method",
-        "Scatter: standard deviation between units. Standard error: root mean square of those of the units. A "
-        "ratio well above one: the standard errors do not cover the differences between these units.",
+        WORDS["notes"]["across_units"],
     )
     left = len(found) - MOST_ROWS
     return (page_table(table), *((Text(f"{left} more are in summary.csv."),) if left > 0 else ()))
@@ -184,9 +169,6 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
         "Units of the study",
         f"{left} more are in units.csv." if left else "",
     )
-    return replace(page_table(table), links=tuple(_report(folder, str(name)) for name in shown["unit"]))
-
-
-def _report(folder: Path, unit: str) -> str:
-    """Relative path of a unit's page; empty where it has none."""
-    return f"units/{quote(unit)}/report.html" if (folder / "units" / unit / "report.html").is_file() else ""
+    paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
+    links = tuple(f"units/{quote(name)}/report.html" if path.is_file() else "" for name, path in paths)
+    return replace(page_table(table), links=links)

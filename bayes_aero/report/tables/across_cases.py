@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScores, View
-from bayes_aero.inference.identification import Identification, Validation
+from bayes_aero.inference.identification import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed
-from bayes_aero.report.tables.table import Change, Column, Estimate, Table, columns_of
-from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several
+from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, columns_of
+from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
 
 METHODS = {
     "mle_corrected": ("maximum likelihood, corrected bound", "crb_corrected"),
@@ -34,7 +34,7 @@ DRAWN, MOST_PANELS, MOST_BARS = 2, 18, 60
 
 
 @dataclass(frozen=True)
-class Estimates:
+class AcrossUnits:
     """One parameter by one method in every unit that has it; `unit` counts units from 1, values in SI."""
 
     label: str
@@ -57,22 +57,19 @@ class Estimates:
         return float(np.sqrt(np.mean(np.square(self.sd))))
 
 
-def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[Estimates]:
+def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
     """Every parameter and method of a study, in the order of the results; values that are missing are left out."""
     number = {name: k for k, name in enumerate(units["unit"], start=1)}
-    rows = results.dropna(subset=["value"])
     found = []
-    for key, part in rows.groupby(["cause", "parameter", "method"], sort=False):
+    for key, part in results.dropna(subset=["value"]).groupby(["cause", "parameter", "method"], sort=False):
         cause, parameter, method = map(str, key)  # type: ignore[call-overload]
-        column = {name: part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd")}
-        label = f"{cause}: {parameter}" if cause else parameter
-        at = np.array([number[name] for name in part["unit"]])
-        si = str(part["unit_of_value"].iloc[0])
-        found.append(Estimates(label, method, si, at, column["value"], column["low95"], column["high95"], column["sd"]))
+        label, si = f"{cause}: {parameter}" if cause else parameter, str(part["unit_of_value"].iloc[0])
+        columns = (part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd"))
+        found.append(AcrossUnits(label, method, si, np.array([number[name] for name in part["unit"]]), *columns))
     return found
 
 
-def panels_of(found: list[Estimates]) -> Iterator[tuple[str, list[Estimates]]]:
+def panels_of(found: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
     """Parameters with the methods that are drawn, the most trusted interval first."""
     order = list(METHODS)
     for label in dict.fromkeys(e.label for e in found):
@@ -81,7 +78,7 @@ def panels_of(found: list[Estimates]) -> Iterator[tuple[str, list[Estimates]]]:
 
 
 @housed
-def across(found: list[Estimates]) -> Figure:
+def across(found: list[AcrossUnits]) -> Figure:
     """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
     groups = [group for group in panels_of(found) if group[1]][:MOST_PANELS]
     if not groups:
@@ -93,15 +90,13 @@ def across(found: list[Estimates]) -> Figure:
         unit, factor = for_people(group[0].si)
         for k, e in enumerate(group):
             name, colour = METHODS[e.method]
-            x = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25
+            x, y = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value
             if last <= MOST_BARS:
                 ends = np.abs(factor * np.stack([e.value - e.low, e.high - e.value]))
                 ends = np.where(np.isfinite(ends), ends, 0.0)
-                shown = ax.errorbar(
-                    x, factor * e.value, ends, fmt="os"[k], ms=3.5, lw=1.1, color=COLOURS[colour], label=name
-                )
+                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, color=COLOURS[colour])
             else:
-                shown = ax.plot(x, factor * e.value, ".", ms=2.5, color=COLOURS[colour], label=name)[0]
+                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, color=COLOURS[colour])
             labels.setdefault(name, shown)
         ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -120,13 +115,10 @@ def gain_table(view: DiagnosisView) -> Table | None:
         return None
     before, after = view.unseen_scores
     names = list(after)
-    column = columns_of(names)
     columns = [Column(names, page="coefficient")]
     for when, scores in (("before", before), ("after", after)):
-        columns += [
-            column(lambda name, scores=scores: scores[name].r2, page=f"R² {when}", form=".3f"),
-            column(lambda name, scores=scores: scores[name].rmse, page=f"RMSE {when} [-]", form=".4f"),
-        ]
+        columns.append(Column([scores[name].r2 for name in names], page=f"R² {when}", form=".3f"))
+        columns.append(Column([scores[name].rmse for name in names], page=f"RMSE {when} [-]", form=".4f"))
     by_manoeuvre = view.diagnosis.split == "manoeuvre"
     what = "each manoeuvre predicted from the others" if by_manoeuvre else "each block from the others"
     return Table(
@@ -141,7 +133,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
     rows = []
     for k, manoeuvre in enumerate(unseen.names):
         before, after = (unseen.scores[model, "hold_out", k] for model in ("card", "extended"))
-        rows += [(manoeuvre, n, Change(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
+        rows += [(manoeuvre, n, BeforeAfter(before[n].r2, after[n].r2), unseen.gains[manoeuvre, n]) for n in before]
     column = columns_of(rows)
     worse = several(f"{name} of {manoeuvre}" for manoeuvre, name in unseen.worse()) or "no manoeuvre"
     return Table(
@@ -155,10 +147,7 @@ def holdout_table(unseen: HoldoutScores) -> Table:
             ),
         ],
         "Hold-out manoeuvres: the card's model and the extended model",
-        "± is one standard error, autocorrelation included. Log density: natural logarithm of the probability density "
-        "of the hold-out data; 3 more make them 20 times as probable. R² weighs every sample alike and depends on the "
-        "few of the deepest stall; the log density includes the noise growth in separated flow. The log density "
-        f"decreases significantly (one-sided, 5 %) for {worse}.",
+        f"{WORDS['notes']['holdout']} The log density decreases significantly (one-sided, 5 %) for {worse}.",
     )
 
 
@@ -203,7 +192,7 @@ def residual_tables(view: View) -> tuple[Table, Table]:
             column(lambda n: n["lag1"], page="lag-1\ncorrelation", form="+.2f"),
         ],
         "Residuals at the recorded rate, all manoeuvres fitted jointly",
-        "A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude.",
+        WORDS["notes"]["residuals"],
     ), Table(
         [
             first,
@@ -220,7 +209,7 @@ GAP = 1.0  # s; a line is broken where its neighbouring points are further apart
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictedPoints:
     """One coefficient at `index` (ascending) of the observations; `gp`, `low`, `high` are None without a GP."""
 
     index: np.ndarray
@@ -230,27 +219,24 @@ class Predicted:
     low: np.ndarray | None = None
     high: np.ndarray | None = None
 
-    def of(self, manoeuvre: np.ndarray) -> Predicted:
+    def of(self, manoeuvre: np.ndarray) -> PredictedPoints:
         """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
         keep = manoeuvre[self.index]
         cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
-        return Predicted(self.index[keep], self.measured[keep], self.mle[keep], *cut)
+        return PredictedPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
 
 
-def predicted(identification: Identification, coefficient: str) -> Predicted:
+def predicted(identification: Identification, coefficient: str) -> PredictedPoints:
     """Predictions at the chosen split's test points (all its folds); without a GP the fit at all samples."""
-    if identification.gp is not None:
-        return _pooled([fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]])
-    o = identification.observations
-    column = o.coefficients.index(coefficient)
-    return Predicted(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
-
-
-def _pooled(folds: list[Validation]) -> Predicted:
-    index = np.concatenate([v.test for v in folds])
+    if identification.gp is None:
+        o = identification.observations
+        column = o.coefficients.index(coefficient)
+        return PredictedPoints(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
+    folds = [fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]]
+    names = ("test", "measured", "mle", "gp", "gp_low", "gp_high")
+    index, *columns = (np.concatenate([getattr(v, name) for v in folds]) for name in names)
     order = np.argsort(index, kind="stable")
-    columns = ("measured", "mle", "gp", "gp_low", "gp_high")
-    return Predicted(index[order], *(np.concatenate([getattr(v, c) for v in folds])[order] for c in columns))
+    return PredictedPoints(index[order], *(column[order] for column in columns))
 
 
 def what_is_shown(identification: Identification) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,15 +34,11 @@ class Method:
         return [self.estimates.get(name) for name in names]
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """One parameter between manoeuvres fitted alone.
+class Scatter(NamedTuple):
+    """One parameter between manoeuvres fitted alone."""
 
-    `sd` of the estimates; `in_crb` the largest difference of a pair, in units of its combined Cramer-Rao deviation.
-    """
-
-    sd: float
-    in_crb: float
+    sd: float  # of the estimates
+    in_crb: float  # the largest difference of a pair, in units of its combined Cramer-Rao deviation
 
 
 def ordered(names: Iterable[str], parameters: Iterable[Parameter]) -> list[str]:
@@ -91,21 +88,18 @@ def methods(identification: Identification) -> list[Method]:
         Method("crb", "ML, Cramér-Rao bound", bounds(mle, mle.crb)),
         Method("crb_corrected", "ML, corrected bound", bounds(mle, mle.crb_corrected)),
     ]
-    if "white" in identification.posteriors:
-        found.append(Method("white", "emcee, white noise", _marginals(identification.posteriors["white"], mle)))
-    for key, posterior in chosen_posteriors(identification).items():
-        label = f"{engine_label(key)}, {noise_label(identification.noise)} noise"
-        found.append(Method(key, label, _marginals(posterior, mle)))
+    posteriors = identification.posteriors
+    for key in [*(["white"] if "white" in posteriors else []), *chosen_posteriors(identification)]:
+        noise = noise_label(identification.noise)
+        label = "emcee, white noise" if key == "white" else f"{engine_label(key)}, {noise} noise"
+        marginals = posteriors[key].marginals.items()
+        found.append(Method(key, label, {n: Estimate.of(m) for n, m in marginals if n in mle.names}))
     return found
 
 
 def bounds(mle: MleResult, sd: np.ndarray) -> dict[str, Estimate]:
     """Estimates of a fit with the standard deviations `sd`."""
     return {n: Estimate.normal(x, s) for n, x, s in zip(mle.names, mle.estimate, sd, strict=True)}
-
-
-def _marginals(posterior: Posterior, mle: MleResult) -> dict[str, Estimate]:
-    return {n: Estimate(m.mean, m.sd, *m.ci95) for n, m in posterior.marginals.items() if n in mle.names}
 
 
 def usable(mle: MleResult) -> bool:
@@ -130,11 +124,8 @@ def scatter(identification: Identification, name: str) -> Scatter | None:
     single = list(alone(identification, name).values())
     if len(single) < 2:
         return None
-    pairs = list(combinations(single, 2))
-    return Scatter(
-        sd=float(np.std([x for x, _, _ in single], ddof=1)),
-        in_crb=max(apart(a[0], b[0], a[1], b[1]) for a, b in pairs),
-    )
+    largest = max(apart(a[0], b[0], a[1], b[1]) for a, b in combinations(single, 2))
+    return Scatter(float(np.std([x for x, _, _ in single], ddof=1)), largest)
 
 
 def apart(a: float, b: float, sd_a: float, sd_b: float) -> float:

@@ -9,19 +9,16 @@ import numpy as np
 import pandas as pd
 
 from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
-from bayes_aero.diagnosis.view.results import Compared, HoldoutScores, Ranking
-from bayes_aero.report.tables.table import NONE, Change, Column, Estimate, Table, columns_of, or_dash
-from bayes_aero.report.text.phrases import for_people, from_to, several, size_text
+from bayes_aero.diagnosis.view.results import HoldoutScores, Ranking
+from bayes_aero.report.tables.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash
+from bayes_aero.report.text.phrases import WORDS, for_people, from_to, several, size_text
 
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",
     "block": "each block of the manoeuvre predicted from the others",
 }
 ON_A_TERMINAL = 3  # coefficients whose R² fit in 80 columns: those that change most
-NAMED_IF = (
-    "A small p-value alone is not sufficient. A cause must also explain a share of the remaining variance, improve the "
-    "prediction of hold-out data and be worth modelling. Significant but small effects are in the model without a name."
-)
+NAMED_IF = WORDS["notes"]["named_if"]
 
 
 def causes_table(d: Diagnosis) -> Table:
@@ -37,18 +34,29 @@ def causes_table(d: Diagnosis) -> Table:
         return column(lambda c: _change(c, name, kind), files, None, head, ".2f")
 
     names = dict.fromkeys(name for c in d.causes for name in c.gain.before)
-    shown = (
-        sorted(names, key=lambda name: -_largest_change(d.causes, name))[:ON_A_TERMINAL] if d.by_coefficients else ()
-    )
+    shown: Sequence[str] = ()
+    if d.by_coefficients:  # those whose R² any of the causes changes most
+        pairs = {name: [x for c in d.causes if (x := _change(c, name, "r2")) is not None] for name in names}
+        sizes = {n: [abs(b - a) for a, b in found if a is not None and b is not None] for n, found in pairs.items()}
+        shown = sorted(names, key=lambda name: -max(map(float, np.nan_to_num(sizes[name])), default=0.0))
+        shown = shown[:ON_A_TERMINAL]
     if_removed = "hold-out data\nif removed" if any(np.isfinite(c.missed[0]) for c in d.causes) else None
-    rivals = None if d.by_coefficients else "rivals"
-    terminal_title, terminal_note = _on_a_terminal(d)
-    if 0 < len(shown) < len(names):
-        terminal_note = f"R² of the {len(shown)} coefficients that change most. {terminal_note}"
+    rivals = "rivals", None if d.by_coefficients else "rivals"
+    mark = "†: the verdict does not rest on it, see below."
+    if d.by_coefficients:
+        title = f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after"
+        note = f"R² of the {len(shown)} coefficients that change most. " if 0 < len(shown) < len(names) else ""
+        note += (
+            "Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard error. "
+            f"*: not confirmed on hold-out data, not in the extended model. {mark}"
+        )
+    else:
+        title = f"Causes, from {'innovations' if d.compared == INNOVATIONS else 'trajectories alone'}"
+        note = "" if all(c.sure for c in d.causes) else f"*: not confirmed on hold-out data. {mark}"
     return Table(
         [
             Column(range(1, len(d.causes) + 1), "order"),
-            column(_marked, terminal="cause"),
+            column(lambda c: c.name if c.sure else f"{c.name}{'†' if c.confirmed else '*'}", terminal="cause"),
             column(lambda c: c.name, "cause", "cause"),
             *(column(lambda c, key=key: getattr(c, key), key) for key in ("kind", "stage", "confirmed", "sure")),
             column(lambda c: c.claim, page="what it means", words=True),
@@ -61,37 +69,17 @@ def causes_table(d: Diagnosis) -> Table:
             column(lambda c: c.probability, "probability", "probability", "prob.", probability),
             column(lambda c: c.p_value, "p_value", "p", form=2),
             column(lambda c: " ".join(c.ambiguous_with), "ambiguous_with"),
-            column(lambda c: c.gain.elpd, "elpd"),
-            column(lambda c: c.gain.elpd_se, "elpd_se"),
+            column(lambda c: (c.gain.elpd, c.gain.elpd_se), ("elpd", "elpd_se")),
             column(lambda c: Estimate(-c.missed[0], c.missed[1]), ("taken_out_elpd", "taken_out_elpd_se")),
             column(lambda c: c, page=if_removed, form=_if_removed),
-            column(lambda c: several(c.ambiguous_with), "", "rivals", rivals, or_dash, str),
+            column(lambda c: several(c.ambiguous_with), "", *rivals, or_dash, str),
             *(score(name, kind) for name in names for kind in ("r2", "rmse")),
         ],
         "Causes, in the order of selection",
-        "Hold-out data if removed: the change of their log density. *: not confirmed, for the loss is not significant "
-        "(one-sided, 5 %) or one output is predicted worse with the cause: named, but not in the extended model.",
-        terminal_title,
-        terminal_note,
+        WORDS["notes"]["causes"],
+        title,
+        note,
     )
-
-
-def _on_a_terminal(d: Diagnosis) -> tuple[str, str]:
-    """Title and note of the causes."""
-    mark = "†: the verdict does not rest on it, see below."
-    if d.by_coefficients:
-        return (
-            f"Causes; R² on hold-out data ({SPLITS[d.split]}), before → after",
-            "Before: the card's model, with corrected sensors where sensor errors were found. ±: one standard error. "
-            f"*: not confirmed on hold-out data, not in the extended model. {mark}",
-        )
-    sure = all(cause.sure for cause in d.causes)
-    title = "Causes, from innovations" if d.compared == INNOVATIONS else "Causes, from trajectories alone"
-    return title, "" if sure else f"*: not confirmed on hold-out data. {mark}"
-
-
-def _marked(c: Cause) -> str:
-    return c.name if c.sure else f"{c.name}*" if not c.confirmed else f"{c.name}†"
 
 
 def _sizes(c: Cause) -> list[str]:
@@ -115,17 +103,11 @@ def _if_removed(c: Cause) -> str:
     return text if c.confirmed else f"{text} *"
 
 
-def _change(c: Cause, name: str, kind: str) -> Change | None:
+def _change(c: Cause, name: str, kind: str) -> BeforeAfter | None:
     """A score of a coefficient on hold-out data without and with a cause."""
     if name not in c.gain.before:
         return None
-    return Change(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
-
-
-def _largest_change(causes: Sequence[Cause], name: str) -> float:
-    """Of R² of a coefficient on hold-out data, by any of the causes."""
-    pairs = [(x.before, x.after) for x in (_change(c, name, "r2") for c in causes) if x is not None]
-    return max((float(np.nan_to_num(abs(b - a))) for a, b in pairs if a is not None and b is not None), default=0.0)
+    return BeforeAfter(getattr(c.gain.before[name], kind), getattr(c.gain.after[name], kind))
 
 
 def changes_table(d: Diagnosis) -> Table:
@@ -137,7 +119,7 @@ def changes_table(d: Diagnosis) -> Table:
             column(lambda c: c.unit, "unit"),
             column(lambda c: c.manoeuvre, "manoeuvre", "manoeuvre", "manoeuvre"),
             column(lambda c: c.at, "at", "at, s", "at, s", ".1f"),
-            column(lambda c: Change(c.interval[0], c.interval[1]), ("at_low", "at_high")),
+            column(lambda c: BeforeAfter(c.interval[0], c.interval[1]), ("at_low", "at_high")),
             column(lambda c: from_to(c.interval[0], c.interval[1], 0.5), page="95 % interval, s"),
             column(lambda c: c.lasts, "lasts"),
             *(
@@ -153,8 +135,7 @@ def changes_table(d: Diagnosis) -> Table:
             column(lambda c: several(c.ambiguous_with), "ambiguous_with", "rivals", "rivals", or_dash),
         ],
         "Parameters that change during the records",
-        "One standard error, autocorrelation included. Time from the begin of the manoeuvre; 0: from the manoeuvre "
-        "before to this one. Hold-out gain: log density of parts of the manoeuvres, each predicted from the others.",
+        WORDS["notes"]["changes"],
     )
 
 
@@ -176,9 +157,7 @@ def terms_table(d: Diagnosis) -> Table:
             ),
         ],
         "Terms that describe unexplained structure",
-        "One standard error, autocorrelation included. Share: of the variance left without it. Probability: among "
-        "all terms of the library; each factor halves the prior one. Hold-out gain: log density of left-out manoeuvres "
-        "or blocks.",
+        WORDS["notes"]["terms"],
     )
 
 
@@ -207,12 +186,7 @@ def screen_table(rankings: Sequence[Ranking], d: Diagnosis) -> Table:
 
 
 def scores_frame(found: HoldoutScores) -> pd.DataFrame:
-    """A row for each model, fit, manoeuvre and coefficient: r, R2, RMSE [-] and Theil's coefficient of 5 Hz means.
-
-    `fitted`: parameters from all manoeuvres. `unseen`: from the others; of a single one, each block from the others.
-    Rows of the extended model on hold-out data have its gain over the card's: log density `elpd_gain` [nats] and
-    `r2_gain`, each with its standard error (see `Compared`).
-    """
+    """A row for each model, fit, manoeuvre, coefficient: scores of 5 Hz means, and the gain of the extended model."""
     rows = []
     for model in ("card", "extended"):
         for data in ("fitted", "hold_out"):
@@ -221,11 +195,8 @@ def scores_frame(found: HoldoutScores) -> pd.DataFrame:
                     row = {"model": model, "data": data, "manoeuvre": manoeuvre, "coefficient": name}
                     row |= {"r": one.r, "r2": one.r2, "rmse": one.rmse, "theil": one.theil}
                     if (model, data) == ("extended", "hold_out"):
-                        row |= _gain_columns(found.gains[manoeuvre, name])
+                        gain = found.gains[manoeuvre, name]
+                        row |= {"elpd_gain": gain.elpd, "elpd_gain_sd": gain.elpd_sd}
+                        row |= {"r2_gain": gain.r2, "r2_gain_sd": gain.r2_sd}
                     rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _gain_columns(gain: Compared) -> dict[str, float]:
-    names = {"elpd_gain": gain.elpd, "elpd_gain_sd": gain.elpd_sd}
-    return names | {"r2_gain": gain.r2, "r2_gain_sd": gain.r2_sd}

@@ -20,11 +20,11 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior
 from bayes_aero.inference.scores import Calibration, OneStep
 from bayes_aero.parameter import Prior
-from bayes_aero.report.frequency import band_table, frequency_columns
+from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.tables.table import (
     NONE,
-    Change,
+    BeforeAfter,
     Column,
     Estimate,
     Table,
@@ -34,7 +34,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.fly import MODELS, status_sentences
-from bayes_aero.report.text.phrases import axis_label, decimals, for_people, plain_unit, short
+from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short
 from bayes_aero.report.text.restraints import unparted
 from bayes_aero.units import number
 
@@ -48,41 +48,50 @@ def parameter_table(flown: TrajectoryFit) -> Table:
     in_bands = [column for band in flown.frequency for column in frequency_columns(fit.names, band)]
     start, estimate, crb, sd = (list(map(float, x)) for x in (flown.start, fit.estimate, fit.crb, fit.sd_corrected))
     priors = [prior_text(p.prior if flown.setting.priors else None) for p in fit.parameters]
+    said = WORDS["notes"]["trajectory_priors"] if flown.setting.priors else "There are no priors."
     marked = dict(zip(MARKS, (fit.held_by_prior, fit.at_bound, fit.undetermined), strict=True))
     remarks = [", ".join(MARKS[mark] for mark, some in marked.items() if name in some) for name in fit.names]
     return Table(
         [
             *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
             Column(start, "start", "first value", form=4),
-            Column(list(map(Estimate, estimate, sd)), ("estimate",), "fit", "estimate", _fit, _known),
+            Column(
+                list(map(Estimate, estimate, sd)),
+                ("estimate",),
+                "fit",
+                "estimate",
+                _fit,
+                lambda e: in_brackets(e) if math.isfinite(e.sd) else NONE,
+            ),
             Column(crb, "crb", "Cramér–Rao", "CRB", 2, group=errors),
             Column(sd, "sd_corrected", "corrected", "sd corr.", 2, group=errors),
             *in_bands,
             Column(priors, "prior", "prior", "prior"),
-            Column([_bounds(*p.bounds) for p in fit.parameters], page="bounds"),
+            Column([p.bounds for p in fit.parameters], page="bounds", form=_bounds),
             *(Column([name in some for name in fit.names], mark) for mark, some in marked.items()),
             Column(remarks, page="remark", terminal="", form=or_dash, terminal_form=str, words=True),
         ],
         "Parameters fitted to the trajectories",
-        "SI units and radians. Cramér–Rao: the data alone, for white residuals; a dash where they do not "
-        "determine the parameter. Corrected: with the autocorrelation of the residuals and the prior. Prior: mean ± "
-        "standard deviation, the program's default or the card's.",
+        WORDS["notes"]["trajectory_parameters"],
         "Parameters fitted to trajectories: " + unparted(fit.status.name.lower().replace("_", " "), flown.following),
-        "SI and radians. CRB: Cramér-Rao bound of the data alone, for white residuals. sd corr.: with their "
-        "autocorrelation and the priors; in brackets after the estimate in units of its last digit. "
-        + (
-            "Priors are mean ± standard deviation, weighted with the variance inflation of the residuals."
-            if flown.setting.priors
-            else "There are no priors."
-        ),
+        f"{WORDS['notes']['trajectory_parameters_terminal']} {said}",
     )
 
 
 def beside_table(flown: TrajectoryFit) -> Table:
-    """For a terminal: output error in the time domain beside the fits in a band."""
-    fit = flown.fit
+    """For a terminal, which has no room for more columns: output error in the time domain, then the fits in a band."""
+    fit, bands = flown.fit, flown.frequency
     time = [Estimate.normal(x, sd) for x, sd in zip(fit.estimate, fit.sd_corrected, strict=True)]
-    return band_table(fit.names, [p.unit for p in fit.parameters], time, flown.frequency)
+    in_bands = [frequency_columns(fit.names, band, band.method.replace(" ", "\n", 1)) for band in bands]
+    return Table(
+        [
+            *parameter_columns(fit.names, [p.unit for p in fit.parameters]),
+            Column(time, terminal="time\ndomain", terminal_form=in_brackets),
+            *(column for columns in in_bands for column in columns),
+        ],
+        terminal_title=f"Frequency domain, {band_text(bands[0])}",
+        terminal_note="In brackets: corrected standard error in units of the last digit. SI and radians.",
+    )
 
 
 def parameter_rows(flown: TrajectoryFit) -> dict[str, dict[str, Any]]:
@@ -114,19 +123,23 @@ def _fit(e: Estimate) -> str:
     return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
 
 
-def _known(e: Estimate) -> str:
+def _with_sd(e: Estimate) -> str:
     return in_brackets(e) if math.isfinite(e.sd) else NONE
 
 
-def _bounds(lower: float, upper: float) -> str:
-    if math.isinf(lower) and math.isinf(upper):
-        return "none"
+def _departure(x: float) -> str:
+    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
+
+
+def _bounds(bounds: tuple[float, float]) -> str:
+    lower, upper = bounds
     if math.isinf(lower) or math.isinf(upper):
-        return f"≥ {number(lower)}" if math.isinf(upper) else f"≤ {number(upper)}"
+        one = f"≥ {number(lower)}" if math.isinf(upper) else f"≤ {number(upper)}"
+        return "none" if math.isinf(lower) and math.isinf(upper) else one
     return f"{number(lower)} to {number(upper)}"
 
 
-class _Row(NamedTuple):
+class OutputErrors(NamedTuple):
     """One output of one manoeuvre: errors of first values and of the fit, and the unit for people with its factor."""
 
     manoeuvre: str
@@ -137,9 +150,9 @@ class _Row(NamedTuple):
     factor: float
 
 
-def _rows(flown: TrajectoryFit) -> list[_Row]:
+def _errors(flown: TrajectoryFit) -> list[OutputErrors]:
     return [
-        _Row(name, output, flown.path(name, START).errors[output], error, *for_people(flown.units[output]))
+        OutputErrors(name, output, flown.path(name, START).errors[output], error, *for_people(flown.units[output]))
         for name in flown.manoeuvres
         for output, error in flown.path(name, FITTED).errors.items()
     ]
@@ -147,26 +160,21 @@ def _rows(flown: TrajectoryFit) -> list[_Row]:
 
 def error_table(flown: TrajectoryFit) -> Table:
     """Error at the first values and of the fit by manoeuvre and output, with Theil's coefficient and its parts."""
-    rows, fitted = _rows(flown), flown.fit.flown.outputs
+    rows, fitted = _errors(flown), flown.fit.flown.outputs
     left = "" if set(flown.outputs) <= set(fitted) else " *: reported, not fitted."
-    column = columns_of(rows)
+    column, rms = columns_of(rows), [BeforeAfter(r.factor * r.before.rms, r.factor * r.after.rms) for r in rows]
     shares = "shares of the fit's squared error"
     return Table(
         [
             Column([row.manoeuvre for row in rows], terminal="manoeuvre", words=True),
             column(lambda r: _label(flown, r.output) + ("" if r.output in fitted else " *"), "", "output", "output"),
-            column(
-                lambda r: Change(r.factor * r.before.rms, r.factor * r.after.rms),
-                page=("first values", "fit"),
-                terminal="RMS: start → fitted",
-                form=short,
-                group="root mean square",
-            ),
+            Column(rms, "", ("first values", "fit"), "RMS: start → fitted", short, group="root mean square"),
             column(lambda r: r.factor * r.after.largest, "", "fit", "largest", short, group="largest"),
             column(lambda r: r.after.theil.theil, "", "fit", "U", ".3f", group="Theil U"),
-            column(lambda r: r.after.theil.bias, "", "bias", "bias", ".0%", group=shares),
-            column(lambda r: r.after.theil.variance, "", "variance", "var.", ".0%", group=shares),
-            column(lambda r: r.after.theil.covariance, "", "covariance", "cov.", ".0%", group=shares),
+            *(
+                column(lambda r, part=part: getattr(r.after.theil, part), "", part, head, ".0%", group=shares)
+                for part, head in (("bias", "bias"), ("variance", "var."), ("covariance", "cov."))
+            ),
         ],
         "Error of the simulated trajectories, in the unit of each output",
         "A good model leaves covariance only (noise): bias is a constant offset, variance a wrong amplitude." + left,
@@ -179,7 +187,7 @@ def error_table(flown: TrajectoryFit) -> Table:
 
 def tolerance_table(flown: TrajectoryFit) -> Table | None:
     """Share of the time inside the tolerance, before and after; nothing where no output has one."""
-    rows = [r for r in _rows(flown) if None not in (r.after.tolerance, r.after.within, r.before.within)]
+    rows = [r for r in _errors(flown) if None not in (r.after.tolerance, r.after.within, r.before.within)]
     if not rows:
         return None
     column = columns_of(rows)
@@ -187,7 +195,7 @@ def tolerance_table(flown: TrajectoryFit) -> Table | None:
         [
             column(lambda r: _label(flown, r.output), page="output"),
             column(lambda r: f"± {number(r.factor * r.after.tolerance)} {r.unit}", page="tolerance"),
-            column(lambda r: Change(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
+            column(lambda r: BeforeAfter(r.before.within, r.after.within), page=("first values", "fit"), form=".0%"),
         ],
         "Share of the time inside the tolerance",
         "These data were fitted; errors on hold-out flights may be larger.",
@@ -210,7 +218,11 @@ def initial_table(flown: TrajectoryFit) -> Table:
     if free:
         priors = [f"0 ± {number(factor * own[s], 2)}, default" if own else "none" for _, s, *_, factor in rows]
         columns += [
-            Column([factor * x for *_, x, factor in rows], page="departure", form=_signed),
+            Column(
+                [factor * x for *_, x, factor in rows],
+                page="departure",
+                form=_departure,
+            ),
             Column(priors, page="prior of the departure"),
         ]
     return Table(
@@ -219,10 +231,6 @@ def initial_table(flown: TrajectoryFit) -> Table:
         "" if free else "Fixed to the card's values, and to the first sample where the card gives none.",
         below=[row[0] for row in rows],
     )
-
-
-def _signed(x: float) -> str:
-    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _label(flown: TrajectoryFit, channel: str) -> str:
@@ -250,22 +258,13 @@ def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
         label = engine_label(key)
         parts = tuple(f"{key}_{part}" for part in ("mean", "sd", "low", "high"))
         columns += [
-            Column([estimate_of(m) for m in rows], parts, "mean", label, in_brackets, group=label),
+            Column([Estimate.of(m) for m in rows], parts, "mean", label, in_brackets, group=label),
             Column([interval_of(m) for m in rows], page="95 % interval", group=label),
             Column([m.ess for m in rows], f"{key}_ess", "ESS", f"ESS {label}", ".0f", group=label),
             Column([m.rhat for m in rows], f"{key}_rhat", "R-hat", f"R-hat {label}", ".3f", group=label),
         ]
-    note = (
-        "SI units and radians; in brackets the standard deviation in units of the last digit. F: process noise of a "
-        "state, per square root of a second; sigma: standard deviation of the measurement noise. ESS: effective sample "
-        "size, of centre or tails, whichever is less."
-    )
+    note = WORDS["notes"]["posterior"]
     return Table(columns, "Posterior with process noise", note, terminal_note=note)
-
-
-def estimate_of(m: Marginal) -> Estimate:
-    """A marginal as a cell of a table."""
-    return Estimate(m.mean, m.sd, *m.ci95)
 
 
 def interval_of(m: Marginal) -> str:
@@ -275,8 +274,7 @@ def interval_of(m: Marginal) -> str:
 
 
 def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
-    """A row an output, and one for all together: error, innovations over their predicted standard deviations, and the
-    share of innovations inside central intervals, in per cent; `units` are SI units by output."""
+    """A row an output, and one for all: error, innovations over their predicted deviations, shares inside intervals."""
     rows = [
         (axis_label(name, units.get(name, "1")), for_people(units.get(name, "1"))[1], one)
         for name, one in found.outputs.items()
@@ -284,26 +282,16 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
     rows += [("all together", 1.0, found.together)] if len(rows) > 1 else []
     column = columns_of(rows)
     levels = [f"{100.0 * share.level:.0f} %" for share in found.together.shares]
+    group = "inside the interval, %"
     inside = (
-        column(
-            lambda r, k=k: Estimate(100.0 * r[2].shares[k].share, 100.0 * r[2].shares[k].sd),
-            "",
-            head,
-            head,
-            _per_cent,
-            group="inside the interval, %",
-        )
+        column(lambda r, k=k: Estimate(r[2].shares[k].share, r[2].shares[k].sd), "", head, head, _per_cent, group=group)
         for k, head in enumerate(levels)
     )
-    note = (
-        "RMS: measured minus predicted from the samples before. e/sd: root mean square of innovations over their "
-        "predicted standard deviations, 1 if calibrated. Then the per cent of innovations inside central predictive "
-        "intervals. In brackets: standard errors, with the autocorrelation counted, in units of the last digit."
-    )
+    note = WORDS["notes"]["one_step"]
     return Table(
         [
             column(lambda r: r[0], "", "output", ""),
-            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _size),
+            column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
             column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
             *inside,
             column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
@@ -317,10 +305,11 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
 
 def _per_cent(e: Estimate) -> str:
     """A share with one digit of its standard error."""
-    return f"{e.centre:.0f}({e.sd:.0f})" if e.sd >= 0.95 else f"{e.centre:.1f}({10.0 * e.sd:.0f})"
+    share, sd = 100.0 * e.centre, 100.0 * e.sd
+    return f"{share:.0f}({sd:.0f})" if sd >= 0.95 else f"{share:.1f}({10.0 * sd:.0f})"
 
 
-def _size(x: float) -> str:
+def _rms(x: float) -> str:
     """Small ones with an exponent: a record without noise is predicted to its last digits."""
     return short(x) if x >= 1e-4 else number(x, 2)
 
@@ -346,10 +335,8 @@ def process_noise_table(
             ),
         ],
         "Parameters with and without process noise",
-        "In brackets: the standard error in units of the last digit; for output error with autocorrelated "
-        "residuals, with process noise for white innovations.",
-        terminal_note="SI and radians; standard errors in brackets in units of the last digit, with process noise for "
-        "white innovations.",
+        WORDS["notes"]["process_noise"],
+        terminal_note=WORDS["notes"]["process_noise_terminal"],
     )
 
 
@@ -368,6 +355,7 @@ def gust_table(found: ProcessNoise) -> Table:
 
 # --- Tables of simulated trajectories: errors and time inside the tolerances by flight and output.
 
+SI = {name: channel.unit for name, channel in STANDARD_CHANNELS.items()}
 TAIL = 6  # characters of a manoeuvre's name on a terminal
 SPLIT_NAMES = {"fitted": "fitted", "hold_out": "hold-out"}
 """What people read, by the split of a simulated path."""
@@ -379,20 +367,14 @@ def hold_out_error_table(flown: Trajectories) -> Table:
     """Root mean square error of every output, fitted jointly and on hold-out flights: card's model, extended model."""
     flights, columns = _flights(flown)
     for output in flown.outputs:
-        label, factor = _output_label(output), _factor(output)
+        label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
         errors = _changes(flown, flights, output, lambda e, factor=factor: factor * e.rms)
         columns.append(Column(errors, "", BOTH, label, short, group=label))
     return Table(
         columns,
         "Root-mean-square error of the simulated trajectory: card's model before, extended model after",
         terminal_title="Error of the simulated trajectory (RMS), card's model → extended model",
-        terminal_note=" ".join(
-            [
-                "Fitted: parameters and initial states fitted to all flights. Hold-out: fitted without this flight, "
-                "simulated from its measured initial state.",
-                *status_sentences(flown),
-            ]
-        ),
+        terminal_note=" ".join([WORDS["notes"]["hold_out_errors"], *status_sentences(flown)]),
     )
 
 
@@ -402,7 +384,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
     banded = [n for n in flown.outputs if any(p.errors[n].within is not None for p in flown.paths)]
     for output in banded:
         inside = _changes(flown, flights, output, lambda e: e.within)
-        columns.append(Column(inside, "", BOTH, form=".0%", group=_output_label(output)))
+        columns.append(Column(inside, "", BOTH, form=".0%", group=axis_label(output, SI[output])))
     least = []
     for split, name in flights:
         path = flown.path(name, "extended", split)
@@ -412,8 +394,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
     return Table(
         columns,
         "Share of the time inside the tolerance",
-        "The last column is the posterior probability that the whole flight of the extended model stays inside, for "
-        "the output with the lowest probability.",
+        WORDS["notes"]["hold_out_tolerances"],
     )
 
 
@@ -421,7 +402,8 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
     """Errors of one model's simulation by flight and output."""
     columns = [Column([path.manoeuvre for path in paths], page="flight")]
     for output in paths[0].errors:
-        errors, factor, label = [path.errors[output] for path in paths], _factor(output), _output_label(output)
+        label, factor = axis_label(output, SI[output]), for_people(SI[output])[1]
+        errors = [path.errors[output] for path in paths]
         columns += [
             Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
             Column([error.within for error in errors], page="inside", form=".0%", group=label),
@@ -429,7 +411,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
     return Table(
         columns,
         "Error of the simulated trajectories",
-        "RMS: root mean square. Inside: share of the time within the tolerance, where the card has one.",
+        WORDS["notes"]["given"],
     )
 
 
@@ -437,27 +419,18 @@ def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
     """Split and manoeuvre of each flight, and the columns that name them."""
     found = ((split, p.manoeuvre) for split in SPLIT_NAMES for p in flown.paths if p.split == split)
     flights = list(dict.fromkeys(found))
+    # the end of a record's name usually distinguishes records, for the width of a terminal
+    tails = [name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}" for _, name in flights]
     return flights, [
-        Column([_tail(name) for _, name in flights], terminal="manoeuvre"),
+        Column(tails, terminal="manoeuvre"),
         Column([SPLIT_NAMES[split] for split, _ in flights], terminal=""),
         Column([f"{name}, {SPLIT_NAMES[split]}" for split, name in flights], page="flight"),
     ]
 
 
-def _tail(name: str) -> str:
-    """The end of a record's name, which usually distinguishes records, for the width of a terminal."""
-    return name if len(name) <= TAIL + 1 else f"…{name[-TAIL:]}"
-
-
-def _changes(flown: Trajectories, flights: Flights, output: str, get: Callable[[Error], float | None]) -> list[Change]:
+def _changes(
+    flown: Trajectories, flights: Flights, output: str, get: Callable[[Error], float | None]
+) -> list[BeforeAfter]:
     """A number of each flight by the card's and by the extended model."""
     paths = ([flown.path(name, model, split) for model in MODELS] for split, name in flights)
-    return [Change(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
-
-
-def _output_label(output: str) -> str:
-    return axis_label(output, STANDARD_CHANNELS[output].unit)
-
-
-def _factor(output: str) -> float:
-    return for_people(STANDARD_CHANNELS[output].unit)[1]
+    return [BeforeAfter(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]

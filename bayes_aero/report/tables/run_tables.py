@@ -9,23 +9,12 @@ import numpy as np
 
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.identification import GPReport, Identification, Validation
-from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores, interval_coverage, score
 from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
-from bayes_aero.report.tables.comparison import (
-    alone,
-    bounds,
-    chosen_posteriors,
-    engine_label,
-    methods,
-    noise_label,
-    ordered,
-    scatter,
-    unit_of,
-)
+from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import from_to, plus_minus, several
+from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several
 from bayes_aero.report.text.restraints import unparted
 from bayes_aero.units import number
 
@@ -36,11 +25,11 @@ SAMPLED = "posterior\nmean ± standard deviation, 95 % interval"
 
 def parameter_table(run: Identification) -> Table:
     """The model's parameters by every method, SI and radians. Methods not (yet) run have no columns."""
-    mle, (bound, corrected, *sampled) = run.mle, methods(run)
-    names = ordered(mle.names, mle.parameters)
+    mle, (bound, corrected, *sampled) = run.mle, comparison.methods(run)
+    names = comparison.ordered(mle.names, mle.parameters)
     truth = [] if run.truth is None else [run.truth.get(n) for n in names]
     columns = [
-        *parameter_columns(names, [unit_of(run, n) for n in names]),
+        *parameter_columns(names, [comparison.unit_of(run, n) for n in names]),
         *([Column(truth, page="true", terminal="flown", form=".4g")] if truth else []),
         Column(bound.of(names), ("estimate", "crb"), "Cramér–Rao", "ML (CRB)", group=ML),
         Column(corrected.of(names), ("", "crb_corrected"), "corrected", "sd\ncorr.", terminal_form=_sd, group=ML),
@@ -48,11 +37,12 @@ def parameter_table(run: Identification) -> Table:
     ]
     if run.noise is Colour.WHITE and sampled:
         columns.append(Column(sampled[0].of(names), ("white_mean", "white_sd")))
-    posterior = next(iter(chosen_posteriors(run)), None)  # a terminal has the first; sentences tell where others differ
+    # a terminal has the first; sentences tell where others differ
+    posterior = next(iter(comparison.chosen_posteriors(run)), None)
     for m in sampled:
         white, label = m.key == "white", m.label.replace(", ", "\n", 1)
         files = tuple(f"{m.key}_{part}" for part in ("mean", "sd", *(() if white else ("ci95_low", "ci95_high"))))
-        head = f"{engine_label(m.key)}\n{noise_label(run.noise)}" if m.key == posterior else None
+        head = f"{comparison.engine_label(m.key)}\n{comparison.noise_label(run.noise)}" if m.key == posterior else None
         column = Column(m.of(names), files, label, "sd\nwhite" if white else head, _interval, group=SAMPLED)
         columns.append(replace(column, terminal_form=_sd if white else in_brackets))
     if run.frequency is not None:
@@ -62,9 +52,7 @@ def parameter_table(run: Identification) -> Table:
     return Table(
         columns,
         "Parameters by every method",
-        "SI units and radians. “Corrected” is the Cramér–Rao bound with the autocorrelation of the residuals. "
-        "“Largest difference” compares manoeuvres, in Cramér–Rao "
-        "standard errors of the difference; above 3 the bound does not explain it."
+        WORDS["notes"]["parameters"]
         + (" “True” are the values with which the records were simulated." if truth else ""),
         f"{run.card.title}; maximum likelihood "
         + unparted(mle.status.name.lower().replace("_", " "), only_following(run.health)),
@@ -77,10 +65,10 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column
     """Manoeuvres fitted alone: files have every fit, people those that are usable, or their scatter."""
     few = len(run.alone) <= ON_TERMINAL
     for (manoeuvre, fit), usable in zip(run.alone.items(), _usable(run, names), strict=True):
-        own = bounds(fit, fit.crb)
+        own = comparison.bounds(fit, fit.crb)
         yield Column([own.get(n) for n in names], (f"{manoeuvre}_estimate", f"{manoeuvre}_crb"))
         yield Column(usable, terminal=f"{manoeuvre}\nalone" if few else None)
-    found = [scatter(run, n) for n in names]
+    found = [comparison.scatter(run, n) for n in names]
     head = None if few else f"sd of {len(run.alone)}\nalone"
     group = "manoeuvres fitted alone"
     yield Column([s and s.sd for s in found], "between_manoeuvres_sd", "scatter\n(sd)", head, 2, group=group)
@@ -90,7 +78,7 @@ def _alone_columns(run: Identification, names: Sequence[str]) -> Iterator[Column
 
 def _usable(run: Identification, names: Sequence[str]) -> list[list[Estimate | None]]:
     """By manoeuvre, its own estimates with Cramer-Rao bounds, where they are usable."""
-    own = [alone(run, n) for n in names]
+    own = [comparison.alone(run, n) for n in names]
     return [[Estimate.normal(*one[m][:2]) if m in one else None for one in own] for m in run.alone]
 
 
@@ -98,9 +86,9 @@ def alone_table(run: Identification) -> Table | None:
     """Every parameter as each manoeuvre by itself has it; nothing where there is one, or too many for a page."""
     if not 1 < len(run.alone) <= ON_PAGE:
         return None
-    names = ordered(run.mle.names, run.mle.parameters)
+    names = comparison.ordered(run.mle.names, run.mle.parameters)
     own = [Column(values, page=m) for m, values in zip(run.alone, _usable(run, names), strict=True)]
-    columns = [*parameter_columns(names, [unit_of(run, n) for n in names]), *own]
+    columns = [*parameter_columns(names, [comparison.unit_of(run, n) for n in names]), *own]
     return Table(columns, "Each manoeuvre fitted alone (± Cramér–Rao)")
 
 
@@ -113,7 +101,7 @@ def _interval(e: Estimate) -> str:
 
 
 @dataclass(frozen=True)
-class Pooled:
+class PooledScores:
     """Validation of one coefficient over the test points of several folds together."""
 
     points: int
@@ -124,7 +112,7 @@ class Pooled:
     status: str
 
     @classmethod
-    def of(cls, folds: Sequence[Validation]) -> Pooled:
+    def of(cls, folds: Sequence[Validation]) -> PooledScores:
         """Scores over all points; coverage is weighted by points, and `k_hat` is the largest."""
         measured, gp, mle = (np.concatenate([getattr(v, key) for v in folds]) for key in ("measured", "gp", "mle"))
         weights = [len(v.measured) for v in folds]
@@ -137,17 +125,13 @@ class Pooled:
 
 
 def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
-    """Scores of GPR and of maximum likelihood on the same test points, a row for each split, fold and coefficient.
-
-    A split of several folds has a row for each (`fold` 1, 2, ...; not without `each_fold`) and one over all their test
-    points (`fold` all).
-    """
-    rows: list[tuple[str, str, str, Pooled]] = []
+    """Scores of GPR and maximum likelihood on the same test points by split, fold (and all folds) and coefficient."""
+    rows: list[tuple[str, str, str, PooledScores]] = []
     for split, folds in (run.gp.splits if run.gp else {}).items():
         for name in run.observations.coefficients:
             if each_fold and len(folds) > 1:
-                rows += [(split, str(k), name, Pooled.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
-            rows.append((split, "all", name, Pooled.of([fold[name] for fold in folds])))
+                rows += [(split, str(k), name, PooledScores.of([fold[name]])) for k, fold in enumerate(folds, start=1)]
+            rows.append((split, "all", name, PooledScores.of([fold[name] for fold in folds])))
     column = columns_of([row[-1] for row in rows])
     ml, gpr = {"group": "maximum likelihood"}, {"group": "GPR"}
     return Table(
@@ -170,8 +154,7 @@ def validation_table(run: Identification, *, each_fold: bool = True) -> Table:
             column(lambda p: p.status, "gpr_status"),
         ],
         "Hold-out samples: the stall model (maximum likelihood) and a Gaussian process (GPR)",
-        "A random split leaves neighbours of every sample in the training set and flatters the GPR; read the block and "
-        "manoeuvre splits. Pareto k above 0.7 means that the sampled hyperparameters are not reliable.",
+        WORDS["notes"]["validation"],
         index=3,
     )
 
@@ -189,16 +172,19 @@ def fit_table(run: Identification) -> Table:
             column(lambda r: r[2], page="lag-1 correlation\nof residuals", form="+.2f"),
         ],
         "Fit of the maximum-likelihood model to all samples",
-        "R² is the share of the variance that is explained; Theil's U is 0 for a perfect fit and 1 for none. A lag-1 "
-        "correlation near 0 means independent residuals.",
+        WORDS["notes"]["fit"],
     )
 
 
 def sampler_table(run: Identification, key: str) -> Table:
     """R-hat and effective sample sizes of one posterior."""
     posterior = run.posteriors[key]
-    column = columns_of([(n, posterior.marginals[n]) for n in ordered(posterior.names, run.mle.parameters)])
-    divergent = f" Divergent transitions: {_divergences(posterior)}." if key == "nuts" else ""
+    column = columns_of([(n, posterior.marginals[n]) for n in comparison.ordered(posterior.names, run.mle.parameters)])
+    divergent = ""
+    if key == "nuts":
+        stats = posterior.tree["sample_stats"].to_dataset() if "sample_stats" in posterior.tree.children else {}
+        count = int(np.sum(np.asarray(stats["diverging"]))) if "diverging" in stats else "not recorded"
+        divergent = f" Divergent transitions: {count}."
     return Table(
         [
             column(lambda r: r[0], page=""),
@@ -206,29 +192,22 @@ def sampler_table(run: Identification, key: str) -> Table:
             column(lambda r: r[1].ess_bulk, page="bulk ESS", form=".0f"),
             column(lambda r: r[1].ess_tail, page="tail ESS", form=".0f"),
         ],
-        f"Convergence: {engine_label(posterior.engine)}, {noise_label(posterior.noise)} noise",
+        f"Convergence: {comparison.engine_label(posterior.engine)}, {comparison.noise_label(posterior.noise)} noise",
         f"Status: {posterior.status.value}. Targets: R-hat at most 1.01, both sample sizes at least 400.{divergent}",
     )
-
-
-def _divergences(posterior: Posterior) -> str:
-    if "sample_stats" not in posterior.tree.children:
-        return "not recorded"
-    stats = posterior.tree["sample_stats"].to_dataset()
-    return str(int(np.sum(np.asarray(stats["diverging"])))) if "diverging" in stats else "not recorded"
 
 
 def coverage_table(run: Identification) -> Table | None:
     """Share of the measured samples inside the posterior's predictive intervals."""
     rows = []
-    for key, posterior in chosen_posteriors(run).items():
+    for key, posterior in comparison.chosen_posteriors(run).items():
         if not {"posterior_predictive", "observed_data"} <= set(posterior.tree.children):
             continue
         predicted, observed = (posterior.tree[g].to_dataset() for g in ("posterior_predictive", "observed_data"))
         for name in run.observations.coefficients:
             draws = np.asarray(predicted[name], float).reshape(-1, observed[name].size)
             shares = interval_coverage(np.asarray(observed[name], float), draws)
-            rows.append((f"{engine_label(key)}, {name}", *shares.values()))
+            rows.append((f"{comparison.engine_label(key)}, {name}", *shares.values()))
     if not rows:
         return None
     first, *columns = zip(*rows, strict=True)
@@ -236,8 +215,7 @@ def coverage_table(run: Identification) -> Table | None:
     return Table(
         [Column(first, page=""), *(Column(c, page=h, form=".0%") for c, h in zip(columns, heads, strict=True))],
         "Calibration: share of measured samples inside the predictive intervals",
-        "A calibrated model shows the heading's share in each column. More means that intervals are too wide, less "
-        "that they are too narrow.",
+        WORDS["notes"]["coverage"],
     )
 
 
@@ -250,7 +228,7 @@ SAYS = {"random": "the random split", "block": "hold-out blocks", "manoeuvre": "
 
 def pooled_r(report: GPReport, split: str, name: str, engine: str) -> float:
     """Correlation over the test points of all folds; `engine` is gp or mle."""
-    return getattr(Pooled.of([fold[name] for fold in report.splits[split]]), engine).r
+    return getattr(PooledScores.of([fold[name] for fold in report.splits[split]]), engine).r
 
 
 def split_verdict(identification: Identification) -> list[str]:
@@ -258,42 +236,30 @@ def split_verdict(identification: Identification) -> list[str]:
     report = identification.gp
     if report is None:
         return []
-    return [*_unsampled(report), *_leaks(report, identification.observations.dt)]
-
-
-def _unsampled(report: GPReport) -> list[str]:
     first = report.splits[report.chosen][0]
-    return [
-        f"Gaussian process of {name}: no sampled hyperparameters ({first[name].status.rstrip('.')})."
-        for name, fit in report.fits.items()
-        if fit.posterior is None
-    ]
-
-
-def _leaks(report: GPReport, dt: float) -> list[str]:
+    unsampled = {n: first[n].status.rstrip(".") for n, fit in report.fits.items() if fit.posterior is None}
+    said = [f"Gaussian process of {name}: no sampled hyperparameters ({why})." for name, why in unsampled.items()]
     others = [split for split in ("block", "manoeuvre") if split in report.splits]
     if "random" not in report.splits or not others:
-        return []
+        return said
     names = tuple(report.splits["random"][0])
     r = {s: {n: pooled_r(report, s, n, "gp") for n in names} for s in ("random", *others)}
     numbers = several(f"{n} {' / '.join(f'{r[s][n]:.3f}' for s in r)}" for n in names)
     order = " / ".join(SAYS[s] for s in r)
-    sentences = [f"GPR correlation with the measurement by {order}: {numbers}."]
+    leak = " The random split does not leak significantly."
     drops = {n: r["random"][n] - min(r[s][n] for s in others) for n in names}
     fallen = {n: drop for n, drop in drops.items() if drop > LEAK}
-    behind = [sentence for s in ("random", others[-1]) for sentence in _behind(report, s, r[s])]
-    if not fallen:
-        return [sentences[0] + " The random split does not leak significantly.", *behind]
-    sentences[0] += (
-        f" The random split leaves neighbours {1000.0 * dt:.0f} ms away in the training set; the part lost without "
-        f"them "
-        f"({several(f'{n} -{drop:.2f}' for n, drop in fallen.items())}) is interpolation, not aerodynamics."
-    )
-    return [*sentences, *behind]
-
-
-def _behind(report: GPReport, split: str, r: dict[str, float]) -> list[str]:
-    """Coefficients that the Gaussian process predicts worse than the stall model."""
-    mle = {n: pooled_r(report, split, n, "mle") for n in r}
-    lost = [f"{n} ({mle[n]:.3f} against {r[n]:.3f})" for n in r if r[n] < mle[n] - NOTABLE]
-    return [f"On {SAYS[split]} maximum likelihood correlates better than GPR in {several(lost)}."] if lost else []
+    behind = []  # coefficients that the Gaussian process predicts worse than the stall model
+    for split in ("random", others[-1]):
+        mle = {n: pooled_r(report, split, n, "mle") for n in names}
+        worse = {n: x for n, x in r[split].items() if x < mle[n] - NOTABLE}
+        lost = several(f"{n} ({mle[n]:.3f} against {x:.3f})" for n, x in worse.items())
+        if lost:
+            behind.append(f"On {SAYS[split]} maximum likelihood correlates better than GPR in {lost}.")
+    if fallen:
+        away, lost = 1000.0 * identification.observations.dt, several(f"{n} -{x:.2f}" for n, x in fallen.items())
+        leak = (
+            f" The random split leaves neighbours {away:.0f} ms away in the training set; the part lost without them "
+            f"({lost}) is interpolation, not aerodynamics."
+        )
+    return [*said, f"GPR correlation with the measurement by {order}: {numbers}.{leak}", *behind]

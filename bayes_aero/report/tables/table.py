@@ -14,12 +14,14 @@ from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.reading.inspection import ChannelReport, RecordReport
+from bayes_aero.flight.reading.inspection import RecordReport
 from bayes_aero.report.text.phrases import bracket, concise, plain_unit, plus_minus
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from bayes_aero.inference.posterior.posterior import Marginal
 
 
 NONE = "–"
@@ -43,8 +45,13 @@ class Estimate(NamedTuple):
         """Interval of a normal distribution."""
         return cls(float(centre), float(sd), float(centre - NORMAL95 * sd), float(centre + NORMAL95 * sd))
 
+    @classmethod
+    def of(cls, m: Marginal) -> Estimate:
+        """Mean, deviation and interval of a posterior."""
+        return cls(m.mean, m.sd, *m.ci95)
 
-class Change(NamedTuple):
+
+class BeforeAfter(NamedTuple):
     """A number before and after."""
 
     before: float | None
@@ -55,28 +62,19 @@ class Change(NamedTuple):
 class Column:
     """A column, and where it is shown: an empty or missing name keeps it out.
 
-    Of estimates and changes, a tuple of names shows the parts, each in a column of its own; one name shows both in one.
-
-    Attributes:
-        values: one a row: a number, text, an `Estimate`, a `Change`, or None for no value. A list is several values:
-            they share a cell for people, and a file has a row for each.
-        files: name in files, and key in JSON.
-        page: heading on a page.
-        terminal: heading on a terminal.
-        form: how people read a value.
-        terminal_form: how it is written on a terminal, if differently there.
-        group: heading above that on a page.
-        words: whether it is text that may be folded.
+    `values` are one a row: a number, text, an `Estimate`, a `BeforeAfter`, or None for no value. A list is several
+    values: they share a cell for people, and a file has a row for each. Of estimates and changes, a tuple of names
+    shows the parts, each in a column of its own; one name shows both in one.
     """
 
     values: Sequence[Any]
-    files: str | tuple[str, ...] = ""
-    page: Heads = None
-    terminal: str | None = None
-    form: Form = ""
-    terminal_form: Form = ""
-    group: str = ""
-    words: bool = False
+    files: str | tuple[str, ...] = ""  # name in files, and key in JSON
+    page: Heads = None  # heading there
+    terminal: str | None = None  # heading there
+    form: Form = ""  # how people read a value
+    terminal_form: Form = ""  # how it is written on a terminal, if differently there
+    group: str = ""  # heading above that on a page
+    words: bool = False  # whether it is text that may be folded
 
     def under(self, heads: Heads) -> Iterator[tuple[str, list[Any]]]:
         """Each name with its values."""
@@ -95,27 +93,16 @@ def _part(value: Any, part: int) -> Any:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one length, with what is said of them.
-
-    Attributes:
-        columns: columns in the order in which they are shown.
-        title: what it shows.
-        note: explanation on a page.
-        terminal_title: title on a terminal, if another or (empty) none.
-        terminal_note: explanation on a terminal.
-        index: how many columns of a file name the row.
-        below: on a page each row stands below this name, if there are several names.
-        dense: whether the terminal has one space between columns.
-    """
+    """Columns of one length, with what is said of them."""
 
     columns: Sequence[Column]
     title: str = ""
-    note: str = ""
-    terminal_title: str | None = None
+    note: str = ""  # explanation on a page
+    terminal_title: str | None = None  # if another or (empty) none
     terminal_note: str = ""
-    index: int = 1
-    below: Sequence[str] = ()
-    dense: bool = False
+    index: int = 1  # how many columns of a file name the row
+    below: Sequence[str] = ()  # on a page each row stands below this name, if there are several names
+    dense: bool = False  # whether the terminal has one space between columns
 
     def _filed(self) -> dict[str, list[Any]]:
         return {name: values for c in self.columns for name, values in c.under(c.files) if name}
@@ -152,7 +139,7 @@ class Table:
             left = k == 0 or c.words or any(isinstance(x, str) for x in c.values)
             most = 12 if self.dense and not left else None
             spaced = left and any(isinstance(x, str) and " " in x for x in c.values)
-            folds = bool(most) or c.words or spaced or any(isinstance(x, Change) for x in c.values)
+            folds = bool(most) or c.words or spaced or any(isinstance(x, BeforeAfter) for x in c.values)
             longest = max((len(word) for x in c.values if isinstance(x, str) for word in x.split()), default=0)
             shown.add_column(
                 Text(c.terminal or ""),
@@ -172,7 +159,7 @@ def cell_text(value: Any, form: Form, estimate: Callable[[float, float], str] = 
     """A value as people read it, a dash where there is none; several of them with `between` between them."""
     if isinstance(value, list):
         return between.join(cell_text(one, form, estimate, between) for one in value)
-    if isinstance(value, Change):
+    if isinstance(value, BeforeAfter):
         return " → ".join(cell_text(part, form) for part in value)
     size = value.centre if isinstance(value, Estimate) else value
     if size is None or (isinstance(size, float) and not math.isfinite(size)):
@@ -217,6 +204,8 @@ def write_csv(table: Table, path: Path) -> Path:
 def channel_table(record: RecordReport) -> Table:
     """A row for each channel; values are in the file's own units."""
     column = columns_of(record.channels)
+    marks = ((["sign reversed"] * (c.sign < 0), ["does not move"] * (not c.moves)) for c in record.channels)
+    remarks = [", ".join([*turned, *still]) for turned, still in marks]
     unit, values = "unit → inside", "range in the file"
     return Table(
         [
@@ -224,7 +213,7 @@ def channel_table(record: RecordReport) -> Table:
             column(lambda c: c.place, page="taken from", terminal="taken from", words=True),
             column(lambda c: c.unit if c.unit == c.si else f"{c.unit} → {c.si}", page=unit, terminal=unit),
             column(lambda c: f"{c.lowest:.5g} to {c.highest:.5g}", page=values, terminal=values),
-            column(_remark, page="remark", terminal="", words=True),
+            Column(remarks, page="remark", terminal="", words=True),
         ],
         f"{sampling(record)}; {record.gaps} gaps, {record.uneven} uneven steps",
         terminal_title="",
@@ -235,7 +224,3 @@ def sampling(record: RecordReport) -> str:
     """Samples, duration and rate."""
     rate = f"{1.0 / record.dt:.4g} Hz" if record.dt > 0.0 else "no sampling rate"
     return f"{record.samples} samples, {record.duration:.6g} s, {rate}"
-
-
-def _remark(c: ChannelReport) -> str:
-    return ", ".join([*(["sign reversed"] if c.sign < 0 else []), *([] if c.moves else ["does not move"])])

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bayes_aero.diagnosis.result import CheckReport
-from bayes_aero.flight.agreement import Agreement, Consistency, Departure, OpenError
+from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading.inspection import RecordReport
-from bayes_aero.report.text.phrases import for_people, not_testable_sentences, several, size_text
+from bayes_aero.report.text.phrases import WORDS, for_people, not_testable_sentences, several, size_text
 from bayes_aero.units import instant, number
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
@@ -20,8 +20,7 @@ def part_sentences(record: RecordReport) -> list[str]:
     """The parts of a file that may be analysed in place of the whole, as they are written on the command line."""
     sentences = []
     for what, words in (("in flight", "parts in flight"), ("manoeuvre", "manoeuvres")):
-        parts = [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]
-        if parts:
+        if parts := [f"{record.path}@{p.part}" for p in record.proposals if p.what == what]:
             more = f" and {len(parts) - MAX_PARTS} more" if len(parts) > MAX_PARTS else ""
             sentences.append(f"{words}: {', '.join(parts[:MAX_PARTS])}{more}")
     if sentences:
@@ -37,27 +36,18 @@ def unused_columns(report: CheckReport) -> list[tuple[str, ...]]:
 
 def card_sentences(report: CheckReport) -> list[str]:
     """Channels that the card adds to the files."""
-    card = report.card
-    sentences = [f"constant from the card: {name} = {value:g}{_behind(name)}" for name, value in card.constants.items()]
+    card, units = report.card, {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
+    behind = {name: f" {units[name]}".removesuffix(" 1") if name in units else " in SI" for name in card.constants}
+    sentences = [f"constant from the card: {name} = {x:g}{behind[name]}" for name, x in card.constants.items()]
     for rule in dict.fromkeys(card.derived.values()):
         formed = ", ".join(name for name, of in card.derived.items() if of == rule)
         sentences.append(f"computed by the card's rule, where not recorded ({rule}): {formed}")
     sentences += [f"table from the card: {name} over {table.said}" for name, table in card.tables.items()]
-    return sentences + [f"sum from the card: {name} = {_sum(parts)}" for name, parts in card.sums.items()]
-
-
-def _sum(parts: Mapping[str, float]) -> str:
-    """The parts of a sum, with the factors that are not 1."""
-    sentences = [
-        f"{'-' if k < 0 else '+'} {'' if abs(k) == 1.0 else f'{abs(k):g} '}{name}" for name, k in parts.items()
-    ]
-    return " ".join(sentences).removeprefix("+ ")
-
-
-def _behind(channel: str) -> str:
-    """The SI unit as it stands behind a number, where it is known."""
-    unit = {"thrust": "N"} | {name: c.unit for name, c in STANDARD_CHANNELS.items()}
-    return f" {unit[channel]}".removesuffix(" 1") if channel in unit else " in SI"
+    for name, parts in card.sums.items():
+        factors = [("-" if k < 0 else "+", "" if abs(k) == 1.0 else f"{abs(k):g} ", part) for part, k in parts.items()]
+        terms = " ".join(f"{sign} {factor}{part}" for sign, factor, part in factors).removeprefix("+ ")
+        sentences.append(f"sum from the card: {name} = {terms}")
+    return sentences
 
 
 def use_sentences(report: CheckReport) -> list[str]:
@@ -78,11 +68,10 @@ def sensor_sentences(report: CheckReport) -> list[str]:
 
 def left_over(report: CheckReport) -> str:
     """Root mean square residual of the flight path by signal, before and after correction."""
-    left, agree = [], not report.sensors.errors
-    for name, (before, after) in report.sensors.rms.items():
+    left, shown = [], slice(1 if not report.sensors.errors else 2)
+    for name, pair in report.sensors.rms.items():
         unit, factor = for_people(STANDARD_CHANNELS[name].unit)
-        change = number(factor * before) if agree else f"{number(factor * before)} → {number(factor * after)}"
-        left.append(f"{name} {change} {unit}")
+        left.append(f"{name} {' → '.join(number(factor * x) for x in pair[shown])} {unit}")
     return f"root mean square residual: {', '.join(left)}"
 
 
@@ -105,29 +94,32 @@ def headline(report: CheckReport) -> str:
 # --- Agreement of the sensors, in sentences: printed first, and first on a page.
 
 SHOWN = 4  # departures in the sentence
-FOLLOWS = {
-    "airspeed": "the accelerations along the flight path (ax, az, theta, alpha)",
-    "alpha": "pitch rate (q), normal acceleration (az) and airspeed",
-    "theta": "pitch rate (q)",
-    "altitude": "airspeed, pitch attitude (theta) and angle of attack (alpha)",
-    "beta": "lateral acceleration (ay), yaw rate (r) and bank angle (phi)",
-    "phi": "roll rate (p) and yaw rate (r)",
-}
-"""Channels from which each channel of the flight path follows."""
 
 
 def consistency_sentences(found: Consistency, *, corrects: bool) -> list[str]:
     """The answer, then its limits. `corrects`: whether the command corrects known sensor errors by itself."""
     if found.agreement is Agreement.NOT_CHECKED:
         return [f"Whether the sensors agree was not checked: {found.why_not}."]
-    return [_answer(found, corrects=corrects), *_limits(found), *open_sentences(found)]
+    sentences = [_answer(found, corrects=corrects)]
+    if found.unchecked:  # channels that could not be checked, and channels that were taken as zero
+        verb = "were" if len(found.unchecked) > 1 else "was"
+        sentences.append(
+            f"{several(found.unchecked)} {verb} not recorded and could not be checked along the flight path."
+        )
+    if assumed := dict.fromkeys(name for check in found.recorded for name in check.assumed):
+        sentences.append(f"Not recorded, and taken as zero along the flight path: {several(assumed)}.")
+    return [*sentences, *open_sentences(found)]
 
 
 def _answer(found: Consistency, *, corrects: bool) -> str:
     if found.agreement is Agreement.AGREE:
         return "The sensors agree along the flight path within their noise."
-    where = departures_sentence(found)
-    errors = several(f"{name} ({sizes(error)}{_beside(found, name)})" for name, error in (found.errors or {}).items())
+    where, listed = departures_sentence(found), []
+    for name, error in (found.errors or {}).items():
+        joint = joint_text(error.get("joint", {}))
+        together = f"; estimated together with {joint}: neither holds alone" if joint else ""
+        listed.append(f"{name} ({sizes(error)}{together})")
+    errors = several(listed)
     if found.agreement is Agreement.EXPLAINED:
         mend = "it is corrected here" if corrects else "it is not corrected here; diagnose corrects it"
         return (
@@ -142,12 +134,6 @@ def _answer(found: Consistency, *, corrects: bool) -> str:
     )
 
 
-def _beside(found: Consistency, name: str) -> str:
-    """What an error was estimated together with."""
-    listed = joint_text((found.errors or {})[name].get("joint", {}))
-    return f"; estimated together with {listed}: neither holds alone" if listed else ""
-
-
 def joint_text(joint: Mapping[str, float]) -> str:
     """Other errors with the correlation of the estimates."""
     return several(f"{other} (correlation {correlation:+.2f})" for other, correlation in joint.items())
@@ -155,40 +141,31 @@ def joint_text(joint: Mapping[str, float]) -> str:
 
 def departures_sentence(found: Consistency) -> str:
     """The departures with their sizes, the largest first."""
-    listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted)
-    more = f"; and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
-    return "; ".join(map(_departure, listed[:SHOWN])) + more
-
-
-def _departure(d: Departure) -> str:
-    standard = STANDARD_CHANNELS[d.channel]
-    unit, factor = for_people(standard.unit)
-    return (
-        f"{d.channel} ({standard.description}) of {d.record} does not follow {FOLLOWS[d.channel]} from "
-        f"{instant(d.begin)} to {instant(d.end)} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
-        f"{factor * d.permitted:.2g} {unit})"
-    )
-
-
-def _limits(found: Consistency) -> list[str]:
-    """Channels that could not be checked, and channels that were taken as zero."""
-    sentences = []
-    if found.unchecked:
-        verb = "were" if len(found.unchecked) > 1 else "was"
-        sentences.append(
-            f"{several(found.unchecked)} {verb} not recorded and could not be checked along the flight path."
+    departures, listed = sorted(found.departures, key=lambda d: -d.rms / d.permitted), []
+    for d in departures[:SHOWN]:
+        standard = STANDARD_CHANNELS[d.channel]
+        unit, factor = for_people(standard.unit)
+        listed.append(
+            f"{d.channel} ({standard.description}) of {d.record} does not follow {WORDS['follows'][d.channel]} from "
+            f"{instant(d.begin)} to {instant(d.end)} s, by {factor * d.rms:.2g} {unit} root mean square (noise permits "
+            f"{factor * d.permitted:.2g} {unit})"
         )
-    assumed = dict.fromkeys(name for check in found.recorded for name in check.assumed)
-    if assumed:
-        sentences.append(f"Not recorded, and taken as zero along the flight path: {several(assumed)}.")
-    return sentences
+    listed += [f"and {len(departures) - SHOWN} more"] if len(departures) > SHOWN else []
+    return "; ".join(listed)
 
 
 def open_sentences(found: Consistency) -> list[str]:
     """Sensor errors that the flight path does not determine: fitted but not confirmed, then not testable."""
     sentences = []
     if asked := [e for e in found.open if e.asked]:
-        listed = "; ".join(f"{_estimate(e)}{_imitated(e)}" for e in asked)
+        alike = {True: "those are", False: "that is"}
+        imitated = {
+            e.name: f" (not distinguishable from {several(e.imitators)}: ± {among_text(e)} if "
+            f"{alike[len(e.imitators) > 1]} possible)"
+            for e in asked
+            if e.imitators
+        }
+        listed = "; ".join(f"{_estimate(e)}{imitated.get(e.name, '')}" for e in asked)
         sentences.append(
             "Errors that would explain much of the residual of the flight path, but that hold-out data do not "
             f"confirm, each as the only error; none is corrected: {listed}."
@@ -207,9 +184,8 @@ def open_sentences(found: Consistency) -> list[str]:
     if alike := not_told_apart(found):
         errors = "errors of sensors or winds are" if len(alike) > 1 else "error of a sensor or wind is"
         sentences.append(
-            f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on "
-            f"the record: "
-            f"{several(e.name for e in alike)}."
+            f"{len(alike)} {errors} not testable along this flight path, because others have the same effect on the "
+            f"record: {several(e.name for e in alike)}."
         )
     return sentences
 
@@ -223,24 +199,10 @@ def _estimate(error: OpenError) -> str:
     return f"{error.name} {size_text(error.mean, error.sd, error.unit)}"
 
 
-def _imitated(error: OpenError) -> str:
-    """The errors that have the same effect."""
-    if not error.imitators:
-        return ""
-    return (
-        f" (not distinguishable from {several(error.imitators)}: ± {among_text(error)} if "
-        f"{'those are' if len(error.imitators) > 1 else 'that is'} possible)"
-    )
-
-
 def among_text(error: OpenError) -> str:
     """The standard error of an error with its imitators possible, as people read it."""
     unit, factor = for_people(error.unit)
-    return f"{factor * error.among:.2g}{_with_unit_behind(unit)}"
-
-
-def _with_unit_behind(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
+    return f"{factor * error.among:.2g}{'' if unit == '1' else f' {unit}'}"
 
 
 def sizes(error: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis, FoundTerm, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis, ParameterChange
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.effect import Stage
@@ -14,6 +14,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.report.text.check import joint_text
 from bayes_aero.report.text.fly import gust_sentences, trajectory_sentences
 from bayes_aero.report.text.phrases import (
+    WORDS,
     not_testable_sentences,
     several,
     size_text,
@@ -32,35 +33,39 @@ def sentences(view: DiagnosisView) -> list[str]:
 
 def diagnosis_sentences(d: Diagnosis, flown: Trajectories | None = None) -> list[str]:
     """As `sentences`, of a diagnosis alone."""
-    return [
-        verdict_sentence(d),
-        *gust_sentences(d.gusts),
-        *tested_sentences(d),
-        *sign_sentences(
-            {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()},
-            d.parameters,
-            d.following,
-        ),
-        *(_cause(cause) for cause in d.causes),
-        *_taken_over(d),
-        *_together(d),
-        *_absorbed(d),
-        *_beyond(d),
-        *_minor(d),
-        *_unknown(d),
-        *_terms(d.terms),
-        *change_sentences(d.changes),
-        *_noise(d),
-        *not_testable_sentences(d.not_testable),
-        *([] if flown is None else trajectory_sentences(flown)),
-        *d.notes,
-    ]
+    return [sentence for listed in findings(d, flown).values() for sentence in listed]
+
+
+def findings(d: Diagnosis, flown: Trajectories | None = None) -> dict[str, list[str]]:
+    """The sentences by what they are on, in the order of reading."""
+    bases = {name: (after, sd) for name, (_, after, sd) in d.base_moves.items()}
+    return {
+        "verdict": [verdict_sentence(d)],
+        "gusts": gust_sentences(d.gusts),
+        "tested": tested_sentences(d),
+        "signs": sign_sentences(bases, d.parameters, d.following),
+        "causes": [_cause(cause) for cause in d.causes],
+        "next step": _taken_over(d),
+        "cancelling": _cancelling(d),
+        "absorbed": _absorbed(d),
+        "beyond": _beyond(d),
+        "minor": _minor(d),
+        "unexplained": _unexplained(d),
+        "terms": _terms(d),
+        "changes": change_sentences(d.changes),
+        "noise": _noise(d),
+        "not testable": not_testable_sentences(d.not_testable),
+        "trajectories": [] if flown is None else trajectory_sentences(flown),
+        "notes": list(d.notes),
+    }
 
 
 def _cause(cause: Cause) -> str:
     text = f"{cause.name}: {cause.claim}"
     if cause.ambiguous_with:
-        listed = [f"{name}{_in_place(cause, name)}" for name in cause.ambiguous_with]
+        gains = {n: f"{gain:+z.1f} ± {sd:.1f}" for n, (gain, sd) in cause.rival_gains.items()}
+        place = {n: f" (in its place: log density of hold-out data {gain})" for n, gain in gains.items()}
+        listed = [f"{name}{place.get(name, '')}" for name in cause.ambiguous_with]
         text += f" On this record {several(listed)} would explain the data about as well."
     if cause.joint:
         text += f" It is estimated together with {joint_text(cause.joint)}: neither size holds without the other."
@@ -86,28 +91,20 @@ def _cause(cause: Cause) -> str:
     return text
 
 
-def _in_place(cause: Cause, rival: str) -> str:
-    """What hold-out data gain with a rival in place of a cause."""
-    if rival not in cause.rival_gains:
-        return ""
-    gain, sd = cause.rival_gains[rival]
-    return f" (in its place: log density of hold-out data {gain:+z.1f} ± {sd:.1f})"
-
-
 def _why_not_confirmed(cause: Cause) -> str:
     """The loss because of which a cause is not confirmed."""
-    worse = [f"{name} {gain:+z.1f} ± {sd:.1f}{_r2(cause, name)}" for name, (gain, sd) in cause.gain.degraded.items()]
+    worse, gain = [], cause.gain
+    for name, (change, sd) in gain.degraded.items():
+        r2 = ""
+        if name in gain.before and name in gain.after:
+            r2 = f", R² from {gain.before[name].r2:.2f} to {gain.after[name].r2:.2f}"
+        worse.append(f"{name} {change:+z.1f} ± {sd:.1f}{r2}")
     if worse:
         return f"with it they are predicted worse: log density of {several(worse)}"
     lost, sd = cause.missed
-    if lost > 0.0 and cause.gain.elpd < 0.0:
-        return f"beside the causes before it: log density {cause.gain.elpd:+z.1f} ± {cause.gain.elpd_se:.1f}"
+    if lost > 0.0 and gain.elpd < 0.0:
+        return f"beside the causes before it: log density {gain.elpd:+z.1f} ± {gain.elpd_se:.1f}"
     return f"removed: log density {-lost:+z.1f} ± {sd:.1f}"
-
-
-def _r2(cause: Cause, coefficient: str) -> str:
-    before, after = (scores.get(coefficient) for scores in (cause.gain.before, cause.gain.after))
-    return "" if before is None or after is None else f", R² from {before.r2:.2f} to {after.r2:.2f}"
 
 
 def _taken_over(d: Diagnosis) -> list[str]:
@@ -120,29 +117,27 @@ def _taken_over(d: Diagnosis) -> list[str]:
     if fitted:
         sentences.append(
             f"To include {several(fitted)} in the model, add the name to effects under [model] of the card and fit "
-            f"again."
+            "again."
         )
     if errors:
         sentences.append(
             f"{several(errors)}: correct the record or the card's constants; or add the name to effects and its "
-            f"size to "
-            "fixed under [model]."
+            "size to fixed under [model]."
         )
     return sentences
 
 
-def _together(d: Diagnosis) -> list[str]:
+def _cancelling(d: Diagnosis) -> list[str]:
     """The combination that the record determines of two terms that cancel."""
     sentences = []
     for pair in d.together:
         one, other = pair.parameters
         factor = "" if abs(pair.factor) == 1.0 else f"{abs(pair.factor):.3g} "
-        sign = "+" if pair.factor > 0.0 else "-"
         size = size_text(pair.mean, pair.sd, pair.unit)
         sentences.append(
             f"{several(pair.effects)} cancel each other (correlation {pair.correlation:+.2f}): this record "
-            f"determines only {one} {sign} {factor}{other} = {size}. A manoeuvre that excites them differently would "
-            "determine both."
+            f"determines only {one} {'+' if pair.factor > 0.0 else '-'} {factor}{other} = {size}. A manoeuvre that "
+            "excites them differently would determine both."
         )
     return sentences
 
@@ -161,20 +156,20 @@ def _absorbed(d: Diagnosis) -> list[str]:
 
 
 def _beyond(d: Diagnosis) -> list[str]:
+    """Estimates that are no causes: implausibly large ones, then those that hold only together with others."""
+    each = [(cause, name, x) for cause in d.beyond for name, x in cause.parameters.items()]
     return [
         f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}. On this aircraft {large} is at most "
         f"{size_text(cause.implausible[large], 0.0, x.unit)}: suspect another fault of the record or of the model. It "
         "is not a cause, and is left out of the model."
-        for cause in d.beyond
-        for name, x in cause.parameters.items()
+        for cause, name, x in each
         for large in (name, f"1/{name}")
         if large in cause.implausible
     ] + [
         f"The estimate of {name} is {size_text(x.mean, x.sd, x.unit)}, together with {joint_text(cause.joint)}: "
         "neither size holds without the other, and none of them is a cause or a correction by itself."
-        for cause in d.beyond
+        for cause, name, x in each
         if not cause.implausible
-        for name, x in cause.parameters.items()
     ]
 
 
@@ -186,88 +181,81 @@ def _minor(d: Diagnosis) -> list[str]:
     return [f"Too small{beside} to be named: {several(d.minor)} {verb} in the model during the selection."]
 
 
-def _unknown(d: Diagnosis) -> list[str]:
+def _unexplained(d: Diagnosis) -> list[str]:
     """Along trajectories an effect may be true and fail its test, which is less powerful than that of the terms."""
-    none = "explains this" if d.tested is None else "passes its own test along the trajectories"
-    return [
-        _offsets(u)
-        if u.offsets
-        else f"Unexplained: {u.coefficient} shows structure over {u.channel} ({u.share:.0%} of the remaining variance) "
-        f"that this record cannot attribute: {several(u.rivals)} would explain it about equally well."
-        if u.rivals
-        else f"Unexplained: {u.coefficient} still depends on {u.channel} ({u.share:.0%} of the remaining variance), "
-        f"and no effect of the catalogue {none}."
-        for u in d.unknown
-    ]
+    sentences, none = [], "explains this" if d.tested is None else "passes its own test along the trajectories"
+    for u in d.unknown:
+        share, rivals = f"({u.share:.0%} of the remaining variance)", several(u.rivals)
+        if u.offsets:
+            sizes = several([f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()])
+            alike = f" {rivals} would explain them about as well and cannot be told from them." if rivals else ""
+            sentences.append(
+                f"Offset: the constant of {u.coefficient} differs between manoeuvres {share}, from that of the first "
+                f"by {sizes}. A sensor bias, a wrong weight, a trim, flap or throttle set between them, or a form of "
+                f"{u.coefficient} that does not hold over all of them makes such offsets; only what moves within a "
+                f"manoeuvre tells which.{alike}"
+            )
+        elif rivals:
+            sentences.append(
+                f"Unexplained: {u.coefficient} shows structure over {u.channel} {share} that this record cannot "
+                f"attribute: {rivals} would explain it about equally well."
+            )
+        else:
+            still = f"{u.coefficient} still depends on {u.channel} {share}"
+            sentences.append(f"Unexplained: {still}, and no effect of the catalogue {none}.")
+    return sentences
 
 
-def _offsets(u: UnexplainedStructure) -> str:
-    sizes = several([f"{name} {size_text(x, sd, '1')}" for name, (x, sd) in u.offsets.items()])
-    rivals = f" {several(u.rivals)} would explain them about as well and cannot be told from them." if u.rivals else ""
-    return (
-        f"Offset: the constant of {u.coefficient} differs between manoeuvres ({u.share:.0%} of the remaining "
-        f"variance), from that of the first by {sizes}. A sensor bias, a wrong weight, a trim, flap or throttle "
-        f"set between them, or a form of {u.coefficient} that does not hold over all of them makes such offsets; only "
-        f"what moves within a manoeuvre tells which.{rivals}"
-    )
-
-
-def _terms(terms: Sequence[FoundTerm]) -> list[str]:
+def _terms(d: Diagnosis) -> list[str]:
     """A sentence on each term, and how to put them into a card."""
-    found = [_term(one) for one in terms]
-    if any(one.term.code is not None for one in terms):
-        found.append(
+    sentences = []
+    for one in d.terms:
+        text = (
+            f"Form: {one.coefficient} has a term {one.term.name} of factor {size_text(*one.size, one.term.unit)} "
+            f"({one.share:.0%} of the variance left without it; log density of hold-out data {one.gain:+.0f}). "
+        )
+        if one.term.code is None:
+            text += "It depends on the past, which no effect file can state. "
+        others = several([f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]])
+        more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
+        alike = f"These records do not tell it ({one.weight:.0%}) from {others}{more}."
+        sentences.append(text + (alike if one.others else "No other term of the library is as good."))
+    if any(one.term.code is not None for one in d.terms):
+        sentences.append(
             "Form: bayes-aero diagnose with --write-effect FILE writes these terms as effects for effect_files on the "
             "card; diagnose then tests them as it tests the catalogue."
         )
-    return found
-
-
-def _term(one: FoundTerm) -> str:
-    size = size_text(*one.size, one.term.unit)
-    text = (
-        f"Form: {one.coefficient} has a term {one.term.name} of factor {size} ({one.share:.0%} of the variance left "
-        f"without it; log density of hold-out data {one.gain:+.0f}). "
-    )
-    if one.term.code is None:
-        text += "It depends on the past, which no effect file can state. "
-    if not one.others:
-        return text + "No other term of the library is as good."
-    others = [f"{term.name} ({weight:.0%})" for term, weight in one.others[:SHOWN]]
-    more = f" and {len(one.others) - SHOWN} more" if len(one.others) > SHOWN else ""
-    return f"{text}These records do not tell it ({one.weight:.0%}) from {several(others)}{more}."
+    return sentences
 
 
 def _noise(d: Diagnosis) -> list[str]:
-    sentences = []
-    labels = d.noise.labels
-    if d.noise.of_innovations and d.noise.coloured:
-        lags = several([f"{name} ({d.noise.lag1[name]:.2f})" for name in d.noise.coloured])
+    sentences, noise = [], d.noise
+    if noise.of_innovations and noise.coloured:
+        lags = several([f"{name} ({noise.lag1[name]:.2f})" for name in noise.coloured])
         sentences.append(
             f"Innovations are autocorrelated (neighbouring samples of {lags}): a disturbance, or an error of the model "
             "or of a sensor, is not modelled."
         )
-    elif "colored" in labels:
-        lags = ", ".join(f"{name} {value:.2f}" for name, value in d.noise.lag1.items())
+    elif "colored" in noise.labels:
+        lags = ", ".join(f"{name} {value:.2f}" for name, value in noise.lag1.items())
         sentences.append(
-            f"Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
-            f"samples {lags}, where "
-            "white noise leaves a third)."
+            "Noise: neighbouring residuals are correlated (coloured noise; lag-1 correlation of means over five "
+            f"samples {lags}, where white noise leaves a third)."
         )
-    if "buffet" in labels:
-        growth = ", ".join(f"{name} {value:.1f} times" for name, value in d.noise.noise_growth.items() if value > 1.05)
+    if "buffet" in noise.labels:
+        growth = ", ".join(f"{name} {value:.1f} times" for name, value in noise.noise_growth.items() if value > 1.05)
         sentences.append(
             f"Noise: its standard deviation grows as the flow separates or the dynamic pressure falls ({growth})."
         )
-    if "outliers" in labels:
-        count = ", ".join(f"{name} {n}" for name, n in d.noise.outliers.items() if n)
+    if "outliers" in noise.labels:
+        count = ", ".join(f"{name} {n}" for name, n in noise.outliers.items() if n)
         sentences.append(f"Noise: outliers were replaced ({count}).")
     return sentences
 
 
 def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str]) -> list[str]:
     """The hidden effects, and whether they were found."""
-    sentences = {
+    answers = {
         "first": "It was named first.",
         "named": "It was named, though not first.",
         "minor": "It was found, but is too small to be named.",
@@ -278,56 +266,31 @@ def revealed(effects: Mapping[str, Mapping[str, float]], named: Mapping[str, str
     for name, values in effects.items():
         units = {p.name: p.unit for p in CATALOGUE[name].parameters}
         sizes = several(f"{key} = {size_text(x, 0.0, units[key])}" for key, x in values.items())
-        found.append(f"Hidden effect: {name} ({sizes}). {sentences[named[name]]}")
+        found.append(f"Hidden effect: {name} ({sizes}). {answers[named[name]]}")
     return found
 
 
 # --- Changes of parameters during a record in sentences: which, when, and by how much.
 
-LIFT, DRAG = "ice or damage of the wing, flaps or slats that moved", "ice, or gear, flaps or spoilers that moved"
-STABILITY = "a shift of the centre of gravity (fuel that was burnt or moved, a load), or ice on the tail"
-STALL = "ice or damage of the wing"
-REASONS = {
-    "CL0": f"{LIFT}, or an offset of the vane",
-    "CLa": LIFT,
-    "CLaM": LIFT,
-    "CD0": DRAG,
-    "e": DRAG,
-    "Cm0": "a stuck tab, another setting of trim or flaps, or a shift of the centre of gravity",
-    "Cma": STABILITY,
-    "Cmq": STABILITY,
-    "Cmde": "ice on the tail, a damaged elevator, or a shift of the centre of gravity",
-    "a1": STALL,
-    "alpha_star": STALL,
-    "CDX": STALL,
-    "CmX": STALL,
-}
-"""What changes a parameter in flight, for those that have usual reasons."""
-
 
 def change_sentences(found: Sequence[ParameterChange]) -> list[str]:
     """Parameters that change according to a diagnosis: when, by how much, and possible reasons."""
-    return [_change(one) for one in found]
-
-
-def _change(found: ParameterChange) -> str:
-    begin, end = found.interval
-    span = f" (95 %: {begin:.1f} to {end:.1f} s)" if end > begin else ""
-    when = (
-        f"from {found.manoeuvre} on"
-        if found.between and found.lasts
-        else f"in {found.manoeuvre}"
-        if found.between
-        else f"at {found.at:.1f} s of {found.manoeuvre}{span}"
-    )
-    back = "" if found.lasts else ", and the value before in later records"
-    text = (
-        f"Changed: {found.parameter} has another value {when}: {size_text(*found.before, found.unit)} before, "
-        f"{size_text(*found.after, found.unit)} after{back}, a change of {size_text(*found.size, found.unit)} "
-        f"({found.share:.0%} of the remaining variance)."
-    )
-    if found.ambiguous_with:
-        text += f" On this record {several(found.ambiguous_with)} would explain the data about as well."
-    if found.parameter in REASONS:
-        text += f" Possible reasons are {REASONS[found.parameter]}; the record does not determine which."
-    return text
+    sentences = []
+    for one in found:
+        begin, end = one.interval
+        span = f" (95 %: {begin:.1f} to {end:.1f} s)" if end > begin else ""
+        when = f"at {one.at:.1f} s of {one.manoeuvre}{span}"
+        if one.between:
+            when = f"from {one.manoeuvre} on" if one.lasts else f"in {one.manoeuvre}"
+        back = "" if one.lasts else ", and the value before in later records"
+        before, after, size = (size_text(*x, one.unit) for x in (one.before, one.after, one.size))
+        text = (
+            f"Changed: {one.parameter} has another value {when}: {before} before, {after} after{back}, a change of "
+            f"{size} ({one.share:.0%} of the remaining variance)."
+        )
+        if one.ambiguous_with:
+            text += f" On this record {several(one.ambiguous_with)} would explain the data about as well."
+        if one.parameter in WORDS["reasons"]:
+            text += f" Possible reasons are {WORDS['reasons'][one.parameter]}; the record does not determine which."
+        sentences.append(text)
+    return sentences

@@ -13,15 +13,9 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Share
-from bayes_aero.report.text.phrases import GREEK, for_people, nats_text, plus_minus, several, short, size_text
-from bayes_aero.report.text.restraints import (
-    agreement_of_engines,
-    inseparable_sentences,
-    sign_sentences,
-    unfinished,
-    unparted,
-)
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep
+from bayes_aero.report.text import restraints
+from bayes_aero.report.text.phrases import amounts, nats_text, plus_minus, several, short, size_text, symbol
 
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
@@ -33,34 +27,51 @@ MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence i
 
 
 def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool = False) -> list[str]:
-    """Sentences on the end of the fit, its errors, the variance inflation, unidentified parameters, and manoeuvres
-    outside the envelope.
+    """Sentences on the end of the fit, its errors, and what the records do not determine.
 
     `hindered` is why diagnose cannot use the records; empty if it can. `disturbed`: process noise is fitted, too.
     """
-    fit = flown.fit
+    fit, left = flown.fit, flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE
     bound = f" ({several(fit.at_bound)})" if fit.at_bound else ""
-    sentences = [f"The fit {unparted(fit.status.value, flown.following)}{bound}{_off(flown)}."]
-    if fit.status is OutputErrorStatus.LEFT_ENVELOPE:
+    errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
+    rms = several(f"{symbol(output)} {after}{unit}" for output, (_, after, unit) in errors.items())
+    off = f"; the RMS error of the trajectories is {rms}" if fit.status is OutputErrorStatus.CONVERGED else ""
+    sentences = [f"The fit {restraints.unparted(fit.status.value, flown.following)}{bound}{off}."]
+    if left:
         sentences = [f"The fit failed: {fit.status.value}."]
-    sentences += _worse(flown)
-    sentences += _settings(flown)
-    sentences += _wanting(flown, hindered)
-    if flown.variance_inflation >= MIN_INFLATION and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+    if flown.worse:
+        listed = [(symbol(output), *errors[output]) for output in flown.worse]
+        sentences.append(
+            f"The fit is worse than the record as it is (RMS "
+            f"{several(f'{name} {before} to {after}{unit}' for name, before, after, unit in listed)}): an error of a "
+            "sensor that is not among the parameters is behind it. The estimates are not usable, and no corrected "
+            "record is written."
+        )
+    sentences += [] if left else _settings(flown)
+    shares = {name: share for name, share in outside(flown).items() if share > MAX_OUTSIDE}
+    if shares and flown.converged:  # a fit that has not converged may still improve
+        said = several(f"{symbol(name)} {share:.0%} of the time" for name, share in shares.items())
+        looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
+        sentences.append(
+            f"The flight path is outside its tolerances ({said}): an error of a sensor or of the air is missing."
+            if flown.of_path
+            else f"The fitted model is outside its tolerances ({said}): the model lacks an effect"
+            f"{looks if flown.by_effects else ''}."
+        )
+    if flown.variance_inflation >= MIN_INFLATION and not left:
         sentences.append(
             f"The residuals are autocorrelated. The variance inflation is {short(flown.variance_inflation)} in the "
-            f"median, and the "
-            "Cramér-Rao bound is too small; use the corrected standard error."
+            "median, and the Cramér-Rao bound is too small; use the corrected standard error."
             f"{'' if disturbed or flown.of_path else ADVICE}"
         )
     growth = {name: times for name, times in flown.noise_growth.items() if times > MIN_GROWTH}
     if growth:
-        listed = several(f"{GREEK.get(name, name)} {short(times)} times" for name, times in growth.items())
-        sentences.append(f"Residuals grow where the flow has separated ({listed}): these samples have less weight.")
+        said = several(f"{symbol(name)} {short(times)} times" for name, times in growth.items())
+        sentences.append(f"Residuals grow where the flow has separated ({said}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     found = {name: (float(value), float(sd)) for name, value, sd in estimates}
-    sentences += sign_sentences(found, fit.parameters, flown.following)
-    if fit.held_by_prior and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
+    sentences += restraints.sign_sentences(found, fit.parameters, flown.following)
+    if fit.held_by_prior and not left:
         sentences.append(
             f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides."
         )
@@ -70,39 +81,37 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
             "are not usable. Fix them on the card, or fit with priors."
         )
     if flown.converged:
-        sentences += inseparable_sentences(fit.inseparable)
-    lost = [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]
-    if lost:
+        sentences += restraints.inseparable_sentences(fit.inseparable)
+    if lost := [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]:
         sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return sentences
 
 
-def _worse(flown: TrajectoryFit) -> list[str]:
-    """A sentence on outputs that a flight path fits worse than without errors of sensors."""
-    if not flown.worse:
-        return []
-    listed = []
-    for output in flown.worse:
-        unit, factor = for_people(flown.units[output])
-        before, after = (short(factor * x) for x in flown.rms_errors[output])
-        listed.append(f"{GREEK.get(output, output)} {before} to {after}{'' if unit == '1' else ' ' + unit}")
-    return [
-        f"The fit is worse than the record as it is (RMS {several(listed)}): an error of a sensor that is not among "
-        "the parameters is behind it. The estimates are not usable, and no corrected record is written."
-    ]
+def _settings(flown: TrajectoryFit) -> list[str]:
+    """The cost of the published programs, and the settings that differ from the defaults."""
+    outputs, setting = several(map(symbol, flown.fit.flown.outputs)), flown.setting
+    sentences = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
+    how = [] if setting.priors else ["without priors"]
+    how += [] if setting.initial is None else ["with initial states fixed"]
+    how += ["with inputs held between samples"] if setting.held else []
+    sentences += [f"It was fitted {several(how)}."] if how else []
+    if setting.held:
+        late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
+        sentences.append(
+            f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
+            "of fast controls. That is right for a command that a digital system holds until the next sample, and "
+            "wrong for a recorded position of a surface: leave --inputs held out for that."
+        )
+    return sentences
 
 
 def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") -> list[str]:
-    """Parameters for which the coefficients of the same record give other values.
-
-    `hindered` is why diagnose cannot use the records; empty if it can.
-    """
+    """Parameters for which the coefficients of the same record give other values; `hindered` as of the fit."""
     if not found:
         return []
     listed = several(
         f"{d.name} {plus_minus(*d.coefficients)} from the coefficients, {plus_minus(*d.trajectories)} from "
-        f"trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined "
-        "standard errors apart)"
+        f"trajectories{'' if d.unit == '1' else f' {d.unit}'} ({d.apart:.1f} combined standard errors apart)"
         for d in found
     )
     look = "check looks for an error of a sensor" if hindered else "check and diagnose look for the last two"
@@ -113,60 +122,15 @@ def disagreement_sentences(found: Sequence[Disagreement], hindered: str = "") ->
     ]
 
 
-def _settings(flown: TrajectoryFit) -> list[str]:
-    """The cost of the published programs, and the settings that differ from the defaults."""
-    if flown.fit.status is OutputErrorStatus.LEFT_ENVELOPE:
-        return []
-    outputs = several(GREEK.get(name, name) for name in flown.fit.flown.outputs)
-    sentences = [f"det R is {flown.fit.det_R:.5g} (residual covariance of {outputs}, SI and radians)."]
-    how = [] if flown.setting.priors else ["without priors"]
-    how += [] if flown.setting.initial is None else ["with initial states fixed"]
-    how += ["with inputs held between samples"] if flown.setting.held else []
-    sentences += [f"It was fitted {several(how)}."] if how else []
-    if flown.setting.held:
-        late = 0.5 * float(np.median(np.asarray(flown.fit.flown.dt)))
-        sentences.append(
-            f"Held inputs act half a sample ({late:.2g} s) later than interpolated ones, which moves the derivatives "
-            "of fast controls. That is right for a command that a digital system holds until the next sample, and "
-            "wrong for a recorded position of a surface: leave --inputs held out for that."
-        )
-    return sentences
-
-
 def outside(flown: TrajectoryFit) -> dict[str, float]:
     """Share of the time over all manoeuvres for which the fit of each output is outside its tolerance."""
-    paths = [p for p in flown.paths if p.model == FITTED and p.inside]
     shares = {}
     for output in flown.outputs:
-        listed = [(p.errors[output].within, len(p.time)) for p in paths]
+        listed = [(p.errors[output].within, len(p.time)) for p in flown.paths if p.model == FITTED and p.inside]
         within = [(share, n) for share, n in listed if share is not None]
         if within:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
-
-
-def _wanting(flown: TrajectoryFit, hindered: str) -> list[str]:
-    """A sentence on a lacking effect, if the fit is mostly outside the tolerances."""
-    shares = {name: share for name, share in outside(flown).items() if share > MAX_OUTSIDE}
-    if not (shares and flown.converged):  # a fit that has not converged may still improve
-        return []
-    listed = several(f"{GREEK.get(name, name)} {share:.0%} of the time" for name, share in shares.items())
-    if flown.of_path:
-        return [f"The flight path is outside its tolerances ({listed}): an error of a sensor or of the air is missing."]
-    looks = f", and diagnose cannot look for it: {hindered}" if hindered else "; bayes-aero diagnose looks for it"
-    where = looks if flown.by_effects else ""
-    return [f"The fitted model is outside its tolerances ({listed}): the model lacks an effect{where}."]
-
-
-def _off(flown: TrajectoryFit) -> str:
-    """Errors of a converged fit."""
-    if flown.fit.status is not OutputErrorStatus.CONVERGED:
-        return ""
-    listed = []
-    for output, (_, rms) in flown.rms_errors.items():
-        unit, factor = for_people(flown.units[output])
-        listed.append(f"{GREEK.get(output, output)} {short(factor * rms)}{'' if unit == '1' else ' ' + unit}")
-    return f"; the RMS error of the trajectories is {several(listed)}"
 
 
 # --- Simulated trajectories in sentences.
@@ -176,10 +140,7 @@ STOPPED = "stopped before the optimum, so its errors may be too large"
 
 
 def simulation_gain(flown: Trajectories) -> str:
-    """The RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope.
-
-    A fit that did not converge is reported with it.
-    """
+    """RMS errors of both models over all hold-out flights; empty if they are equal or a model leaves the envelope."""
     if not all(p.inside for p in flown.paths if p.split == "hold_out"):
         return ""
     listed = []
@@ -187,10 +148,10 @@ def simulation_gain(flown: Trajectories) -> str:
         rms = {m: [p.errors[output].rms for p in flown.paths if (p.model, p.split) == (m, "hold_out")] for m in MODELS}
         if not all(rms.values()) or not np.isfinite([x for values in rms.values() for x in values]).all():
             return ""
-        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
-        before, after = (short(factor * float(np.sqrt(np.mean(np.square(rms[m]))))) for m in MODELS)
+        joint = (float(np.sqrt(np.mean(np.square(rms[m])))) for m in MODELS)
+        before, after, unit = amounts(STANDARD_CHANNELS[output].unit, *joint)
         if before != after:
-            listed.append(f"{GREEK.get(output, output)} from {before} to {after} {unit}")
+            listed.append(f"{symbol(output)} from {before} to {after}{unit}")
     if not listed:
         return ""
     besides = [f"with {flown.lag.effect}"] if flown.lag is not None and flown.lag.kept else []
@@ -200,47 +161,36 @@ def simulation_gain(flown: Trajectories) -> str:
     return " ".join([text, *status_sentences(flown)])
 
 
-def trajectory_sentences(flown: Trajectories) -> list[str]:
-    """How the fits ended, what was held, and the share of time within the tolerances."""
+def trajectory_sentences(flown: Trajectories, *, tolerances: bool = True) -> list[str]:
+    """How the fits ended, what was held, and, if asked, the share of time within the tolerances."""
     sentences = [*status_sentences(flown), *lag_sentences(flown), *cause_sentences(flown)]
     for name, held in flown.held.items():
         if held:
-            are = (
-                ("is", "it is held at its joint estimate")
-                if len(held) == 1
-                else ("are", "they are held at their joint estimates")
-            )
-            sentences.append(
-                f"Without {name}, {several(held)} {are[0]} not identifiable from the other flights; {are[1]}."
-            )
+            are, value = "are", "they are held at their joint estimates"
+            if len(held) == 1:
+                are, value = "is", "it is held at its joint estimate"
+            sentences.append(f"Without {name}, {several(held)} {are} not identifiable from the other flights; {value}.")
     if flown.extended.held:
         sentences.append(
             f"The trajectories contain little information on {several(flown.extended.held)}; the prior decides."
         )
-    return sentences + _tolerance_sentences(flown)
-
-
-def _tolerance_sentences(flown: Trajectories) -> list[str]:
-    """The share of time of the hold-out flights within tolerance: one sentence for all, the worst flight named."""
     unseen = [p for p in flown.paths if (p.model, p.split) == ("extended", "hold_out")]
-    outside = [p.manoeuvre for p in unseen if not p.inside]
-    leaves = "leaves" if len(outside) == 1 else "leave"
-    sentences = [f"In the hold-out simulation {several(outside)} {leaves} the flight envelope."] if outside else []
-    inside = [p for p in unseen if p.inside]
-    listed = []
-    for output in flown.outputs:
+    if lost := [p.manoeuvre for p in unseen if not p.inside]:
+        leaves = "leaves" if len(lost) == 1 else "leave"
+        sentences.append(f"In the hold-out simulation {several(lost)} {leaves} the flight envelope.")
+    inside, listed = [p for p in unseen if p.inside], []
+    for output in flown.outputs if tolerances else ():
         shares = {p.manoeuvre: x for p in inside if (x := p.errors[output].within) is not None}
-        if not shares:
-            continue
-        worst = min(shares, key=lambda name: shares[name])
-        where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
-        listed.append(f"{GREEK.get(output, output)} {shares[worst]:.0%}{where}")
+        if shares:
+            worst = min(shares, key=lambda name: shares[name])
+            where = f" (least, {worst})" if len(shares) > 1 and shares[worst] < max(shares.values()) else ""
+            listed.append(f"{symbol(output)} {shares[worst]:.0%}{where}")
     if listed:
         what = "every flight is" if len(inside) > 1 else f"{inside[0].manoeuvre} is"
+        bands = {n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None}
         sentences.append(
             f"In the hold-out simulation {what} within tolerance for at least this share of the time: "
-            f"{', '.join(listed)}. "
-            f"{tolerance_origin({n: e.tolerance for n, e in inside[0].errors.items() if e.tolerance is not None})}"
+            f"{', '.join(listed)}. {tolerance_origin(bands)}"
         )
     return sentences
 
@@ -271,16 +221,14 @@ def lag_sentences(flown: Trajectories) -> list[str]:
     sizes = [f"{n} {size_text(after.values[n], flown.deviation[n], after.units[n])}" for n in names]
     instead = f" in place of {several(lag.instead)}" if lag.instead else ""
     return [
-        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on "
-        f"it; it "
-        f"gains {lag.gain:.0f} nats in the trajectory fit and {nats_text(elpd, elpd_se)} on hold-out flights."
+        f"The trajectory fit supports {lag.effect}{instead}: {several(sizes)}. The coefficients do not decide on it; "
+        f"it gains {lag.gain:.0f} nats in the trajectory fit and {nats_text(elpd, elpd_se)} on hold-out flights."
     ]
 
 
 def cause_sentences(flown: Trajectories) -> list[str]:
     """Which confirmed causes the hold-out trajectories need, and by how much."""
-    missed, kept, sentences = flown.asked.missed, flown.asked.kept, []
-    harmed = flown.asked.harmed
+    missed, kept, harmed, sentences = flown.asked.missed, flown.asked.kept, flown.asked.harmed, []
     for e, worse in harmed.items():
         gains = [f"{output} by {nats_text(-gain, se)}" for output, (gain, se) in worse.items()]
         sentences.append(f"With {e} hold-out trajectories are predicted worse in {several(gains)}: it is omitted.")
@@ -295,8 +243,8 @@ def cause_sentences(flown: Trajectories) -> list[str]:
         finite = [e for e in kept if math.isfinite(missed[e][0])]  # without the others the flight leaves its envelope
         least = min(finite, key=lambda e: missed[e][0] / missed[e][1], default=None)
         least_of = f"least for {least}, " if len(kept) > 1 else ""
-        listed = f" ({least_of}by {nats_text(*missed[least])})" if least else ""
-        sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{listed}.")
+        by = f" ({least_of}by {nats_text(*missed[least])})" if least else ""
+        sentences.append(f"Removing {several(kept)} degrades the prediction of hold-out trajectories{by}.")
     return sentences
 
 
@@ -340,11 +288,7 @@ def gust_sentences(gusts: Mapping[str, float], fit: ProcessNoise | None = None) 
 def settled_sentences(
     found: Sequence[Disagreement], fit: ProcessNoise | None, apart: Sequence[str], *, asked: bool
 ) -> list[str]:
-    """Which estimates to prefer where output error and the coefficients disagree.
-
-    `apart`: parameters of which the fit with process noise also disagrees with the coefficients. `asked`: process noise
-    was fitted because output error disagrees.
-    """
+    """Which estimates to prefer where output error and coefficients disagree; `asked`: process noise is for that."""
     if not found or fit is None:
         return []
     names = several(d.name for d in found)
@@ -354,34 +298,34 @@ def settled_sentences(
     )
     if not fit.preferred:
         return [why.strip()] if asked else []
-    other = {d.name: fit.estimates[d.name] for d in found if d.name in fit.estimates}
-    listed = several(f"{name} {plus_minus(x, sd)}" for name, (x, sd) in other.items())
+    listed = several(f"{d.name} {plus_minus(*fit.estimates[d.name])}" for d in found if d.name in fit.estimates)
     if apart:
-        verb = "differs" if len(apart) == 1 else "differ"
-        text = f"With process noise {several(apart)} still {verb} from the coefficients ({listed})"
-        return [(why if asked else "") + f"{text}: the model lacks an effect, or a sensor is wrong."]
-    text = f"With process noise {names} agree{'s' * (len(found) == 1)} with the coefficients ({listed})"
-    return [(why if asked else "") + f"{text}: prefer them to those of output error."]
+        text = f"{several(apart)} still {'differs' if len(apart) == 1 else 'differ'} from the coefficients ({listed}): "
+        text += "the model lacks an effect, or a sensor is wrong."
+    else:
+        text = f"{names} agree{'s' * (len(found) == 1)} with the coefficients ({listed}): prefer them to those of "
+        text += "output error."
+    return [f"{why if asked else ''}With process noise {text}"]
 
 
 def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[str]:
     """Changes by process noise, and the assumption of its standard errors."""
+    predicted = [] if found.one_step is None else prediction_sentences(found.one_step)
     if not found.converged:
         return [f"The fit with process noise is not usable: {found.status}."]
     if found.gain <= 0.0:
-        sentences = ["Process noise does not increase the likelihood of the trajectories: output error is adequate."]
-        return sentences + _predicted(found)
+        adequate = "Process noise does not increase the likelihood of the trajectories: output error is adequate."
+        return [adequate, *predicted]
     sentences = [
         f"With process noise the log likelihood is {found.gain:.0f} nats higher than by output error, both for white "
-        "residuals. Turbulence causes this, and so do errors of the model."
+        "residuals. Turbulence causes this, and so do errors of the model.",
+        *_estimated_gusts(found),
     ]
-    fit = flown.fit
-    changed = []
+    fit, changed = flown.fit, []
     for name, estimate, sd in zip(fit.names, fit.estimate, fit.sd_corrected, strict=True):
         other, other_sd = found.estimates.get(name, (float(estimate), float(sd)))
         if abs(other - estimate) > MIN_DIFFERENCE * float((sd**2 + other_sd**2) ** 0.5):
             changed.append(f"{name} {plus_minus(other, other_sd)} (output error {plus_minus(estimate, sd)})")
-    sentences += _estimated_gusts(found)
     if changed:
         sentences.append(
             f"Parameters that process noise changes by more than {MIN_DIFFERENCE:g} standard errors: "
@@ -393,50 +337,43 @@ def process_noise_sentences(found: ProcessNoise, flown: TrajectoryFit) -> list[s
             f"Innovations are autocorrelated (neighbouring samples of {several(coloured)}): a disturbance, or an error "
             "of the model or of a sensor, is not modelled, and these standard errors are too small."
         )
-    return sentences + _predicted(found)
+    return sentences + predicted
 
 
 def prediction_sentences(found: OneStep) -> list[str]:
     """The share of each output inside its 95 % intervals, and whether predictions are calibrated."""
-    shares = {name: next(s for s in one.shares if s.level == LEVEL) for name, one in found.outputs.items()}
-    inside = several(f"{GREEK.get(name, name)} {_per_cent(share)}" for name, share in shares.items())
-    level = f"{100.0 * LEVEL:.0f} %"
-    return [f"One-step predictions: share of the samples inside their {level} intervals: {inside}.", _verdict(found)]
-
-
-def _predicted(found: ProcessNoise) -> list[str]:
-    return [] if found.one_step is None else prediction_sentences(found.one_step)
-
-
-def _per_cent(share: Share) -> str:
-    digits = 0 if share.sd >= 0.01 else 1
-    return f"{100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})"
-
-
-def _verdict(found: OneStep) -> str:
+    inside = []
+    for name, one in found.outputs.items():
+        share = next(s for s in one.shares if s.level == LEVEL)
+        digits = 0 if share.sd >= 0.01 else 1
+        inside.append(f"{symbol(name)} {100.0 * share.share:.{digits}f} % (± {100.0 * share.sd:.{digits}f})")
     if found.status == "undecided":
-        return "Whether they are calibrated is not decided: there are too few independent innovations."
-    if found.status == "calibrated":
-        return (
+        verdict = "Whether they are calibrated is not decided: there are too few independent innovations."
+    elif found.status == "calibrated":
+        verdict = (
             "They are calibrated: no share departs from its probability by more than chance, and innovations are not "
             "autocorrelated. Their noise was fitted to the same record."
         )
-    every = {GREEK.get(n, n): one.calibration for n, one in found.outputs.items()}
-    every["all outputs together"] = found.together.calibration
-    wrong = []
-    for kind, fault in FAULTS.items():
-        names = [name for name, calibration in every.items() if calibration is kind]
-        wrong += [fault.format(several(names))] if names else []
-    return f"They are not calibrated: {'; '.join(wrong)}."
+    else:
+        every = {symbol(name): one.calibration for name, one in found.outputs.items()}
+        every["all outputs together"] = found.together.calibration
+        faulty = {fault: [n for n, kind in every.items() if kind is wrong] for wrong, fault in FAULTS.items()}
+        listed = "; ".join(fault.format(several(names)) for fault, names in faulty.items() if names)
+        verdict = f"They are not calibrated: {listed}."
+    level = f"{100.0 * LEVEL:.0f} %"
+    return [
+        f"One-step predictions: share of the samples inside their {level} intervals: {several(inside)}.",
+        verdict,
+    ]
 
 
 def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
     """Chains that did not converge, and whether the samplers agree."""
-    return [*unfinished(posteriors), *agreement_of_engines(posteriors)]
+    return [*restraints.unfinished(posteriors), *restraints.agreement_of_engines(posteriors)]
 
 
 def _estimated_gusts(found: ProcessNoise) -> list[str]:
-    """Intensities of the gusts, and scale lengths of gusts with an intensity."""
+    """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
     estimated, undetected = [], []
     for name in (n for n in found.gusts if n.endswith("_gust")):
         (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
@@ -448,17 +385,12 @@ def _estimated_gusts(found: ProcessNoise) -> list[str]:
     sentences = [f"Estimated gusts, standard deviation: {several(estimated)}."] if estimated else []
     if undetected:
         sentences.append(f"No {' and no '.join(undetected)} gusts are distinguishable from noise of the states.")
-    return sentences + _buffet(found)
-
-
-def _buffet(found: ProcessNoise) -> list[str]:
-    """Intensity and correlation length of buffet, where the model has it."""
-    if "buffet" not in found.gusts:
-        return []
-    (intensity, sd), (length, length_sd) = found.gusts["buffet"], found.gusts["buffet_length"]
-    if intensity <= MIN_INTENSITY * sd:
-        return ["No buffet is distinguishable from noise of the states."]
-    return [
-        f"Buffet: the lift coefficient of fully separated flow fluctuates by {plus_minus(intensity, sd)} (standard "
-        f"deviation; correlated over {plus_minus(length, length_sd)} chords)."
-    ]
+    if "buffet" in found.gusts:
+        (intensity, sd), length = found.gusts["buffet"], found.gusts["buffet_length"]
+        sentences.append(
+            f"Buffet: the lift coefficient of fully separated flow fluctuates by {plus_minus(intensity, sd)} (standard "
+            f"deviation; correlated over {plus_minus(*length)} chords)."
+            if intensity > MIN_INTENSITY * sd
+            else "No buffet is distinguishable from noise of the states."
+        )
+    return sentences

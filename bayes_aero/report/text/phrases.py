@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +15,16 @@ from bayes_aero.diagnosis.result import Cause, Diagnosis, Tested, Verdict
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import number
 
+WORDS: dict[str, Any] = tomllib.loads(files("bayes_aero.report").joinpath("words.toml").read_text("utf-8"))
+"""The fixed sentences of reports."""
+
 GREEK = {"airspeed": "V", "alpha": "α", "theta": "θ", "altitude": "h", "beta": "β", "phi": "φ", "psi": "ψ"}
+
+SYMBOLS = {
+    "alpha": "α", "theta": "θ", "beta": "β", "elevator": "δe", "aileron": "δa", "rudder": "δr",
+    "airspeed": "V", "altitude": "h", "mach": "Mach", "thrust": "T",
+}  # fmt: skip
+"""Of channels, on an axis; `GREEK` are those of outputs."""
 
 FOR_PEOPLE = {
     "rad": ("deg", 180.0 / np.pi),
@@ -26,9 +38,7 @@ FOR_PEOPLE = {
 KINDS = {
     re.compile(r"channel (.+) was not recorded"): "because a channel was not recorded ({})",
     re.compile(r"channel (.+) does not move in this record"): "because a channel does not move ({})",
-    re.compile(
-        r"channel (.+) shows nothing but noise in this record"
-    ): "because a channel shows nothing but noise ({})",
+    re.compile("channel (.+) shows nothing but noise in this record"): "because a channel shows nothing but noise ({})",
     re.compile(r"the model has no (.+)"): "because the model lacks a parameter ({})",
 }
 """Reasons that name something, as the screening states them, and the words under which they are counted."""
@@ -48,6 +58,17 @@ def size_text(mean: float, sd: float, unit: str) -> str:
 def bracket(unit: str) -> str:
     """A unit as it stands behind a name on an axis."""
     return "[-]" if unit in ("1", "", "-") else f"[{unit}]"
+
+
+def symbol(output: str) -> str:
+    """An output as people read it: V for airspeed."""
+    return GREEK.get(output, output)
+
+
+def amounts(unit: str, *values: float) -> tuple[str, ...]:
+    """Two digits of each value (SI), then the unit in which people read it, with a space before it."""
+    shown, factor = for_people(unit)
+    return *(short(factor * x) for x in values), "" if shown == "1" else f" {shown}"
 
 
 def plain_unit(unit: str) -> str:
@@ -100,7 +121,13 @@ def several(items: Iterable[str]) -> str:
 
 def axis_label(output: str, unit: str) -> str:
     """An output with the unit in which people read it, from its SI unit."""
-    return f"{GREEK.get(output, output)} {bracket(for_people(unit)[0])}"
+    return f"{symbol(output)} {bracket(for_people(unit)[0])}"
+
+
+def channel_axis(channel: str) -> tuple[str, float]:
+    """A channel's symbol with the unit in which people read it, and the factor to that from SI."""
+    unit, factor = for_people(STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "N")
+    return f"{SYMBOLS.get(channel, channel)} {bracket(unit)}", factor
 
 
 def short(x: float) -> str:
@@ -111,30 +138,19 @@ def short(x: float) -> str:
 
 
 def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
-    """How many effects are not testable, by kind of reason; nothing where all are.
-
-    Args:
-        reasons: by effect, why it cannot be tested.
-    """
+    """How many effects are not testable, by kind of reason (`reasons` by effect); nothing where all are."""
     if not reasons:
         return []
-    counts: dict[str, int] = {}
-    named: dict[str, dict[str, None]] = {}
+    kinds: dict[str, tuple[int, set[str]]] = {}  # count, and the channels or parameters that are named
     for reason in reasons.values():
-        kind, things = _kind(reason)
-        counts[kind] = counts.get(kind, 0) + 1
-        named.setdefault(kind, {}).update(dict.fromkeys(things))
-    listed = [f"{n} {kind.format(several(sorted(named[kind])))}" for kind, n in counts.items()]
+        matches = ((words, pattern.fullmatch(reason)) for pattern, words in KINDS.items())
+        known = next(((words, match[1].split(", ")) for words, match in matches if match), None)
+        kind, things = known or (f"because {reason}".replace("{", "{{").replace("}", "}}"), [])
+        count, named = kinds.get(kind, (0, set()))
+        kinds[kind] = count + 1, named | set(things)
+    listed = [f"{n} {kind.format(several(sorted(named)))}" for kind, (n, named) in kinds.items()]
     are = "effects are" if len(reasons) > 1 else "effect is"
     return [f"{len(reasons)} {are} not testable on this record: {'; '.join(listed)}."]
-
-
-def _kind(reason: str) -> tuple[str, list[str]]:
-    """Under which words a reason is counted, and the channels or parameters that it names."""
-    for pattern, words in KINDS.items():
-        if found := pattern.fullmatch(reason):
-            return words, found[1].split(", ")
-    return f"because {reason}".replace("{", "{{").replace("}", "}}"), []
 
 
 # --- The headline of a diagnosis. It rests on causes that are confirmed, probable and of plausible size.
@@ -175,8 +191,12 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
         if d.unknown
         else "no term of the library describes structure outside the catalogue"
     )
-    if tested.beyond:
-        rest = f"Errors larger than the sensor noise remain ({_remaining(tested)}); {sought}."
+    if tested.beyond:  # on hold-out flights where there are any
+        unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
+        sizes = {n: one.unseen if unseen else one.fitted for n, one in tested.outputs.items() if one.beyond}
+        listed = several(f"{symbol(name)} {_rms(name, x)}" for name, x in sizes.items())
+        where = f"{'on hold-out flights, ' if unseen else ''}RMS: {listed}"
+        rest = f"Errors larger than the sensor noise remain ({where}); {sought}."
     elif tested.outputs:
         rest = f"The remaining error of the simulation is within the sensor noise; {sought}."
     else:
@@ -198,16 +218,8 @@ def _flown_verdict(d: Diagnosis, tested: Tested, sure: int, names: str, left: st
     return f"{first}{_doubtful(d)}. {rest}"
 
 
-def _remaining(tested: Tested) -> str:
-    """Outputs whose error exceeds the noise, on hold-out flights where there are any."""
-    unseen = all(math.isfinite(tested.outputs[name].unseen) for name in tested.beyond)
-    where = "on hold-out flights, RMS" if unseen else "RMS"
-    listed = [
-        f"{GREEK.get(name, name)} {_size(name, one.unseen if unseen else one.fitted)}"
-        for name, one in tested.outputs.items()
-        if one.beyond
-    ]
-    return f"{where}: {several(listed)}"
+def _rms(output: str, value: float) -> str:
+    return "".join(amounts(STANDARD_CHANNELS[output].unit, value))
 
 
 def tested_sentences(d: Diagnosis) -> list[str]:
@@ -215,21 +227,16 @@ def tested_sentences(d: Diagnosis) -> list[str]:
     if d.tested is None or not d.tested.outputs:
         return []
     listed = [
-        f"{GREEK.get(name, name)} {_size(name, one.fitted)} (noise {_size(name, one.noise)})"
+        f"{symbol(name)} {_rms(name, one.fitted)} (noise {_rms(name, one.noise)})"
         for name, one in d.tested.outputs.items()
     ]
     text = f"The RMS error of the extended model, fitted to all flights, is {several(listed)}."
     if d.tested.beyond:
         text += (
-            f" More than half of the mean square error of {several(GREEK.get(n, n) for n in d.tested.beyond)} is not "
+            f" More than half of the mean square error of {several(map(symbol, d.tested.beyond))} is not "
             "noise. Possible causes are turbulence, a sensor error, or an effect that the model lacks."
         )
     return [text]
-
-
-def _size(output: str, value: float) -> str:
-    unit, factor = for_people(STANDARD_CHANNELS[output].unit)
-    return f"{short(factor * value)} {unit}"
 
 
 def _named(cause: Cause, sized: bool) -> str:
@@ -245,16 +252,12 @@ def _doubtful(d: Diagnosis) -> str:
     reasons: dict[str, list[str]] = {}
     for cause in d.causes:
         if not cause.sure:
-            reasons.setdefault(_why_not(cause), []).append(_named(cause, sized=False))
+            why = "named, but no more probable than its rivals"
+            if cause.bounded:
+                why = "at a parameter bound: suspect another cause"
+            elif cause.implausible:
+                why = "larger than on any aircraft: suspect another cause"
+            elif not cause.confirmed:
+                why = f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
+            reasons.setdefault(why, []).append(_named(cause, sized=False))
     return "".join(f"; {why}: {several(names)}" for why, names in reasons.items())
-
-
-def _why_not(cause: Cause) -> str:
-    """Why the verdict does not rest on a cause."""
-    if cause.bounded:
-        return "at a parameter bound: suspect another cause"
-    if cause.implausible:
-        return "larger than on any aircraft: suspect another cause"
-    if not cause.confirmed:
-        return f"named, but not {'confirmed' if math.isfinite(cause.missed[0]) else 'tested'} on hold-out data"
-    return "named, but no more probable than its rivals"

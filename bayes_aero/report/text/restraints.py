@@ -31,12 +31,7 @@ def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
 
 
 def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
-    """How far the posterior depends on priors that the record contradicts, and which others depend on priors.
-
-    Args:
-        table: of `prior_sensitivity`.
-        conflicts: the priors.
-    """
+    """How far the posterior depends on contradicted priors, and which others do, by `prior_sensitivity`'s table."""
     names = [c.name for c in conflicts if c.name in table.index]
     if not names:
         return ()
@@ -75,8 +70,8 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
         times = low if low == high else f"{low} to {high}"
         sentences.append(
             f"The record cannot separate {several(one.names)} ({listed}): if the others were known, each interval "
-            f"would be "
-            f"{times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a prior."
+            f"would be {times} times narrower. Fly manoeuvres that excite them differently, fix one, or give one a "
+            "prior."
         )
     return sentences
 
@@ -88,18 +83,11 @@ def _unit(unit: str) -> str:
 def sign_sentences(
     estimates: Mapping[str, tuple[float, float]], parameters: Iterable[Parameter], following: Sequence[str] = ()
 ) -> list[str]:
-    """A sentence for every estimate that is impossible for an aircraft.
-
-    Args:
-        estimates: value and standard error by name, in SI.
-        parameters: with the signs and limits that the effects declare.
-        following: surfaces that only follow the outputs; then estimates say nothing of signs in the file.
-    """
+    """A sentence for every estimate (value and standard error, SI) that is impossible for an aircraft."""
     asked = [(p, *estimates[p.name]) for p in parameters if p.name in estimates]
     wrong = [
         f"{p.name} = {value:+.4g} has the wrong sign: {p.sign.otherwise}. If the sign of {p.sign.channel} is reversed "
-        f"in the file, "
-        "write sign = -1 at that channel on the card."
+        "in the file, write sign = -1 at that channel on the card."
         for p, value, deviation in asked
         if p.sign is not None and not following and p.sign.side * value < -MIN_ERRORS * deviation
     ]
