@@ -13,11 +13,10 @@ from bayes_aero.cli.card import card
 from bayes_aero.cli.check import check
 from bayes_aero.cli.diagnose import diagnose
 from bayes_aero.cli.effects import effects
-from bayes_aero.cli.fly import fly
+from bayes_aero.cli.fly import fly, path
 from bayes_aero.cli.handover import export, qualify
 from bayes_aero.cli.handover import open as open_page
 from bayes_aero.cli.identify import identify
-from bayes_aero.cli.path import path
 from bayes_aero.cli.run import run
 from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone

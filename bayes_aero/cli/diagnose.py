@@ -4,58 +4,38 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bayes_aero.cli.terminal import (
     RECORDS,
     JsonOption,
-    ModelOption,
-    ResampleOption,
-    SeedOption,
-    SplitOption,
+    OutOption,
     bar,
     card_and_records,
-    exit_if_failed,
-    exit_in_doubt,
+    conclude,
     interruptible,
     kept_stages,
     loading,
-    print_doubts,
-    print_failures,
+    print_lines,
     teller,
+    with_options,
 )
-
-if TYPE_CHECKING:  # the real imports wait until the command needs them
-    from bayes_aero.jobs.io.diagnosis_json import Outcome
+from bayes_aero.jobs.options import DiagnoseOptions, ReadingOptions
 
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
+@with_options
 def diagnose(
+    reading: ReadingOptions,
+    options: DiagnoseOptions,
     records: Annotated[
         list[Path] | None,
         typer.Argument(help=f"{RECORDS}; none: an effect is hidden in two simulated manoeuvres, then searched for."),
     ] = None,
-    model: ModelOption = "attas",
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
-    seed: SeedOption = 0,
-    max_effects: Annotated[int, typer.Option(min=1, help="Effects that each stage may add to the model.")] = 8,
-    resample: ResampleOption = None,
-    split: SplitOption = False,
-    test_points: Annotated[
-        bool, typer.Option(help="Propose manoeuvres that decide what is open; fit causes in a band of frequencies.")
-    ] = True,
-    trajectories: Annotated[
-        bool, typer.Option(help="Simulate the card's and the extended model with the recorded inputs.")
-    ] = True,
-    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
-    process_noise: Annotated[
-        bool | None,
-        typer.Option(help="Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."),
-    ] = None,
+    out: OutOption = Path("diagnosis"),
     write_effect: Annotated[
         Path | None,
         typer.Option(
@@ -68,11 +48,14 @@ def diagnose(
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
-    (card, flights), hidden = card_and_records(model, records or [], resample, split), None
+    (card, flights), hidden = card_and_records(records or [], reading), None
     with loading():
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.io.effect_file import refuse_existing, write_effects
-        from bayes_aero.jobs.options import DiagnoseOptions
+        from bayes_aero.report.design import in_band_sentences, points_sentences
+        from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
+        from bayes_aero.report.tables.fly import hold_out_error_table
+        from bayes_aero.report.text.diagnosis import revealed, sentences
 
     if write_effect is not None:
         refuse_existing(write_effect)
@@ -80,46 +63,28 @@ def diagnose(
     with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
-            hidden, flights = hide_one(card, seed)
-        options = DiagnoseOptions(seed, max_effects, test_points, trajectories, figures, process_noise)
+            hidden, flights = hide_one(card, options.seed)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
-    told = None
-    if write_effect is not None:
-        told = write_effects(found.diagnosis.terms, [record.name for record in flights], write_effect)
-    corrects = found.diagnosis.by_coefficients  # trajectories alone are fitted to the record as it is
-    if json:
-        typer.echo((out / "diagnosis.json").read_text(encoding="utf-8"), nl=False)
-        exit_if_failed(found.failures)
-        exit_in_doubt(found.consistency, found.health, corrects=corrects)
-        return
-    print_failures(console, found.failures)
-    print_doubts(console, found.consistency, found.health, corrects=corrects)
-    _tell(console, found)
-    for line in (told, f"Results are in {out}"):
-        if line:
-            console.print(line, highlight=False, soft_wrap=True)
-    exit_if_failed(found.failures)
-    exit_in_doubt(found.consistency, found.health, corrects=corrects)
-
-
-def _tell(console: Console, found: Outcome) -> None:
-    from bayes_aero.report.design import in_band_sentences, points_sentences
-    from bayes_aero.report.tables.diagnosis_tables import causes_table, screen_table
-    from bayes_aero.report.tables.fly import hold_out_error_table
-    from bayes_aero.report.text.diagnosis import revealed, sentences
-
-    verdict, *rest = sentences(found.view)
     d, rankings = found.diagnosis, found.view.rankings
-    console.print(verdict, highlight=False, style="bold")
-    if d.causes or rankings:
-        first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
-        console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
-    if found.view.trajectories is not None:
-        console.print(hold_out_error_table(found.view.trajectories).terminal())
-    for sentence in (*rest, *in_band_sentences(found.in_band), *points_sentences(found.test_points)):
-        console.print(f"• {sentence}", highlight=False)
-    for note in found.notes:
-        console.print(f"! {note}", highlight=False)
-    if found.hidden is not None:
-        for sentence in revealed(found.hidden, found.named):
+    last = [f"Results are in {out}"]
+    if write_effect is not None:
+        last.insert(0, write_effects(d.terms, [record.name for record in flights], write_effect))
+
+    def show() -> None:
+        verdict, *rest = sentences(found.view)
+        console.print(verdict, highlight=False, style="bold")
+        if d.causes or rankings:
+            first = [replace(ranking, candidate_scores=ranking.candidate_scores[:MOST]) for ranking in rankings]
+            console.print((causes_table(d) if d.causes else screen_table(first, d)).terminal())
+        if found.view.trajectories is not None:
+            console.print(hold_out_error_table(found.view.trajectories).terminal())
+        more = (*in_band_sentences(found.in_band), *points_sentences(found.test_points))
+        print_lines(console, (*rest, *more), found.notes)
+        for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():
             console.print(sentence, highlight=False, style="bold")
+        for line in last:
+            console.print(line, highlight=False, soft_wrap=True)
+
+    # Trajectories alone are fitted to the record as it is.
+    file = out / "diagnosis.json" if json else None
+    conclude(console, found, show, json=file, corrects=d.by_coefficients)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,16 +17,16 @@ from bayes_aero.cli.terminal import JsonOption, exit_if_failed, print_failures, 
 SCHEMA = "bayes_aero/effects/1"
 
 
-def _names(incomplete: str) -> list[str]:
-    """Names for shell completion, loaded only where a name is completed."""
-    from bayes_aero.effects import CATALOGUE
-
-    return [name for name in CATALOGUE if name.startswith(incomplete)]
-
-
 def effects(
     name: Annotated[
-        str | None, typer.Argument(help="One effect to explain; none: all as a table.", autocompletion=_names)
+        str | None,
+        typer.Argument(
+            help="One effect to explain; none: all as a table.",
+            # The names are loaded only where one is completed.
+            autocompletion=lambda incomplete: [
+                n for n in import_module("bayes_aero.effects").CATALOGUE if n.startswith(incomplete)
+            ],
+        ),
     ] = None,
     model: Annotated[
         str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
@@ -48,22 +49,22 @@ def effects(
     found = [effect_facts(effect, card) for effect in chosen]
     failures: tuple[str, ...] = ()
     if out is not None:
-        from bayes_aero.jobs.catalogue_page import write_effects_page
+        from bayes_aero.jobs.catalogue import write_effects_page
 
         failures = write_effects_page(found, SCHEMA, card, out)
     if json:
         print_json({"schema": SCHEMA, "effects": found})
     elif name is None:
-        _table(found)
+        print_table(found)
     else:
-        _explained(found[0])
+        print_effect(found[0])
     if out is not None and not json:
         print_failures(teller(), failures)
         teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     exit_if_failed(failures)
 
 
-def _table(found: Sequence[Mapping[str, Any]]) -> None:
+def print_table(found: Sequence[Mapping[str, Any]]) -> None:
     """By kind; two lines an effect or more, so that 80 columns hold a row."""
     console = teller(highlight=True)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
@@ -89,7 +90,8 @@ def _table(found: Sequence[Mapping[str, Any]]) -> None:
     console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
 
 
-def _explained(effect: Mapping[str, Any]) -> None:
+def print_effect(effect: Mapping[str, Any]) -> None:
+    """Claim, formula, parameters with their priors, worked example, source."""
     from bayes_aero.report.text.check import facts, parameter_facts, unit_behind, worked
 
     console = teller(highlight=True)

@@ -1,4 +1,4 @@
-"""bayes-aero fly."""
+"""bayes-aero fly and bayes-aero path: fits to trajectories."""
 
 from __future__ import annotations
 
@@ -8,27 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bayes_aero.cli.terminal import (
-    FAILED,
     RECORDS,
-    FrequencyOption,
-    InitialState,
-    Inputs,
     JsonOption,
-    ModelOption,
-    ResampleOption,
-    SeedOption,
-    SplitOption,
+    OutOption,
     bar,
     card_and_records,
-    exit_if_failed,
-    exit_in_doubt,
+    conclude,
     interruptible,
     kept_stages,
     loading,
-    print_doubts,
-    print_failures,
+    print_lines,
     teller,
+    with_options,
 )
+from bayes_aero.jobs.options import FlyOptions, PathOptions, ReadingOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,54 +29,12 @@ if TYPE_CHECKING:
     from bayes_aero.jobs.io.fly_json import Flight
 
 
+@with_options
 def fly(
-    records: Annotated[
-        list[Path],
-        typer.Argument(help=f"{RECORDS}."),
-    ],
-    model: ModelOption = "attas",
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("trajectories"),
-    windows: Annotated[
-        float, typer.Option(help="Length of the windows that are fitted before whole manoeuvres, in s.")
-    ] = 12.0,
-    initial_state: Annotated[
-        InitialState,
-        typer.Option(
-            help="free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample."
-        ),
-    ] = InitialState.FREE,
-    priors: Annotated[
-        bool, typer.Option(help="--no-priors: a fit without priors of parameters and initial states.")
-    ] = True,
-    outputs: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,NAME", help="Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot."
-        ),
-    ] = None,
-    inputs: Annotated[
-        Inputs,
-        typer.Option(
-            help="Inputs between samples: linear, for recorded positions; held, for commands held until the next "
-            "sample."
-        ),
-    ] = Inputs.LINEAR,
-    process_noise: Annotated[
-        bool | None,
-        typer.Option(
-            help="Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts, or "
-            "if output error and the coefficients disagree."
-        ),
-    ] = None,
-    posterior: Annotated[
-        bool,
-        typer.Option("--posterior", help="With --process-noise: sample the posterior, too (NUTS and emcee)."),
-    ] = False,
-    frequency: FrequencyOption = None,
-    seed: SeedOption = 0,
-    resample: ResampleOption = None,
-    split: SplitOption = False,
-    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    records: Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")],
+    reading: ReadingOptions,
+    options: FlyOptions,
+    out: OutOption = Path("trajectories"),
     json: JsonOption = False,
 ) -> None:
     """Fit a card's model and the initial states to trajectories (output error), with the recorded inputs.
@@ -94,26 +45,54 @@ def fly(
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
-    card, flights = card_and_records(model, records, resample, split)
+    card, flights = card_and_records(records, reading)
     with loading():
-        from bayes_aero.jobs.fly import fly_records
+        from bayes_aero.jobs.fly import fly as job
         from bayes_aero.jobs.io.fly_json import RESULTS
-        from bayes_aero.jobs.options import FlyOptions
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:
-        chosen = (windows, initial_state.value, priors, outputs, inputs.value, seed, figures, process_noise, posterior)
-        options = FlyOptions(*chosen, frequency=frequency)
-        found = fly_records(flights, card, options, out=out, progress=tell)
-    if json:
-        typer.echo((out / RESULTS).read_text(encoding="utf-8"), nl=False)
-    print_failures(console, found.failures)
-    print_doubts(console, found.consistency, found.health, corrects=False)
-    print_fit(console, found, out)
-    if not found.flown.converged:
-        raise typer.Exit(FAILED)
-    exit_if_failed(found.failures)
-    exit_in_doubt(found.consistency, found.health, corrects=False)
+        found = job(flights, card, options, out=out, progress=tell)
+    file, failed = out / RESULTS if json else None, not found.flown.converged
+    conclude(console, found, lambda: print_fit(console, found, out), json=file, failed=failed)
+
+
+@with_options
+def path(
+    records: Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")],
+    reading: ReadingOptions,
+    options: PathOptions,
+    out: OutOption = Path("path"),
+    json: JsonOption = False,
+) -> None:
+    """Reconstruct the flight path: errors of sensors from accelerations and rates, without aerodynamics.
+
+    Recorded accelerations and rates are integrated. Their biases, scale and bias of flow angles and airspeed, the
+    position and delay of the vane and the wind are fitted to airspeed, flow angles, attitude and altitude by output
+    error. corrected/ has the records without these errors. Exit code 0: converged; 1: not; 3: a
+    channel is faulty.
+
+    With --process-noise gusts.csv has the gusts that vane and pitot tube met.
+
+    Example: bayes-aero path run1.csv run2.csv --model aircraft.toml --out path
+    """
+    card, flights = card_and_records(records, reading)
+    with loading():
+        from bayes_aero.jobs.io.fly_json import RESULTS
+        from bayes_aero.jobs.path import flight_path
+
+    console = teller(quiet=json, highlight=True)
+    with interruptible(kept_stages(out)), bar("reading") as tell:
+        found = flight_path(flights, card, options, out=out, progress=tell)
+    conclude(
+        console,
+        found,
+        lambda: print_fit(console, found, out),
+        json=out / RESULTS if json else None,
+        compared=False,
+        failed=not found.flown.converged,
+        doubtful=found.flown.worse,
+    )
 
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
@@ -128,20 +107,15 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
         process_noise_table,
     )
 
-    console.print(parameter_table(found.flown).terminal())
-    if found.flown.frequency:
-        console.print(beside_table(found.flown).terminal())
-    if found.process_noise is not None and found.process_noise.converged:
-        console.print(process_noise_table(found.process_noise, found.flown, found.posteriors).terminal())
-        if found.process_noise.one_step is not None:
-            console.print(one_step_table(found.process_noise.one_step, found.flown.units).terminal())
-    if found.posteriors:
-        console.print(posterior_table(found.posteriors).terminal())
-    console.print(error_table(found.flown).terminal())
-    if found.motion is not None and found.motion.modes:
-        console.print(mode_table(found.motion).terminal())
-    for sentence in found.sentences:
-        console.print(f"• {sentence}", highlight=False)
-    for note in found.notes:
-        console.print(f"! {note}", highlight=False)
+    flown, beside = found.flown, found.process_noise
+    tables = [parameter_table(flown), *([beside_table(flown)] if flown.frequency else [])]
+    if beside is not None and beside.converged:
+        tables.append(process_noise_table(beside, flown, found.posteriors))
+        tables += [] if beside.one_step is None else [one_step_table(beside.one_step, flown.units)]
+    tables += [posterior_table(found.posteriors)] if found.posteriors else []
+    tables.append(error_table(flown))
+    tables += [mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
+    for table in tables:
+        console.print(table.terminal())
+    print_lines(console, found.sentences, found.notes)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)

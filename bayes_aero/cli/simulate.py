@@ -9,10 +9,7 @@ import typer
 
 from bayes_aero.cli.terminal import (
     JsonOption,
-    Manoeuvre,
-    ModelOption,
     SeedOption,
-    SimulatedNoise,
     bar,
     exit_if_failed,
     interruptible,
@@ -22,6 +19,7 @@ from bayes_aero.cli.terminal import (
     teller,
 )
 from bayes_aero.errors import InputError
+from bayes_aero.jobs.options import Manoeuvre, SimulatedNoise
 
 
 def simulate(
@@ -30,11 +28,11 @@ def simulate(
         list[str] | None,
         typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit."),
     ] = None,
-    manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = Manoeuvre.RANDOM_STALL,
+    manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = "random_stall",
     noise: Annotated[
         SimulatedNoise,
         typer.Option(help="white: sensors; ar1: also coloured disturbances; buffet: these grow with separation."),
-    ] = SimulatedNoise.AR1,
+    ] = "ar1",
     noise_scale: Annotated[float, typer.Option(min=0.0, help="Factor on all noise.")] = 1.0,
     seed: SeedOption = 0,
     duration: Annotated[float | None, typer.Option(help="Seconds; default 90 (random_stall) or 60.")] = None,
@@ -42,7 +40,7 @@ def simulate(
     airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
     altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
     amplitude: Annotated[float, typer.Option(help="Factor on the inputs of a standard manoeuvre.")] = 1.0,
-    model: ModelOption = "attas",
+    model: Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")] = "attas",
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
     json: JsonOption = False,
@@ -59,34 +57,22 @@ def simulate(
     with loading():
         from bayes_aero.flight.card.card import read_card
         from bayes_aero.jobs.catalogue import known_effects
-        from bayes_aero.jobs.catalogue_page import parsed_effects
-        from bayes_aero.jobs.options import simulate_file
+        from bayes_aero.jobs.simulate import parsed_effects, simulate_file
         from bayes_aero.simulate.demo import Request
 
     card = read_card(model)
     known = known_effects(card)
-    request = Request(
-        parsed_effects(effect or [], known),
-        manoeuvre.value,
-        noise.value,
-        noise_scale,
-        seed,
-        duration,
-        dt,
-        airspeed,
-        altitude,
-        amplitude,
-    )
+    asked = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
+    request = Request(parsed_effects(effect or [], known), *asked)
     with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
         found, truth, failures = simulate_file(request, card, known, out, page=page)
     if json:
         print_json(truth)
         exit_if_failed(failures)
         return
-    console = teller()
-    record = found.record
+    console, record = teller(), found.record
     console.print(
-        f"{manoeuvre.value}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
+        f"{manoeuvre}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
         soft_wrap=True,
     )
     for name, values in request.effects.items():

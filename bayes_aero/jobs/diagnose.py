@@ -16,7 +16,6 @@ from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.trajectories import with_tested
 from bayes_aero.diagnosis.view.models import view_of
-from bayes_aero.diagnosis.view.results import DiagnosisView
 from bayes_aero.dynamics.simulated.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -51,7 +50,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
         and can_simulate(e)
         and e.kind is not Kind.NOISE
         and draw_hidden(np.random.default_rng(0), e.name)
-        and _absent(card, e.name)
+        and (e.name not in card.effects or e.absent_in(card.fixed))  # lacking, or held at neutral
     ]
     failure = InputError("no effect of the catalogue can be hidden")
     for name in rng.permutation(names)[:5]:
@@ -62,11 +61,6 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
             continue
         return effects, [flight.record for flight in flights]
     raise failure
-
-
-def _absent(card: Card, name: str) -> bool:
-    """Whether the card's model lacks an effect, or holds it at neutral."""
-    return name not in card.effects or CATALOGUE[name].absent_in(card.fixed)
 
 
 def diagnose_records(
@@ -88,7 +82,7 @@ def diagnose_records(
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
-    source = provenance(card, records, options.seed, _told(options), options)
+    source = provenance(card, records, options.seed, options.settings, options)
     if progress:
         progress("do the sensors agree?", 0.0)
     settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
@@ -98,23 +92,17 @@ def diagnose_records(
     known = None if alone else errors_of_diagnosis(found)
     checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(replace(found, following=only_following(checks.health)))
-    named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
+    named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept = ResultStore(outcome, out, card, records, source)
     for sentence in left_out:
         kept.note(sentence)
-    _stages(kept, records, card, options, progress)
+    follow_up(kept, records, card, options, progress)
     return kept.outcome
 
 
-def _told(options: DiagnoseOptions) -> dict[str, Any]:
-    """The settings on which the search rests."""
-    noise = options.process_noise
-    return {"max_effects": options.max_effects} | ({} if noise is None else {"process_noise": noise})
-
-
-def _stages(
+def follow_up(
     kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
 ) -> None:
     """What follows the search for causes, the trajectories beside all the rest; then the page."""
@@ -133,7 +121,11 @@ def _stages(
                 lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),
             )
         if diagnosis.compared == TRAJECTORIES:
-            kept.judged(_judged(kept.outcome.view, records, card))
+            # By trajectories alone hold-out flights and the sensors' noise judge the causes.
+            if (flown := kept.outcome.view.trajectories) is not None:
+                held = {name for names in flown.held.values() for name in names}
+                diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
+            kept.judged(with_tested(diagnosis, flown, records, card))
             if not options.trajectories and diagnosis.causes:
                 kept.note("Without trajectories no cause was tested on hold-out flights.")
         elif (flown := kept.outcome.view.trajectories) and (
@@ -148,17 +140,8 @@ def _stages(
         kept.put_page(drawn)
 
 
-def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
-    """A diagnosis by trajectories alone with what hold-out flights and the sensors' noise say of it."""
-    flown = view.trajectories
-    found = view.diagnosis
-    if flown is not None:
-        held = {name for names in flown.held.values() for name in names}
-        found = judged_on_held_out_flights(found, flown.asked, held)
-    return with_tested(found, flown, records, card)
-
-
-def _found(diagnosis: Diagnosis, name: str) -> str:
+def place_of(diagnosis: Diagnosis, name: str) -> str:
+    """Where a hidden effect is in a diagnosis: first, named, ambiguous, minor or missed."""
     names = [c.name for c in diagnosis.causes]
     if name in names:
         return "first" if names[0] == name else "named"

@@ -28,9 +28,9 @@ from bayes_aero.inference.stall import stall_of_run
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
-from bayes_aero.jobs.options import IdentifyOptions, check_band
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.flights import fly_identified, left_out_of_many, pooled_manoeuvres
+from bayes_aero.jobs.steps.flights import check_band, fly_identified, left_out_of_many, pooled_manoeuvres
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.joined_records import on_recorded_axes
@@ -96,13 +96,13 @@ class _Job:
         self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
         self.model = Model.from_card(card)
         self.repaired, self.spikes = repaired(records)
-        self.observations = observe(self.repaired, card, self.model, options.forming)
+        self.observations = observe(self.repaired, card, self.model, Forming(options.coefficients))
         self.seconds: dict[str, float] = {}
-        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told, options))
+        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.settings, options))
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any) -> tuple[Any, tuple[str, ...]]:
         """What `do` returns or, if it fails unexpectedly, `otherwise` and the reason."""
-        return attempted(what, do, otherwise, folder=self.out, own=bool(self.card.effect_files))
+        return attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
 
     def add(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
         """Put more into the run."""
@@ -122,7 +122,8 @@ class _Job:
 
     def fit(self, truth: Mapping[str, float] | None) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
-        model, observations, seed, forming = self.model, self.observations, self.options.seed, self.options.forming
+        model, observations, seed = self.model, self.observations, self.options.seed
+        forming = Forming(self.options.coefficients)
         with self.timed("do the sensors agree?"):
             checks = record_checks(self.records, self.card, seed, self.out)
             failures = checks.failures
@@ -147,7 +148,7 @@ class _Job:
             model,
             tuple(self.records),
             observations,
-            self.options.noise,
+            Colour(self.options.noise),
             mle,
             alone,
             {},
@@ -165,9 +166,8 @@ class _Job:
     def fit_in_band(self, band: Band) -> None:
         """The same parameters in the frequency domain."""
         with self.timed("frequency domain"):
-            found = coefficients_in_band(
-                self.repaired, self.card, self.model, self.run.mle, band, seed=self.options.seed
-            )
+            seed = self.options.seed
+            found = coefficients_in_band(self.repaired, self.card, self.model, self.run.mle, band, seed=seed)
         self.add(frequency_sentences(found), frequency=found)
         self.files.stage(self.run)
 
@@ -191,44 +191,37 @@ class _Job:
         self.files.stage(self.run)
 
     def sample(self) -> None:
-        """The posteriors, one after the other."""
-        for key, colour, engine in _plan(self.options.noise):
-            with self.timed(key):
-                sampled, failed = self.attempt(
-                    f"The posterior by {key} under {colour.value} noise was not sampled",
-                    partial(self._sampled, key, colour, engine),
-                    None,
-                )
-            self.add((), failed)
-            if sampled is not None:
-                posterior, told = sampled
-                self.add(told, posteriors=self.run.posteriors | {key: posterior})
-                self.files.stage(self.run, posterior_name=key)
+        """The posteriors, one after the other, with what is said of their other modes and of priors they lean on."""
+        seed = self.options.seed
+        for key, colour, engine in posterior_plan(Colour(self.options.noise)):
 
-    def _sampled(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
-        """A posterior, with what is said of its other modes and of the priors that it leans on."""
-        run, seed = self.run, self.options.seed
-        density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-        mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-        posterior = engine(density, mode, seed=seed, progress=self.progress)
-        told = other_modes(mode, f"{key}, {colour.value} noise")
-        if run.mle.conflicts and key == "emcee":
-            told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
-        return posterior, told
+            def sampled(
+                key: str = key, colour: Colour = colour, engine: Any = engine
+            ) -> tuple[Posterior, tuple[str, ...]]:
+                run = self.run
+                density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+                mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+                posterior = engine(density, mode, seed=seed, progress=self.progress)
+                told = other_modes(mode, f"{key}, {colour.value} noise")
+                if run.mle.conflicts and key == "emcee":
+                    told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
+                return posterior, told
+
+            what = f"The posterior by {key} under {colour.value} noise was not sampled"
+            with self.timed(key):
+                found, failed = self.attempt(what, sampled, None)
+            self.add((), failed)
+            if found is not None:
+                self.add(found[1], posteriors=self.run.posteriors | {key: found[0]})
+                self.files.stage(self.run, posterior_name=key)
 
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood."""
-        o = self.options
-        training = Training(o.split, o.seed)
+        training = Training(self.options.split, self.options.seed)
+        asked = (self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress)
         try:
             with self.timed("gp"):
-                report, failed = self.attempt(
-                    "Gaussian process left out",
-                    lambda: validate(
-                        self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress
-                    ),
-                    None,
-                )
+                report, failed = self.attempt("Gaussian process left out", partial(validate, *asked), None)
             self.add(() if report is None else report.left_out, failed, gp=report)
         except InputError as error:  # too large for the exact process: said, and the rest stands
             self.add((f"Gaussian process left out: {error}",))
@@ -252,18 +245,16 @@ class _Job:
             self.add((), failed)
         self.files.stage(self.run)
         if options.page and out is not None:
-            pictures = {p.stem: p for p in drawn}
+            shown = (self.files.source, {p.stem: p for p in drawn}, self.files.flown)
             with self.timed("report"):
-                failed = put_page(
-                    lambda: identification_page(self.run, self.files.source, pictures, self.files.flown), out
-                )
+                failed = put_page(lambda: identification_page(self.run, *shown), out)
             if failed:
                 self.add((), failed)
                 self.files.stage(self.run)
         self.files.remove_older(self.run, page=options.page, figures=options.figures)
 
 
-def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
+def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]

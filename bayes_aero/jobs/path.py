@@ -19,29 +19,25 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.card.toml_tables import is_file
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.writers import write_record
-from bayes_aero.jobs.fly import fly_records
+from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.jobs.io.output_folder import safe_name
-from bayes_aero.jobs.options import FREE, FlyOptions
+from bayes_aero.jobs.options import PathOptions, keywords
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.progress import Progress
 
-WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start
 CORRECTED = "corrected"
 WRITTEN, SCHEMA = "written.json", "bayes_aero/corrected/1"  # the files of the folder, with their hashes
 UNSAFE = r"[^\w.@+-]"  # in the name of a file
 
 
+@keywords(PathOptions)
 def flight_path(
     records: Sequence[FlightRecord],
     card: Card,
+    options: PathOptions = PathOptions(),
     *,
     out: Path | None = None,
-    initial_state: str = FREE,
-    priors: bool = True,
-    outputs: str | Sequence[str] | None = None,
-    process_noise: bool = False,
-    figures: bool = True,
     progress: Progress | None = None,
 ) -> Flight:
     """Reconstruct the flight path, as `bayes-aero path` does: errors of sensors by output error, without aerodynamics.
@@ -49,14 +45,9 @@ def flight_path(
     Args:
         records: flights, fitted jointly; biases of accelerometers and gyros and the wind are each flight's own.
         card: says where the accelerometer is. Errors of sensors that it states keep their values.
+        options: the settings; instead of them their names may be given, e.g. `process_noise=True`.
         out: a folder for trajectories.json, parameters.csv, figures, report.html and the corrected records; None writes
             nothing.
-        initial_state: "free", fitted for each manoeuvre, or "fixed": the first sample.
-        priors: False omits all priors.
-        outputs: names of the outputs that are compared, a list or separated by commas; default: all that were recorded
-            of airspeed, flow angles, attitude, heading and altitude.
-        process_noise: True fits again with gusts and noise of the states, by an extended Kalman filter.
-        figures: False draws none.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -68,28 +59,14 @@ def flight_path(
     Source:
         Klein and Morelli, Aircraft System Identification, 2006, ch. 10.
     """
-    options = FlyOptions(
-        WHOLE, initial_state, priors, outputs, figures=figures, process_noise=process_noise, flight_path=True
-    )
-    return path_records(records, card, options, out=out, progress=progress)
-
-
-def path_records(
-    records: Sequence[FlightRecord],
-    card: Card,
-    options: FlyOptions,
-    *,
-    out: Path | None = None,
-    progress: Progress | None = None,
-) -> Flight:
-    """`flight_path` with its options in one."""
     targets = [] if out is None else corrected_files(records, out / CORRECTED)
-    found = fly_records(records, card, options, out=out, progress=progress)
-    folder = None if out is None else out / CORRECTED
-    if folder is not None:  # records of an earlier run are none of this one, whatever comes of it
-        for left in written_before(folder):
-            left.unlink()
-    if folder is not None and found.flown.converged and not found.flown.worse:
+    found = fly(records, card, options.fly, out=out, progress=progress)
+    if out is None:
+        return found
+    folder = out / CORRECTED
+    for left in written_before(folder):  # records of an earlier run are none of this one, whatever comes of it
+        left.unlink()
+    if found.flown.converged and not found.flown.worse:
         folder.mkdir(exist_ok=True)
         for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
             write_record(record, target, card.channels)
@@ -99,11 +76,7 @@ def path_records(
 
 
 def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]:
-    """Where the corrected records go, a file each.
-
-    Raises:
-        InputError: such a file is there that this command did not write, or that has changed since.
-    """
+    """Where the corrected records go, a file each; `InputError` for one that this command did not write as it is."""
     own, found = written_before(folder), []
     for record in records:
         name = safe_name(re.sub(UNSAFE, "_", record.name))

@@ -5,6 +5,7 @@ import json
 import shutil
 from importlib import resources
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,13 +13,13 @@ import xarray as xr
 from calling import answer, recorded, refused, succeeded
 
 import bayes_aero.jobs.diagnose as job
-from bayes_aero.cli.terminal import ExportForm
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.export.jsbsim import jsbsim_files
 from bayes_aero.flight.card.card import shipped_cards
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.jobs.fitted import read_identified
+from bayes_aero.jobs.options import ExportForm
 
 
 @pytest.fixture
@@ -60,7 +61,7 @@ def change(path, **changes):
 
 
 def test_the_choices_are_the_forms_and_help_names_them(program):
-    assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables"]
+    assert list(get_args(ExportForm)) == list(FORMS) == ["jsbsim", "fmu", "tables"]
     text = program("export", "--help").out
     assert all(word in text for word in (*FORMS, "--draws", "--seed", "--out", "--model", "--json", "MODEL"))
 

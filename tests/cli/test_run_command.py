@@ -183,7 +183,7 @@ def test_the_summary_and_the_environment(program, folder):
 
 def test_units_are_real_work(program, folder, monkeypatch):
     """The runner around `identify`, maximum likelihood alone, so that it is quick."""
-    monkeypatch.setattr(job, "_plan", lambda _: [])
+    monkeypatch.setattr(job, "posterior_plan", lambda _: [])
     (folder / "study.toml").write_text(STUDY.replace("flights/*.csv", "flights/sound.csv"))
     succeeded(program("run", "study.toml", "--json"))
     (unit,) = (folder / "study_results" / "units").iterdir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -53,13 +54,9 @@ class ResultStore:
         self._grow(view={"diagnosis": found})
         self._put_tables()
 
-    def stalls(self, view: View) -> None:
-        """Keep the stalls of a view of the same diagnosis."""
-        self._grow(view={"stalls": view.stalls})
-
-    def holdout(self, view: View) -> None:
-        """Keep the scores by manoeuvre of a view of the same diagnosis."""
-        self._grow(view={"holdout": view.holdout})
+    def shown(self, view: View, part: str) -> None:
+        """Keep a part of a view of the same diagnosis: `stalls`, or `holdout`, the scores by manoeuvre."""
+        self._grow(view={part: getattr(view, part)})
 
     def test_points(self, found: Mapping[str, Any]) -> None:
         """Keep the test points that decide what is open."""
@@ -76,12 +73,7 @@ class ResultStore:
         self._grow(notes=notes)
 
     def attempt(self, what: str, do: Callable[[], None]) -> None:
-        """Do what may fail: for bad input it is left out and noted, and anything else is a failure.
-
-        Args:
-            what: that it was not done, the beginning of the sentence on why.
-            do: what keeps its own results.
-        """
+        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
         try:
             _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
         except InputError as error:
@@ -139,14 +131,10 @@ class ResultStore:
             return
         view = self.outcome.view
         flown = view.trajectories.paths if view.trajectories else ()
-        failed = put_histories(
-            lambda: {**(diagnosed(view) if isinstance(view, View) else {}), **flights(flown)},
-            self.path,
-        )
-        self.fail(failed)
+        by_coefficients = partial(diagnosed, view) if isinstance(view, View) else dict
+        self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
 
     def _write(self) -> None:
-        if self.path is None:
-            return
-        content = diagnosis_results(self.outcome, self._card, self._records, self._source)
-        write_json(content, self.path / "diagnosis.json")
+        if self.path is not None:
+            content = diagnosis_results(self.outcome, self._card, self._records, self._source)
+            write_json(content, self.path / "diagnosis.json")

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from bayes_aero.diagnosis.design import TestPoints, next_test_points
+from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.in_band import causes_in_band
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories
 from bayes_aero.diagnosis.view.models import with_holdout_scores, with_stalls
@@ -26,6 +24,7 @@ from bayes_aero.flight.aircraft import Envelope
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.result_store import ResultStore
+from bayes_aero.jobs.provenance import picked
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import ViewFigures, draw_all
@@ -48,9 +47,9 @@ def follow(
     view = kept.outcome.view
     if isinstance(view, View):
         tell("stall", 0.0)
-        kept.attempt("Stall left out", lambda: kept.stalls(with_stalls(view)))
+        kept.attempt("Stall left out", lambda: kept.shown(with_stalls(view), "stalls"))
         what = "Manoeuvres were not scored one by one"
-        kept.attempt(what, lambda: kept.holdout(with_holdout_scores(view)))
+        kept.attempt(what, lambda: kept.shown(with_holdout_scores(view), "holdout"))
     return drawings(kept, figures, tell)
 
 
@@ -72,69 +71,45 @@ SETS = 2  # ambiguity sets for which the manoeuvres are judged
 def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
     """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
     nothing to decide. Raises `InputError` if the model cannot be flown."""
-    sets = _open_sets(diagnosis)
+    sets = open_sets(diagnosis)
     if not sets:
         return {}
-    points = next_test_points(diagnosis.aerodynamics.state, sets, envelope, _usual(diagnosis).theta)
-    return _told(points, envelope)
-
-
-def _open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
-    """What the coefficients leave open: effects, and the sizes of their parameters."""
     state = diagnosis.aerodynamics.state
-    sets: dict[frozenset[str], dict[str, float]] = {}
-    effects = {e.name for e in state.full.candidates}
-    for cause in diagnosis.causes:
-        # A form is no effect that can be flown.
-        members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})
-        if len(members) > 1 and cause.stage == "coefficients":
-            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
-    known = {c.name: c.parameters for c in diagnosis.causes if c.stage == "coefficients"}
-    for pair in diagnosis.together:
-        if set(pair.effects) <= set(known):
-            sets = {
-                frozenset(pair.effects): {}
-            } | sets  # at the least sizes worth modelling: the estimates mean nothing
-    sets = dict(list(sets.items())[:SETS])
-    for one in diagnosis.absorbed:
-        parameters = {p.name: e.name for e in state.full.candidates for p in e.parameters}
-        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
-    return sets
-
-
-def _told(points: TestPoints, envelope: Envelope) -> dict[str, Any]:
-    """Plain data."""
+    theta = state.theta.copy()
+    for one in diagnosis.absorbed:  # at its usual value: as fitted, the control may do nothing
+        theta[state.full.columns([one.parameter])] = one.usual[0]
+    points = next_test_points(state, sets, envelope, theta)
+    rows = ("manoeuvre", "amplitude", "airspeed", "altitude", "seconds", "excursion")
     return {
         "questions": [
-            {"effects": list(q.effects), "enough": q.enough, "present": d}
-            for q, d in zip(points.questions, points.present, strict=True)
+            picked(q, "effects", "enough") | {"present": present}
+            for q, present in zip(points.questions, points.present, strict=True)
         ],
-        "points": [
-            {
-                "manoeuvre": p.manoeuvre,
-                "amplitude": p.amplitude,
-                "airspeed": p.airspeed,
-                "altitude": p.altitude,
-                "seconds": p.seconds,
-                "excursion": {name: list(pair) for name, pair in p.excursion.items()},
-                "standard_errors": list(p.expected),
-                "nats_per_second": p.rate,
-            }
-            for p in points.points
-        ],
-        "refused": dict(points.refused),
+        "points": [picked(p, *rows, "standard_errors=expected", "nats_per_second=rate") for p in points.points],
+        "refused": points.refused,
         "envelope": {name: [None if np.isinf(x) else x for x in pair] for name, pair in envelope.ranges.items()},
         "stated": list(envelope.stated),
     }
 
 
-def _usual(diagnosis: Diagnosis) -> SelectionState:
-    """The state with parameters of controls at rest at their usual values: as fitted, the control may do nothing."""
-    state = diagnosis.aerodynamics.state
-    theta = state.theta.copy()
+def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
+    """What the coefficients leave open: effects, and the sizes of their parameters."""
+    candidates = diagnosis.aerodynamics.state.full.candidates
+    sets: dict[frozenset[str], dict[str, float]] = {}
+    effects = {e.name for e in candidates}
+    for cause in diagnosis.causes:
+        members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})  # a form cannot be flown
+        if len(members) > 1 and cause.stage == "coefficients":
+            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    known = {c.name for c in diagnosis.causes if c.stage == "coefficients"}
+    for pair in diagnosis.together:
+        if set(pair.effects) <= known:  # at the least sizes worth modelling: the estimates mean nothing
+            sets = {frozenset(pair.effects): {}} | sets
+    sets = dict(list(sets.items())[:SETS])
+    parameters = {p.name: e.name for e in candidates for p in e.parameters}
     for one in diagnosis.absorbed:
-        theta[state.full.columns([one.parameter])] = one.usual[0]
-    return replace(state, theta=theta)
+        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
+    return sets
 
 
 def simulations(
@@ -155,23 +130,20 @@ class BackgroundJob(Generic[Result]):
     """A job that runs. Where it is will be shown from when it is waited for."""
 
     def __init__(self, pool: Executor, job: Callable[[Progress], Result], progress: Progress | None) -> None:
-        self._progress, self._stopped, self._waited = progress, Event(), Event()
-        self._running = pool.submit(job, self._tell)
+        self.stopped, self._waited = Event(), Event()
+
+        def tell(text: str, share: float) -> None:
+            if self.stopped.is_set():  # the job ends where it next tells where it is
+                raise CancelledError
+            if progress and self._waited.is_set():
+                progress(text, share)
+
+        self._running = pool.submit(job, tell)
 
     def result(self) -> Result:
         """What the job returns, or raises, once it has."""
         self._waited.set()
         return self._running.result()
-
-    def stop(self) -> None:
-        """End the job where it next tells where it is."""
-        self._stopped.set()
-
-    def _tell(self, text: str, share: float) -> None:
-        if self._stopped.is_set():
-            raise CancelledError
-        if self._progress and self._waited.is_set():
-            self._progress(text, share)
 
 
 @contextmanager
@@ -188,5 +160,5 @@ def in_background(
         try:
             yield running
         except BaseException:
-            running.stop()
+            running.stopped.set()
             raise
