@@ -193,19 +193,19 @@ def conclude(
     """
     from bayes_aero.report.text.check import consistency_sentences
 
-    failures = found.failures if failures is None else failures
+    failed_parts: Sequence[str] = found.failures if failures is None else failures
     agreement: Consistency | None = found.consistency if compared else None
     if json is not None:
         typer.echo(json.read_text(encoding="utf-8"), nl=False)
     else:
-        print_failures(console, failures)
+        print_failures(console, failed_parts)
         print_lines(console, (), [finding.sentence for finding in found.health])
         if agreement is not None:
             first, *rest = consistency_sentences(agreement, corrects=corrects)
             print_lines(console, *((), [first]) if agreement.disagrees else ([first],))
             print_lines(console, rest)
         show()
-    if failed or failures:
+    if failed or failed_parts:
         raise typer.Exit(FAILED)
     if doubtful:
         raise typer.Exit(DOUBT)

@@ -2,40 +2,304 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Event, Lock
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
+from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
-from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
+from bayes_aero.diagnosis.in_band import causes_in_band
+from bayes_aero.diagnosis.result import TRAJECTORIES, CausesInBand, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.trajectories import with_tested
-from bayes_aero.diagnosis.view.models import view_of
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
+from bayes_aero.diagnosis.view.models import view_of, with_holdout_scores, with_stalls
+from bayes_aero.diagnosis.view.results import View
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
 from bayes_aero.dynamics.simulated.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
+from bayes_aero.flight.aircraft import Envelope
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.compiled_programs import blas_threads, cores
-from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
+from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
 from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_store import ResultStore
+from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.post_processing import drawings, follow, in_background, simulations
+from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
+from bayes_aero.report.design import points_table
+from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
+from bayes_aero.report.html.page import put_page
+from bayes_aero.report.page_context import PageContext
+from bayes_aero.report.pages.diagnosis import diagnosis_page
+from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
+from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.diagnosis import revealed
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
+
+
+class ResultStore:
+    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
+
+    def __init__(
+        self,
+        outcome: Outcome,
+        path: Path | None,
+        card: Card,
+        records: Sequence[FlightRecord],
+        source: Mapping[str, Any],
+    ) -> None:
+        self.outcome, self.path = outcome, path
+        self._card, self._records, self._source, self._lock = card, records, source, Lock()
+        self._put_tables()
+        self._write()
+        self._put_histories()
+
+    def trajectories(self, found: Trajectories) -> None:
+        """Keep simulated trajectories."""
+        self._grow(view={"trajectories": found})
+        self._put_histories()
+
+    def judged(self, found: Diagnosis) -> None:
+        """Keep the diagnosis with what hold-out flights say of its causes."""
+        self._grow(view={"diagnosis": found})
+        self._put_tables()
+
+    def shown(self, view: View, part: str) -> None:
+        """Keep a part of a view of the same diagnosis: `stalls`, or `holdout`, the scores by manoeuvre."""
+        self._grow(view={part: getattr(view, part)})
+
+    def test_points(self, found: Mapping[str, Any]) -> None:
+        """Keep the test points that decide what is open."""
+        self._grow(test_points=found)
+        if self.path is not None and found.get("points"):
+            write_csv(points_table(found), self.path / "test_points.csv")
+
+    def in_band(self, found: CausesInBand | None) -> None:
+        """Keep the sizes of the causes in a band of frequencies."""
+        self._grow(in_band=found)
+
+    def note(self, *notes: str) -> None:
+        """Keep what was left out, and why."""
+        self._grow(notes=notes)
+
+    def attempt(self, what: str, do: Callable[[], None]) -> None:
+        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
+        try:
+            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
+        except InputError as error:
+            self.note(f"{what}: {error}")
+        else:
+            self.fail(failed)
+
+    def fail(self, failures: Sequence[str]) -> None:
+        """Keep what failed unexpectedly; none is nothing."""
+        if failures:
+            self._grow(failures=failures)
+
+    def put_page(self, drawn: Mapping[str, Path]) -> None:
+        """report.html with the figures `drawn`; a note says why if there is none."""
+        outcome = self.outcome
+        told = PageContext(
+            self._card,
+            self._records,
+            self._source,
+            drawn,
+            outcome.test_points,
+            outcome.in_band,
+            revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
+            outcome.notes,
+            outcome.consistency,
+            outcome.failures,
+            outcome.health,
+        )
+        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path))
+
+    def _grow(
+        self,
+        notes: Sequence[str] = (),
+        failures: Sequence[str] = (),
+        view: Mapping[str, Any] | None = None,
+        **changes: Any,
+    ) -> None:
+        with self._lock:
+            o = self.outcome
+            seen = replace(o.view, **view) if view else o.view
+            more = {"notes": (*o.notes, *notes), "failures": (*o.failures, *failures)}
+            self.outcome = replace(o, view=seen, **more, **changes)
+            self._write()
+
+    def _put_tables(self) -> None:
+        if self.path is not None:
+            found = self.outcome.diagnosis
+            write_csv(causes_table(found), self.path / "causes.csv")
+            write_csv(changes_table(found), self.path / "changes.csv")
+            write_csv(terms_table(found), self.path / "terms.csv")
+            write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
+
+    def _put_histories(self) -> None:
+        if self.path is None:
+            return
+        view = self.outcome.view
+        flown = view.trajectories.paths if view.trajectories else ()
+        by_coefficients = partial(diagnosed, view) if isinstance(view, View) else dict
+        self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
+
+    def _write(self) -> None:
+        if self.path is not None:
+            content = diagnosis_results(self.outcome, self._card, self._records, self._source)
+            write_json(content, self.path / "diagnosis.json")
+
+
+def follow(
+    kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
+) -> dict[str, Path]:
+    """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
+
+    Returns the figures drawn, by name.
+    """
+    found = kept.outcome.diagnosis
+    if test_points:
+        what = "Test points that would decide what is open were not chosen"
+        kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
+        kept.attempt("Causes were not fitted in a band of frequencies", lambda: kept.in_band(causes_in_band(found)))
+    if kept.path is None:
+        return {}
+    view = kept.outcome.view
+    if isinstance(view, View):
+        tell("stall", 0.0)
+        kept.attempt("Stall left out", lambda: kept.shown(with_stalls(view), "stalls"))
+        what = "Manoeuvres were not scored one by one"
+        kept.attempt(what, lambda: kept.shown(with_holdout_scores(view), "holdout"))
+    return drawings(kept, figures, tell)
+
+
+def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
+    """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
+    view = kept.outcome.view
+    if not figures or kept.path is None or not isinstance(view, View):
+        return {}
+    written, failed = draw_all(figures, view, kept.path / "figures", tell)
+    kept.fail(failed)
+    return {path.stem: path for path in written}
+
+
+# --- What follows from a diagnosis: the flights that would settle what it left open, and simulated ones.
+
+SETS = 2  # ambiguity sets for which the manoeuvres are judged
+
+
+def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
+    """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
+    nothing to decide. Raises `InputError` if the model cannot be flown."""
+    sets = open_sets(diagnosis)
+    if not sets:
+        return {}
+    state = diagnosis.aerodynamics.state
+    theta = state.theta.copy()
+    for one in diagnosis.absorbed:  # at its usual value: as fitted, the control may do nothing
+        theta[state.full.columns([one.parameter])] = one.usual[0]
+    points = next_test_points(state, sets, envelope, theta)
+    rows = ("manoeuvre", "amplitude", "airspeed", "altitude", "seconds", "excursion")
+    return {
+        "questions": [
+            picked(q, "effects", "enough") | {"present": present}
+            for q, present in zip(points.questions, points.present, strict=True)
+        ],
+        "points": [picked(p, *rows, "standard_errors=expected", "nats_per_second=rate") for p in points.points],
+        "refused": points.refused,
+        "envelope": {name: [None if np.isinf(x) else x for x in pair] for name, pair in envelope.ranges.items()},
+        "stated": list(envelope.stated),
+    }
+
+
+def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
+    """What the coefficients leave open: effects, and the sizes of their parameters."""
+    candidates = diagnosis.aerodynamics.state.full.candidates
+    sets: dict[frozenset[str], dict[str, float]] = {}
+    effects = {e.name for e in candidates}
+    for cause in diagnosis.causes:
+        members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})  # a form cannot be flown
+        if len(members) > 1 and cause.stage == "coefficients":
+            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    known = {c.name for c in diagnosis.causes if c.stage == "coefficients"}
+    for pair in diagnosis.together:
+        if set(pair.effects) <= known:  # at the least sizes worth modelling: the estimates mean nothing
+            sets = {frozenset(pair.effects): {}} | sets
+    sets = dict(list(sets.items())[:SETS])
+    parameters = {p.name: e.name for e in candidates for p in e.parameters}
+    for one in diagnosis.absorbed:
+        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
+    return sets
+
+
+def simulations(
+    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
+) -> Trajectories:
+    """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+    flights = despiked(join(records, card, FLIGHT))[0]
+    return compare_trajectories(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)
+
+
+# --- A job beside others: on the core that they leave free, and stopped when they are.
+
+Result = TypeVar("Result")
+
+
+class BackgroundJob(Generic[Result]):
+    """A job that runs. Where it is will be shown from when it is waited for."""
+
+    def __init__(self, pool: Executor, job: Callable[[Progress], Result], progress: Progress | None) -> None:
+        self.stopped, self._waited = Event(), Event()
+
+        def tell(text: str, share: float) -> None:
+            if self.stopped.is_set():  # the job ends where it next tells where it is
+                raise CancelledError
+            if progress and self._waited.is_set():
+                progress(text, share)
+
+        self._running = pool.submit(job, tell)
+
+    def result(self) -> Result:
+        """What the job returns, or raises, once it has."""
+        self._waited.set()
+        return self._running.result()
+
+
+@contextmanager
+def in_background(
+    job: Callable[[Progress], Result], progress: Progress | None = None
+) -> Iterator[BackgroundJob[Result]]:
+    """Run `job` in a thread of its own while the block lasts, and until it ends.
+
+    The job is handed a function to be told where it is. There it ends if the block fails: Ctrl-C does not wait for its
+    whole length.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        running = BackgroundJob(pool, job, progress)
+        try:
+            yield running
+        except BaseException:
+            running.stopped.set()
+            raise
 
 
 def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:

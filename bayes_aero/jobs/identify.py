@@ -11,14 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
+from bayes_aero.diagnosis.trajectories.histories import fly_given
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.pooled import check_manoeuvres
+from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.pooled import check_manoeuvres, next_flight
+from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.calibration import pit_of, prior_sensitivity
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
@@ -30,9 +35,9 @@ from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.flights import check_band, fly_identified, left_out_of_many, pooled_manoeuvres
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
 from bayes_aero.model.density import Density
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
@@ -42,8 +47,9 @@ from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.frequency import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.text.restraints import leaning_sentences
-from bayes_aero.residuals.frequency_error import Band
+from bayes_aero.residuals.frequency_error import Band, lines_in
 
 
 def identify(
@@ -89,7 +95,9 @@ class _Job:
         out: Path | None,
         progress: Progress | None,
     ) -> None:
-        check_band(options.frequency, records, card)
+        if options.frequency is not None:
+            for record in records:  # refuses a band in which it has no frequency
+                lines_in(options.frequency, record.n, record.dt, record.name)
         if options.next_flight:
             check_manoeuvres(len(records))
         card, self.left_out = on_recorded_axes(card, records)
@@ -258,3 +266,50 @@ def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
+
+
+# --- The identified model flown through the recorded inputs: what its coefficients' errors become on the way.
+
+
+def fly_identified(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, out: Path
+) -> tuple[tuple[SimulatedManoeuvre, ...], tuple[str, ...], tuple[str, ...]]:
+    """Every record from its measured initial state, notes and failures; nothing where a channel that drives it is
+    missing, with a note that says so."""
+    values, left_out = dict(zip(mle.names, map(float, mle.estimate), strict=True)), "The identified model was not flown"
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+
+    def flown() -> tuple[SimulatedManoeuvre, ...]:
+        return fly_given(despiked(join(records, card, FLIGHT))[0], model, values, bands)
+
+    try:
+        paths, failures = attempted(left_out, flown, (), out, own=bool(card.effect_files))
+    except InputError as error:
+        return (), (f"{left_out}: {error}",), ()
+    return paths, (), failures
+
+
+# --- Several manoeuvres of an identification: what they say of the next flight, and what is left out of many.
+
+
+def pooled_manoeuvres(
+    run: Identification, without_spikes: Sequence[FlightRecord], *, seed: int = 0, progress: Progress | None = None
+) -> NextFlight:
+    """Pool the manoeuvres of a run, without the bias of sensor noise; `without_spikes` are its records as fitted."""
+    alone = run.alone
+    if run.forming is Forming.MATCHED:  # the joint fit, beside which they stand, has no such bias either
+        alone = {
+            name: without_noise_bias(fit, [record], run.card, run.model, seed=seed)
+            for (name, fit), record in zip(alone.items(), without_spikes, strict=True)
+        }
+    return next_flight(run.model, run.observations, alone, seed=seed, progress=progress)
+
+
+def left_out_of_many(manoeuvres: int) -> tuple[str, ...]:
+    """What is left out because there are so many."""
+    said = []
+    if manoeuvres > MAX_SEPARATE_FITS:
+        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
+    if manoeuvres > MOST_MANOEUVRES:
+        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
+    return tuple(said)

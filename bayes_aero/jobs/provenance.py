@@ -91,7 +91,7 @@ def named_pairs(pairs: Mapping[str, tuple[float, float]], *keys: str) -> dict[st
 
 
 def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
+    if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}

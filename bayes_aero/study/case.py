@@ -66,8 +66,9 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
         words = []
         for key in changed:
             own, before = here[key], made_from.get(key)
-            parts = isinstance(own, dict) and isinstance(before, dict)
-            names = sorted(n for n in {*own, *before} if own.get(n) != before.get(n)) if parts else []
+            names: list[str] = []
+            if isinstance(own, dict) and isinstance(before, dict):
+                names = sorted(n for n in {*own, *before} if own.get(n) != before.get(n))
             words.append(f"{key} {', '.join(names)}".strip().replace("_", " "))
         return CaseState("changed", "; ".join(words))
     for name, sha256 in files.items():
@@ -173,7 +174,7 @@ def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     from bayes_aero.jobs.identify import identify  # imported here, because a driver of a cluster needs none of these
 
     card = card_of(unit)
-    options = dict(unit.options) | {"seed": unit.seed}
+    options: dict[str, Any] = {**unit.options, "seed": unit.seed}
     reading = {"resample": options.pop("resample", None), "split": options.pop("split", False)}
     if "frequency" in options:
         options["frequency"] = tuple(map(float, options["frequency"]))

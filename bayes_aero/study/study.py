@@ -267,6 +267,7 @@ def checked_options(given: Any, task: str, where: str) -> dict[str, Any]:
         kind = OPTIONS[task][key]
         kind = get_args(kind)[0] if get_origin(kind) is UnionType else kind  # what may be left out is optional
         number = isinstance(value, int | float) and not isinstance(value, bool)
+        positive = isinstance(value, int | float) and value > 0
         pair = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
         bad = ""
         if get_origin(kind) is Literal:
@@ -279,7 +280,7 @@ def checked_options(given: Any, task: str, where: str) -> dict[str, Any]:
             bad = "" if pair else "write two frequencies in Hz, e.g. [0.1, 1.5]"
         elif not (number and (kind is float or isinstance(value, int))):
             bad = "write a number"
-        elif not value > 0:
+        elif not positive:
             bad = "it must be positive"
         if bad:
             raise InputError(f"{where}: option {key} is {value!r}; {bad}")

@@ -15,7 +15,7 @@ from calling import answer, holds, refused, succeeded
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 import bayes_aero
-from bayes_aero.cli.fly import fly
+from bayes_aero.cli.fits import fly
 from bayes_aero.errors import InputError
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs import identify as job
