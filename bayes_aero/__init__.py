@@ -32,8 +32,7 @@ _PUBLIC = {
     "flight.card.card": "Card read_card",
     "flight.record": "FlightRecord",
     "flight.writers": "write_record",
-    "jobs.fly": "fly",
-    "jobs.path": "flight_path",
+    "jobs.fly": "flight_path fly",
     "model.model": "Model",
     "parameter": "Parameter Prior",
 }
@@ -47,8 +46,7 @@ if TYPE_CHECKING:
     from bayes_aero.flight.card.card import Card, read_card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.flight.writers import write_record
-    from bayes_aero.jobs.fly import fly
-    from bayes_aero.jobs.path import flight_path
+    from bayes_aero.jobs.fly import flight_path, fly
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior
 

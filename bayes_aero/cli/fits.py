@@ -184,8 +184,8 @@ def path(
     """
     card, flights = card_and_records(records, reading)
     with loading():
+        from bayes_aero.jobs.fly import flight_path
         from bayes_aero.jobs.io.fly_json import RESULTS
-        from bayes_aero.jobs.path import flight_path
 
     console = teller(quiet=json, highlight=True)
     with interruptible(kept_stages(out)), bar("reading") as tell:

@@ -28,21 +28,10 @@ WIDTH = 100
 def export(
     given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
 ) -> tuple[Path, dict[str, Any]]:
-    """Write the model of a result or a card as `form`: jsbsim, fmu or tables.
+    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, with `draws`.
 
-    Args:
-        given: folder or file of a result of identify, fly or diagnose, or a card that states all values.
-        form: one of `FORMS`.
-        out: folder to make; default NAME_FORM in the working directory.
-        card: the card of the result, where it is not found by itself.
-        draws: how many draws of the parameters to write beside it.
-        seed: of the draws.
-
-    Returns:
-        The folder, and what export.json says.
-
-    Raises:
-        InputError: nothing can be exported, or the folder exists.
+    `out`: the folder to make; default NAME_FORM in the working directory. `card`: that of the result, where it is not
+    found by itself. Returns the folder, and what export.json says.
     """
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")

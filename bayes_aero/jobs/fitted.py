@@ -108,15 +108,8 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Pa
 def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
     """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
 
-    Args:
-        given: path of the folder or file, or the name of a shipped card.
-        card: the card of the result, where it is not found by itself.
-
-    Returns:
-        The model with its values; the folder of the result (None: a card) and the result itself.
-
-    Raises:
-        InputError: there is no such folder or card, the fit did not converge, or a parameter has no value.
+    `card`: that of the result, where it is not found by itself. Returns the model with its values, the folder of the
+    result (None: a card) and the result itself; `InputError` where the fit did not converge or has no value of all.
     """
     file = result_file(given)
     if file is None:

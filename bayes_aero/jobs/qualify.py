@@ -72,17 +72,9 @@ def qualify_result(
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[Qualification, tuple[str, ...]]:
-    """Qualify the model of a finished result of identify, fly or diagnose.
+    """Qualify the model of a finished result of identify, fly or diagnose, also by `tests` that were not fitted.
 
-    Args:
-        given: folder or file of the result.
-        tests: records that were not fitted, as further tests.
-        options: the settings.
-        out: folder for qualification.json, qualification.csv and qualification.html.
-        progress: called with a stage and the share of it that is done.
-
-    Returns:
-        The qualification, and a sentence on each part that could not be made.
+    Returns the qualification, and a sentence on each part that could not be made.
     """
     file = result_file(given)
     if file is None:

@@ -107,9 +107,6 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
 
     A card that names effect files is refused unless `trust_effects`: they are code, and the user has named only the
     study.
-
-    Raises:
-        InputError: the study is wrong.
     """
     raw, table = read_table(path, "study")
     where = f"study {path}"

@@ -17,7 +17,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs import path as job
+from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import Flight
 
 CARD = """

@@ -16,11 +16,7 @@ MOST_BYTES = 1 << 28
 
 
 def result_file(given: str) -> Path | None:
-    """The file of a result by its folder or its own path; None for a card.
-
-    Raises:
-        InputError: there is no result of this name.
-    """
+    """The file of a result by its folder or its own path; None for a card."""
     path = Path(given)
     if given in shipped_cards() or path.suffix == ".toml":
         return None
@@ -40,11 +36,7 @@ def result_file(given: str) -> Path | None:
 
 
 def read_result(file: Path) -> Mapping[str, Any]:
-    """What a result says.
-
-    Raises:
-        InputError: it is no result of identify, fly or diagnose.
-    """
+    """What a result of identify, fly or diagnose says."""
     try:
         if file.stat().st_size > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES} bytes")
