@@ -85,8 +85,7 @@ def run_unit(
     """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
 
     A pure function of its description and of the files that it names, so that another process can run it. Returns name,
-    state, seconds and error. A disk that cannot be written to is an `InputError`: no failure of the unit, which leaves no
-    file.
+    state, seconds and error. A disk that cannot be written to is an `InputError` and no failure of the unit.
     """
 
     def attempt(unit: Unit, out: Path) -> str:
