@@ -44,13 +44,9 @@ class Lengths:
     lateral_moment: float = 1.0
     span: float = 1.0
 
-    def of(self, length: Length) -> float:
-        """The factor of one of them."""
-        return getattr(self, length.name.lower())
-
     def times(self, parameter: Parameter) -> float:
         """What a parameter for the usual lengths is multiplied by."""
-        return math.prod(self.of(length) for length in parameter.lengths)
+        return math.prod(getattr(self, length.name.lower()) for length in parameter.lengths)
 
 
 USUAL = Lengths()

@@ -279,8 +279,7 @@ def print_effect(effect: Mapping[str, Any]) -> None:
 def simulate(
     out: Annotated[Path, typer.Option(help="File to write: .csv .parquet .nc .mat or .asc.")],
     effect: Annotated[
-        list[str] | None,
-        typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit."),
+        list[str] | None, typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit.")
     ] = None,
     manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = "random_stall",
     noise: Annotated[
@@ -333,8 +332,7 @@ def simulate(
         console.print(f"hidden effect: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
     for note in found.notes:
         console.print(f"! {note}")
-    console.print(f"The truth is in {out}.truth.json", soft_wrap=True)
-    if page:
-        console.print(f"The report is in {out}.report.html", soft_wrap=True)
+    for what, ending in (("truth", "truth.json"), *([("report", "report.html")] if page else [])):
+        console.print(f"The {what} is in {out}.{ending}", soft_wrap=True)
     print_failures(console, failures)
     exit_if_failed(failures)

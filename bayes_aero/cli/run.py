@@ -40,8 +40,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: STUDY_results, here.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the units and their state; do nothing.")] = False,
     trust_effects: Annotated[
-        bool,
-        typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first."),
+        bool, typer.Option("--trust-effects", help="Run the effect files (Python) of its cards; read them first.")
     ] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
@@ -94,12 +93,15 @@ def run(
         told, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
         code = print_outcome(console, folder, planned, told, verdict, unwritten)
     if json:
-        rows = [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]
-        about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
-        counts = dict(Counter(row["state"] for row in rows))
-        print_json({"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": rows})
-    if code:
-        raise typer.Exit(code)
+        print_json(study_results(asked, folder, [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]))
+    raise typer.Exit(code)
+
+
+def study_results(asked: Study, folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The study and its units as plain data."""
+    about = {"file": asked.path.name, "title": asked.title, "task": asked.task, "sha256": asked.sha256}
+    counts = dict(Counter(row["state"] for row in rows))
+    return {"schema": SCHEMA, "study": about, "out": str(folder), "counts": counts, "units": rows}
 
 
 def run_planned(

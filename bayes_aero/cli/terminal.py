@@ -180,16 +180,10 @@ def conclude(
 ) -> None:
     """Show what a job on records has found, faulty channels and disagreeing sensors first, and leave with its code.
 
-    Args:
-        console: for people.
-        found: has `health`, `consistency` and, where they are not given, `failures`.
-        show: prints all else.
-        json: the file to print on stdout instead, where --json is given.
-        corrects: whether the command takes known errors of sensors out by itself.
-        compared: whether the sensors were compared; where they were not, the fit answers whether they agree.
-        failures: parts of the job that failed unexpectedly.
-        failed: whether the result is of no use.
-        doubtful: whether it is in doubt whatever the records are.
+    `found` has `health`, `consistency` and, where they are not given, `failures`; `show` prints all else; `json` is the
+    file to print on stdout instead. `corrects`: the command takes known errors of sensors out by itself; `compared`:
+    the sensors were, else the fit answers whether they agree; `failed`: the result is of no use; `doubtful`: it is in
+    doubt whatever the records are.
     """
     from bayes_aero.report.text.check import consistency_sentences
 

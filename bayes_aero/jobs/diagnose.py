@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
 from bayes_aero.diagnosis.in_band import causes_in_band
-from bayes_aero.diagnosis.result import TRAJECTORIES, CausesInBand, Diagnosis
+from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
@@ -56,7 +56,7 @@ from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 
 class ResultStore:
-    """An outcome that grows, and diagnosis.json with it; `path` is the folder, if there is one."""
+    """An outcome that grows, and diagnosis.json with it, whichever thread found more; `path`: the folder, if any."""
 
     def __init__(
         self,
@@ -68,104 +68,59 @@ class ResultStore:
     ) -> None:
         self.outcome, self.path = outcome, path
         self._card, self._records, self._source, self._lock = card, records, source, Lock()
-        self._put_tables()
-        self._write()
-        self._put_histories()
+        self.keep(view={"diagnosis": outcome.diagnosis, "trajectories": outcome.view.trajectories})
 
-    def trajectories(self, found: Trajectories) -> None:
-        """Keep simulated trajectories."""
-        self._grow(view={"trajectories": found})
-        self._put_histories()
-
-    def judged(self, found: Diagnosis) -> None:
-        """Keep the diagnosis with what hold-out flights say of its causes."""
-        self._grow(view={"diagnosis": found})
-        self._put_tables()
-
-    def shown(self, view: View, part: str) -> None:
-        """Keep a part of a view of the same diagnosis: `stalls`, or `holdout`, the scores by manoeuvre."""
-        self._grow(view={part: getattr(view, part)})
-
-    def test_points(self, found: Mapping[str, Any]) -> None:
-        """Keep the test points that decide what is open."""
-        self._grow(test_points=found)
-        if self.path is not None and found.get("points"):
-            write_csv(points_table(found), self.path / "test_points.csv")
-
-    def in_band(self, found: CausesInBand | None) -> None:
-        """Keep the sizes of the causes in a band of frequencies."""
-        self._grow(in_band=found)
-
-    def note(self, *notes: str) -> None:
-        """Keep what was left out, and why."""
-        self._grow(notes=notes)
-
-    def attempt(self, what: str, do: Callable[[], None]) -> None:
-        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
-        try:
-            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
-        except InputError as error:
-            self.note(f"{what}: {error}")
-        else:
-            self.fail(failed)
-
-    def fail(self, failures: Sequence[str]) -> None:
-        """Keep what failed unexpectedly; none is nothing."""
-        if failures:
-            self._grow(failures=failures)
-
-    def put_page(self, drawn: Mapping[str, Path]) -> None:
-        """report.html with the figures `drawn`; a note says why if there is none."""
-        outcome = self.outcome
-        told = PageContext(
-            self._card,
-            self._records,
-            self._source,
-            drawn,
-            outcome.test_points,
-            outcome.in_band,
-            revealed(outcome.hidden, outcome.named) if outcome.hidden else (),
-            outcome.notes,
-            outcome.consistency,
-            outcome.failures,
-            outcome.health,
-        )
-        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(outcome.view, told), self.path))
-
-    def _grow(
+    def keep(
         self,
         notes: Sequence[str] = (),
         failures: Sequence[str] = (),
         view: Mapping[str, Any] | None = None,
         **changes: Any,
     ) -> None:
+        """Put more into the outcome and on disk: `notes` on what was left out, parts of its view, other parts."""
         with self._lock:
             o = self.outcome
             seen = replace(o.view, **view) if view else o.view
             more = {"notes": (*o.notes, *notes), "failures": (*o.failures, *failures)}
             self.outcome = replace(o, view=seen, **more, **changes)
-            self._write()
-
-    def _put_tables(self) -> None:
-        if self.path is not None:
-            found = self.outcome.diagnosis
-            write_csv(causes_table(found), self.path / "causes.csv")
-            write_csv(changes_table(found), self.path / "changes.csv")
-            write_csv(terms_table(found), self.path / "terms.csv")
-            write_csv(screen_table(self.outcome.view.rankings, found), self.path / "screen.csv")
-
-    def _put_histories(self) -> None:
+            if self.path is not None:
+                content = diagnosis_results(self.outcome, self._card, self._records, self._source)
+                write_json(content, self.path / "diagnosis.json")
         if self.path is None:
             return
-        view = self.outcome.view
-        flown = view.trajectories.paths if view.trajectories else ()
-        by_coefficients = partial(diagnosed, view) if isinstance(view, View) else dict
-        self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
+        if changes.get("test_points", {}).get("points"):
+            write_csv(points_table(changes["test_points"]), self.path / "test_points.csv")
+        if view and "diagnosis" in view:
+            found = view["diagnosis"]
+            tables = {"causes": causes_table(found), "changes": changes_table(found), "terms": terms_table(found)}
+            for name, table in (tables | {"screen": screen_table(seen.rankings, found)}).items():
+                write_csv(table, self.path / f"{name}.csv")
+        if view and "trajectories" in view:
+            flown = seen.trajectories.paths if seen.trajectories else ()
+            by_coefficients = partial(diagnosed, seen) if isinstance(seen, View) else dict
+            self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
 
-    def _write(self) -> None:
-        if self.path is not None:
-            content = diagnosis_results(self.outcome, self._card, self._records, self._source)
-            write_json(content, self.path / "diagnosis.json")
+    def fail(self, failures: Sequence[str]) -> None:
+        """Keep what failed unexpectedly; none is nothing."""
+        if failures:
+            self.keep(failures=failures)
+
+    def attempt(self, what: str, do: Callable[[], None]) -> None:
+        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
+        try:
+            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
+            self.fail(failed)
+        except InputError as error:
+            self.keep([f"{what}: {error}"])
+
+    def put_page(self, drawn: Mapping[str, Path]) -> None:
+        """report.html with the figures `drawn`; a note says why if there is none."""
+        o = self.outcome
+        names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
+        about: dict[str, Any] = {name: getattr(o, name) for name in names}
+        about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
+        told = PageContext(self._card, self._records, self._source, drawn, **about)
+        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(o.view, told), self.path))
 
 
 def follow(
@@ -178,16 +133,18 @@ def follow(
     found = kept.outcome.diagnosis
     if test_points:
         what = "Test points that would decide what is open were not chosen"
-        kept.attempt(what, lambda: kept.test_points(proposed_points(found, envelope)))
-        kept.attempt("Causes were not fitted in a band of frequencies", lambda: kept.in_band(causes_in_band(found)))
+        kept.attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
+        kept.attempt(
+            "Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found))
+        )
     if kept.path is None:
         return {}
     view = kept.outcome.view
     if isinstance(view, View):
         tell("stall", 0.0)
-        kept.attempt("Stall left out", lambda: kept.shown(with_stalls(view), "stalls"))
+        kept.attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
         what = "Manoeuvres were not scored one by one"
-        kept.attempt(what, lambda: kept.shown(with_holdout_scores(view), "holdout"))
+        kept.attempt(what, lambda: kept.keep(view={"holdout": with_holdout_scores(view).holdout}))
     return drawings(kept, figures, tell)
 
 
@@ -360,8 +317,7 @@ def diagnose_records(
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept = ResultStore(outcome, out, card, records, source)
-    for sentence in left_out:
-        kept.note(sentence)
+    kept.keep(left_out)
     follow_up(kept, records, card, options, progress)
     return kept.outcome
 
@@ -382,20 +338,20 @@ def follow_up(
         if options.trajectories:
             kept.attempt(
                 "Trajectories were not simulated",
-                lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),
+                lambda: kept.keep(view={"trajectories": simulations(diagnosis, card, records, options.seed, progress)}),
             )
         if diagnosis.compared == TRAJECTORIES:
             # By trajectories alone hold-out flights and the sensors' noise judge the causes.
             if (flown := kept.outcome.view.trajectories) is not None:
                 held = {name for names in flown.held.values() for name in names}
                 diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
-            kept.judged(with_tested(diagnosis, flown, records, card))
+            kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
             if not options.trajectories and diagnosis.causes:
-                kept.note("Without trajectories no cause was tested on hold-out flights.")
+                kept.keep(["Without trajectories no cause was tested on hold-out flights."])
         elif (flown := kept.outcome.view.trajectories) and (
             doubtful := sensors_not_missed(diagnosis, flown.asked)
         ).missed:
-            kept.judged(judged_on_held_out_flights(diagnosis, doubtful))
+            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
         drawn = following.result()
     if kept.path is not None:
         drawn |= drawings(kept, late, progress)

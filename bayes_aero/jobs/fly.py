@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, count
@@ -69,6 +69,7 @@ from bayes_aero.report.text.fly import (
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.frequency_error import lines_in
 
+UNFILTERED = "Process noise was not fitted, because output error did not converge."
 DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
 
 
@@ -122,24 +123,32 @@ def fly(
     source = provenance(card, records, options.seed, options.settings | chosen, options)
     (beside, sample), more = process_noise(flown, options, card, out, progress)
     notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
-    if options.process_noise and not flown.converged:
-        notes.append("Process noise was not fitted, because output error did not converge.")
+    notes += [UNFILTERED] if options.process_noise and not flown.converged else []
     moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
     hindered = usable_for(records, card).get("diagnose", "")
-    said = (
-        *gust_sentences(gusts, beside),
-        *settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
-        *(() if beside is None else process_noise_sentences(beside, flown)),
-        *fly_sentences(flown, hindered, disturbed=bool(options.process_noise)),
-        *disagreement_sentences(apart, hindered),
-        *motion_sentences(moves),
-    )
     failed = (*checks.failures, *failed, *more, *unmoved)
-    found = Flight(flown, said, tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
+    found = Flight(flown, (), tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
+    said = findings(found, gusts, hindered, disputed=disputed, disturbed=bool(options.process_noise))
+    found = replace(found, sentences=said)
     files = None if out is None else FlightFiles(out, card, records, source)
     if sample is not None:
         found = with_posterior(found, sample, card, out, files.put if files else lambda _: None)
-    return found if files is None else files.write(found, figures=options.figures, progress=progress)
+    return files.write(found, figures=options.figures, progress=progress) if files else found
+
+
+def findings(
+    found: Flight, gusts: Mapping[str, float], hindered: str, *, disputed: bool, disturbed: bool
+) -> tuple[str, ...]:
+    """The sentences on a fit; `hindered`: why diagnose cannot use the records, `disturbed`: with process noise."""
+    apart, beside = found.apart, found.process_noise
+    return (
+        *gust_sentences(gusts, beside),
+        *settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *(() if beside is None else process_noise_sentences(beside, found.flown)),
+        *fly_sentences(found.flown, hindered, disturbed=disturbed),
+        *disagreement_sentences(apart, hindered),
+        *motion_sentences(found.motion),
+    )
 
 
 class FlightFiles:
@@ -186,20 +195,10 @@ class FlightFiles:
         found = self._noted(found, said, failed) if said or failed else found
         if progress:
             progress("report", 0.95)
-        context = FlyContext(
-            self.card,
-            self.records,
-            self.source,
-            found.sentences,
-            found.notes,
-            {path.stem: path for path in drawn},
-            found.consistency,
-            found.failures,
-            found.health,
-            found.process_noise,
-            found.posteriors,
-            found.motion,
-        )
+        names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
+        told: dict[str, Any] = {name: getattr(found, name) for name in names}
+        pictures = {path.stem: path for path in drawn}
+        context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
         failed = put_page(lambda: fly_page(found.flown, context), self.out)
         return self._noted(found, (), failed) if failed else found
 

@@ -128,6 +128,19 @@ class _Job:
         if self.progress:
             self.progress(stage, 1.0)
 
+    def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
+        """What a stage returns, or None where it fails, which is told; for bad input by the form of a note `bad`."""
+        with self.timed(name):
+            try:
+                found, failed = self.attempt(left_out, do, None)
+                self.add((), failed)
+            except InputError as error:
+                if not bad:
+                    raise
+                found = None
+                self.add((bad.format(left_out, error),))
+        return found
+
     def fit(self, truth: Mapping[str, float] | None) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
         model, observations, seed = self.model, self.observations, self.options.seed
@@ -181,13 +194,8 @@ class _Job:
 
     def pool(self) -> None:
         """Partial pooling of the manoeuvres, and the next flight."""
-        with self.timed("next flight"):
-            do = partial(pooled_manoeuvres, self.run, self.repaired, seed=self.options.seed, progress=self.progress)
-            try:
-                found, failed = self.attempt("The next flight was left out", do, None)
-                self.add((), failed, next_flight=found)
-            except InputError as error:
-                self.add((f"The next flight was left out: {error}.",))
+        do = partial(pooled_manoeuvres, self.run, self.repaired, seed=self.options.seed, progress=self.progress)
+        self.add(next_flight=self.stage("next flight", "The next flight was left out", do, bad="{}: {}."))
         self.files.stage(self.run)
 
     def fly(self) -> None:
@@ -215,31 +223,22 @@ class _Job:
                     told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
                 return posterior, told
 
-            what = f"The posterior by {key} under {colour.value} noise was not sampled"
-            with self.timed(key):
-                found, failed = self.attempt(what, sampled, None)
-            self.add((), failed)
+            found = self.stage(key, f"The posterior by {key} under {colour.value} noise was not sampled", sampled)
             if found is not None:
                 self.add(found[1], posteriors=self.run.posteriors | {key: found[0]})
                 self.files.stage(self.run, posterior_name=key)
 
     def train_gp(self) -> None:
-        """Gaussian processes beside maximum likelihood."""
+        """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
         training = Training(self.options.split, self.options.seed)
         asked = (self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress)
-        try:
-            with self.timed("gp"):
-                report, failed = self.attempt("Gaussian process left out", partial(validate, *asked), None)
-            self.add(() if report is None else report.left_out, failed, gp=report)
-        except InputError as error:  # too large for the exact process: said, and the rest stands
-            self.add((f"Gaussian process left out: {error}",))
+        report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
+        self.add(() if report is None else report.left_out, gp=report)
         self.files.stage(self.run, gp_done=True)
 
     def find_stall(self) -> None:
         """CLmax and its angle from the first posterior that converged."""
-        with self.timed("stall"):
-            stall, failed = self.attempt("Stall left out", partial(stall_of_run, self.run), None)
-        self.add((), failed, stall=stall)
+        self.add(stall=self.stage("stall", "Stall left out", partial(stall_of_run, self.run)))
 
     def show(self) -> None:
         """Figures and the page; then nothing is left of earlier runs."""

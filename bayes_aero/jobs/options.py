@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_type_hints
 
 from bayes_aero.errors import InputError
 
@@ -37,37 +37,25 @@ DRAWS, FEWEST, MOST_DRAWS = 400, 100, 10_000  # of a qualification: with fewer n
 MOST_GUSTS = 20.0  # m/s
 MAX_SEED = 2**32 - 1  # that every generator takes
 
+Names = str | Sequence[str] | None  # a list, or separated by commas as on a command line
 Job = TypeVar("Job", bound=Callable[..., Any])
 
 
-def option(
-    default: Any,
-    help: str = "",
-    *,
-    name: str | None = "",
-    kind: Any = None,
-    study: bool = True,
-    setting: bool = False,
-    **row: Any,
-) -> Any:
+def option(default: Any, help: str = "", *, name: str | None = "", kind: Any = None, **row: Any) -> Any:
     """A field that is an option.
 
     Args:
         default: its value where it is not given.
         help: its text on the command line.
         name: on the command line, where the field's own name is taken; None: it is no option there.
-        kind: its type on the command line, where the field's is wider.
-        study: whether a study states it under [options].
-        setting: whether provenance names it among the settings on which the numbers rest.
+        kind: its type on the command line, where the field's is another.
         row: more of the command line's row: `min`, `max`, `metavar`, `flag` (a switch without its --no-).
     """
-    about = {"help": help, "name": name, "kind": kind, "study": study, "setting": setting, "row": row}
-    return field(default=default, metadata=about)
+    return field(default=default, metadata={"help": help, "name": name, "kind": kind, "row": row})
 
 
-def _seed(**more: Any) -> Any:
-    said = "Same seed, same command, same machine: same numbers."
-    return option(0, said, min=0, max=MAX_SEED, study=False, **more)
+def _seed() -> Any:
+    return option(0, "Same seed, same command, same machine: same numbers.", min=0, max=MAX_SEED)
 
 
 def _figures() -> Any:
@@ -76,30 +64,34 @@ def _figures() -> Any:
 
 def _frequency() -> Any:
     said = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
-    return option(None, said, metavar="LOW HIGH", setting=True)
+    return option(None, said, metavar="LOW HIGH")
 
 
 class Options:
     """Options of one command as a dataclass whose fields are made by `option`."""
 
+    SETTINGS: ClassVar[tuple[str, ...]] = ()  # on which the numbers rest: provenance names them
+    APART: ClassVar[tuple[str, ...]] = ("seed",)  # that a study does not state under [options]
+
     @property
     def settings(self) -> dict[str, Any]:
-        """Those on which the numbers rest, as provenance names them; what was left to the program is absent."""
-        chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.metadata["setting"]}  # type: ignore[arg-type]
+        """Those on which the numbers rest; what was left to the program is absent."""
+        chosen = {name: getattr(self, name) for name in self.SETTINGS}
         return {n: list(x) if isinstance(x, tuple) else x for n, x in chosen.items() if x is not None}
 
     @classmethod
     def kinds(cls) -> dict[str, Any]:
         """The type of each option as it is written on a command line or in a study."""
-        hints = get_type_hints(cls)
-        return {f.name: f.metadata["kind"] or hints[f.name] for f in fields(cls)}  # type: ignore[arg-type]
+        hints = {f.name: f.metadata["kind"] or get_type_hints(cls)[f.name] for f in fields(cls)}  # type: ignore[arg-type]
+        return {name: str | None if hint == Names else hint for name, hint in hints.items()}
 
 
 @dataclass(frozen=True)
 class ReadingOptions(Options):
     """The card, and how records are read."""
 
-    model: str = option("attas", "Card: a .toml file, or a shipped one by name.", study=False, metavar="CARD")
+    APART = ("model",)
+    model: str = option("attas", "Card: a .toml file, or a shipped one by name.", metavar="CARD")
     resample: float | None = option(None, "Interpolate records with uneven or several rates to this time step in s.")
     split: bool = option(False, "Gaps in time divide a file into manoeuvres.", flag=True)
 
@@ -115,18 +107,12 @@ class IdentifyOptions(Options):
     `frequency`: a band, Hz, in which the parameters are fitted, too.
     """
 
+    SETTINGS = ("noise", "split", "coefficients", "frequency")
+    APART = ("seed", "noise", "split")
     seed: int = _seed()
-    noise: NoiseName = option("buffet-ar1", "Noise model of the posterior.", study=False, setting=True)
-    coefficients: FormingName = option(
-        "matched", "Same filter for all signals (matched), or as the published results.", setting=True
-    )
-    split: SplitName = option(
-        "random",
-        "Split whose Gaussian-process hyperparameters are sampled.",
-        name="gp_split",
-        study=False,
-        setting=True,
-    )
+    noise: NoiseName = option("buffet-ar1", "Noise model of the posterior.")
+    coefficients: FormingName = option("matched", "Same filter for all signals (matched), or as the published results.")
+    split: SplitName = option("random", "Split whose Gaussian-process hyperparameters are sampled.", name="gp_split")
     frequency: tuple[float, float] | None = _frequency()
     sample: bool = option(True, "Sample the posterior; otherwise maximum likelihood with its bounds only.")
     gp: bool = option(True, "Train the Gaussian processes.")
@@ -147,17 +133,16 @@ class DiagnoseOptions(Options):
     are in gusts.
     """
 
+    SETTINGS = ("max_effects", "process_noise")
     seed: int = _seed()
-    max_effects: int = option(8, "Effects that each stage may add to the model.", min=1, setting=True)
+    max_effects: int = option(8, "Effects that each stage may add to the model.", min=1)
     test_points: bool = option(
         True, "Propose manoeuvres that decide what is open; fit causes in a band of frequencies."
     )
     trajectories: bool = option(True, "Simulate the card's and the extended model with the recorded inputs.")
     figures: bool = _figures()
     process_noise: bool | None = option(
-        None,
-        "Estimate gusts, and search in what a filter does not foresee; default: if there are gusts.",
-        setting=True,
+        None, "Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."
     )
 
 
@@ -183,37 +168,32 @@ class FlyOptions(Options):
         flight_path: the recorded accelerations and rates are flown, not the card's model.
     """
 
-    windows: float = option(12.0, "Length of the windows that are fitted before whole manoeuvres, in s.", setting=True)
+    SETTINGS = ("windows", "initial_state", "priors", "inputs", "posterior", "process_noise", "frequency")
+    APART = ("seed", "flight_path")
+    windows: float = option(12.0, "Length of the windows that are fitted before whole manoeuvres, in s.")
     initial_state: InitialStateName = option(
-        FREE,
-        "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample.",
-        setting=True,
+        FREE, "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample."
     )
-    priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.", setting=True)
-    outputs: str | Sequence[str] | None = option(
+    priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
+    outputs: Names = option(
         None,
         "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.",
-        kind=str | None,
         metavar="NAME,NAME",
     )
     inputs: InputsName = option(
         LINEAR,
         "Inputs between samples: linear, for recorded positions; held, for commands held until the next sample.",
-        setting=True,
     )
     process_noise: bool | None = option(
         None,
         "Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts, or if "
         "output error and the coefficients disagree.",
-        setting=True,
     )
-    posterior: bool = option(
-        False, "With --process-noise: sample the posterior, too (NUTS and emcee).", flag=True, setting=True
-    )
+    posterior: bool = option(False, "With --process-noise: sample the posterior, too (NUTS and emcee).", flag=True)
     frequency: tuple[float, float] | None = _frequency()
     seed: int = _seed()
     figures: bool = _figures()
-    flight_path: bool = option(False, name=None, study=False)
+    flight_path: bool = option(False, name=None)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
@@ -244,11 +224,8 @@ class PathOptions(Options):
 
     initial_state: InitialStateName = option(FREE, "free: fitted for each manoeuvre; fixed: the first sample.")
     priors: bool = option(True, "--no-priors: a fit without priors.")
-    outputs: str | Sequence[str] | None = option(
-        None,
-        "Outputs to compare, e.g. airspeed,alpha,theta; default: all recorded.",
-        kind=str | None,
-        metavar="NAME,NAME",
+    outputs: Names = option(
+        None, "Outputs to compare, e.g. airspeed,alpha,theta; default: all recorded.", metavar="NAME,NAME"
     )
     process_noise: bool = option(
         False,
@@ -275,9 +252,7 @@ class QualifyOptions(Options):
         None, "The card of the result, where it is not found by itself.", name="model", metavar="CARD"
     )
     fitted: tuple[Path, ...] = option(
-        (),
-        "A record of the result, where they are not found by themselves; once for each.",
-        kind=list[Path] | None,
+        (), "A record of the result, where they are not found by themselves; once for each.", kind=list[Path] | None
     )
     draws: int = option(DRAWS, "Flights drawn for every test.")
     gusts: float | None = option(

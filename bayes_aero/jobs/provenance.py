@@ -10,6 +10,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
@@ -144,17 +145,12 @@ def write_environment(out: Path) -> Path:
 
     Returns the folder that describes the present environment.
     """
-    first = out / "environment"
-    known = first / "environment.json"
-    own = environment_id()
-    folder = first
-    if known.is_file():
-        try:
-            same = json.loads(known.read_text(encoding="utf-8"))["id"] == own
-        except (ValueError, KeyError, TypeError, RecursionError):
-            same = False
-        if not same:
-            folder = out / f"environment-{own}"
+    folder, own = out / "environment", environment_id()
+    if (folder / "environment.json").is_file():
+        same = False
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            same = json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == own
+        folder = folder if same else out / f"environment-{own}"
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         here = environment()

@@ -10,7 +10,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
@@ -40,12 +40,7 @@ KEYS = (
 )  # fmt: skip
 TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
 OPTIONS: dict[str, dict[str, Any]] = {
-    task: {
-        f.name: of.kinds()[f.name]
-        for of in (options, ReadingOptions)
-        for f in fields(of)  # type: ignore[arg-type]
-        if f.metadata["study"]
-    }
+    task: {n: kind for of in (options, ReadingOptions) for n, kind in of.kinds().items() if n not in of.APART}
     for task, options in TASKS.items()
 }
 """Kind of each option of a task; seeds, and of identify noise and split, are lists of the study instead."""

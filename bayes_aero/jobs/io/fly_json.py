@@ -8,18 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import Disagreement, Motion, ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.trajectories.results import (
+    Disagreement,
+    Motion,
+    ProcessNoise,
+    TrajectoryFit,
+)
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.diagnosis_json import record_results
+from bayes_aero.jobs.io.diagnosis_json import path_results, record_results, tolerance_results
 from bayes_aero.jobs.io.identification_json import frequency_results, inseparable_results, posterior_results
-from bayes_aero.jobs.io.trajectories_json import motion_results, path_results, tolerance_results
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
-from bayes_aero.jobs.provenance import picked
+from bayes_aero.jobs.provenance import named_pairs, picked
 from bayes_aero.report.tables.fly import parameter_rows
 
 SCHEMA = "bayes_aero/trajectories/5"
@@ -110,3 +114,21 @@ def process_noise_results(found: ProcessNoise) -> dict[str, Any]:
             "together": picked(one_step.together, *(row for row in rows if row != "rms")),
         }
     return told
+
+
+def motion_results(found: Motion) -> dict[str, Any]:
+    """Modes of motion for trajectories.json: plain numbers and text, SI and radians."""
+    return {
+        **picked(found, "airspeed", "altitude"),
+        "estimates": "process noise" if found.filtered else "output error",
+        "modes": [
+            {
+                "name": mode.name,
+                "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+                "eigenvalue_sd": list(mode.sd),
+                **named_pairs(mode.quantities, "value", "sd"),
+            }
+            for mode in found.modes
+        ],
+        "why_no_modes": found.why_not,
+    }
