@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from bayes_aero.flight.reading.checks import MIN_SAMPLES
 from bayes_aero.flight.reading.read_record import RawColumn, read_raw, repeats
 from bayes_aero.flight.reading.segments import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
-from bayes_aero.jobs.provenance import picked, provenance
+from bayes_aero.jobs.provenance import picked, provenance, sha256_of
 from bayes_aero.physics.coefficient_names import FORMED_FROM, REQUIRED
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
@@ -425,8 +424,6 @@ def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, 
     unknown = [Rest(c.place, c.unit, c.values) for c in starter.unknown]
     view = StarterView(record.name, card.name, time, taken, unknown, starter.todo, starter.blind)
     source = provenance(None, [], None, {})
-    source["inputs"] = [
-        {"name": record.stem, "source": record.name, "sha256": hashlib.sha256(record.read_bytes()).hexdigest()}
-    ]
+    source["inputs"] = [{"name": record.stem, "source": record.name, "sha256": sha256_of(record)}]
     path = card.with_name(card.name + ".report.html")
     return path, put_page(lambda: card_page(view, source), path.parent, path.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.options import MOST_DRAWS
+from bayes_aero.jobs.provenance import sha256_of
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model, effect_named, own_effects
 from bayes_aero.physics.coefficient_names import COEFFICIENTS
@@ -79,7 +79,7 @@ def fitted_records(
 def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
     """The record from the first file that is unchanged; else from one with the same samples, as written anew."""
     for path in there:
-        if _hash(path) == one["sha256"]:
+        if sha256_of(path) == one["sha256"]:
             return read_again(one["read"], path, card.channels)
     for path in there:
         with suppress(InputError):
@@ -329,21 +329,17 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
         stated = provenance["card"].get("path")
         places = [*([shipped] if shipped else []), *([Path(stated)] if stated else [])]
         places += [folder / f"{name}.toml" for folder in (result.parent, result.parent.parent, Path())]
-        path = next((p for p in places if p.is_file() and _hash(p) == sha256), None)
+        path = next((p for p in places if p.is_file() and sha256_of(p) == sha256), None)
         if path is None:
             raise InputError(
                 f"{result} was made with a card {name} that is not found here unchanged; give it with --model"
             )
         card = read_card(name if shipped == path else path)
-    now = {path.name: _hash(path) for path in card.effect_files if path.is_file()}
+    now = {path.name: sha256_of(path) for path in card.effect_files if path.is_file()}
     for file in provenance.get("effect_files", ()):
         if now.get(file["name"]) != file["sha256"]:
             raise InputError(f"effect file {file['name']} has changed since {result} was made; run the command again")
     return card
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # --- The linear system of a card with the values that a finished result has found.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -40,7 +39,7 @@ from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
 from bayes_aero.jobs.io.output_folder import safe_name, writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
-from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.provenance import provenance, sha256_of, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_notes, usable_for
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
@@ -401,7 +400,7 @@ def flight_path(
         folder.mkdir(exist_ok=True)
         for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
             write_record(record, target, card.channels)
-            files = {path.name: _hash(path) for path in targets if path.is_file()}
+            files = {path.name: sha256_of(path) for path in targets if path.is_file()}
             write_json({"schema": SCHEMA, "files": files}, folder / WRITTEN)
     return found
 
@@ -429,11 +428,7 @@ def written_before(folder: Path) -> list[Path]:
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     there = {folder / Path(name).name: sha256 for name, sha256 in files.items()}
-    return [path for path, sha256 in there.items() if is_file(path) and _hash(path) == sha256]
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return [path for path, sha256 in there.items() if is_file(path) and sha256_of(path) == sha256]
 
 
 def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> list[FlightRecord]:

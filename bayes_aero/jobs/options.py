@@ -268,15 +268,17 @@ class QualifyOptions(Options):
             raise InputError(f"--gusts is {self.gusts:g} m/s; give a number from 0 to {MOST_GUSTS:g}")
 
 
-def keywords(options: type[Options]) -> Callable[[Job], Job]:
-    """For a job of records, card and options: the fields of `options` may be given by keyword instead."""
-    keys = {n: p for n, p in inspect.signature(options).parameters.items() if n != "flight_path"}
+def keywords(kind: type[Options]) -> Callable[[Job], Job]:
+    """For a job of records, card and options: the fields of `kind`, its options, may be given by keyword instead."""
+    keys = {n: p for n, p in inspect.signature(kind).parameters.items() if n != "flight_path"}
 
     def of(job: Job) -> Job:
         @wraps(job)
-        def run(records: Any, card: Any, asked: Any = None, **given: Any) -> Any:
+        def run(records: Any, card: Any, options: Options | None = None, **given: Any) -> Any:
             own = {name: given.pop(name) for name in keys if name in given}
-            return job(records, card, asked or options(**own), **given)
+            if own and options is not None:
+                raise TypeError(f"{job.__name__}() has its options in one or by keyword, not both")
+            return job(records, card, options or kind(**own), **given)
 
         signature = inspect.signature(job)
         parameters = [*signature.parameters.values(), *(p.replace(kind=p.KEYWORD_ONLY) for p in keys.values())]

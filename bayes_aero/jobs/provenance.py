@@ -53,13 +53,17 @@ def provenance(
             for r in records
         ],
         **({} if card is None else {"card": {"name": card.name, "sha256": card.sha256, "path": card.path or None}}),
-        "effect_files": [
-            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in files
-        ],
+        "effect_files": [{"name": path.name, "sha256": sha256_of(path)} for path in files],
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def version(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -15,7 +14,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.writers import WRITERS, write_record
 from bayes_aero.jobs.catalogue import effect_named
-from bayes_aero.jobs.provenance import picked, provenance, write_json
+from bayes_aero.jobs.provenance import picked, provenance, sha256_of, write_json
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import simulated_page
@@ -50,7 +49,7 @@ def simulate_file(
     del source["inputs"]
     truth = {
         "schema": SCHEMA,
-        "file": {"name": out.name, "sha256": hashlib.sha256(out.read_bytes()).hexdigest()},
+        "file": {"name": out.name, "sha256": sha256_of(out)},
         "seed": request.seed,
         "effects": request.effects,
         **picked(found, "parameters", "disturbance", "sensor_noise", "notes"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import sys
@@ -18,7 +17,7 @@ from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.card.toml_tables import is_file
-from bayes_aero.jobs.provenance import environment_id, provenance, write_json
+from bayes_aero.jobs.provenance import environment_id, provenance, sha256_of, write_json
 from bayes_aero.progress import Progress
 from bayes_aero.study.study import TASKS, Unit, card_of
 
@@ -186,7 +185,6 @@ def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
 
 def _sha256(path: Path) -> str:
     try:
-        with path.open("rb") as handle:
-            return hashlib.file_digest(handle, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError as reason:
         raise InputError(f"{path} cannot be read ({reason.strerror}); check the path and its permissions") from None
