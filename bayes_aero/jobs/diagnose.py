@@ -55,6 +55,120 @@ from bayes_aero.report.text.diagnosis import revealed
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 
+def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
+    """One effect that the card's model lacks, drawn at random, hidden in simulated manoeuvres."""
+    Model.from_card(card)  # a card without effects says so before anything is flown
+    rng = np.random.default_rng([seed, 4])
+    names = [
+        e.name
+        for e in CATALOGUE.values()
+        if e.candidate
+        and e.acts_on(FLOWN_AXES)
+        and can_simulate(e)
+        and e.kind is not Kind.NOISE
+        and draw_hidden(np.random.default_rng(0), e.name)
+        and (e.name not in card.effects or e.absent_in(card.fixed))  # lacking, or held at neutral
+    ]
+    failure = InputError("no effect of the catalogue can be hidden")
+    for name in rng.permutation(names)[:5]:
+        try:
+            effects, flights = flyable([str(name)], seed=seed, card=card, **options)
+        except InputError as error:
+            failure = error
+            continue
+        return effects, [flight.record for flight in flights]
+    raise failure
+
+
+def diagnose_records(
+    records: Sequence[FlightRecord],
+    card: Card,
+    options: DiagnoseOptions = DiagnoseOptions(),
+    *,
+    out: Path | None = None,
+    hidden: Hidden | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
+    alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
+    histories.nc, figures and report.html.
+
+    A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
+    comparison with what was found.
+    """
+    card, left_out = on_recorded_axes(card, records)
+    if out is not None:
+        writable(out)
+    source = provenance(card, records, options.seed, options.settings, options)
+    if progress:
+        progress("do the sensors agree?", 0.0)
+    settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
+    found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
+    alone = not found.by_coefficients
+    options = replace(options, test_points=options.test_points and not alone)
+    known = None if alone else errors_of_diagnosis(found)
+    checks = record_checks(records, card, options.seed, out, known=known)
+    view = view_of(replace(found, following=only_following(checks.health)))
+    named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
+    failed = (*checks.failures, *found.failures)
+    outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
+    kept = ResultStore(outcome, out, card, records, source)
+    kept.keep(left_out)
+    follow_up(kept, records, card, options, progress)
+    return kept.outcome
+
+
+def follow_up(
+    kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
+) -> None:
+    """What follows the search for causes, the trajectories beside all the rest; then the page."""
+    diagnosis = kept.outcome.diagnosis
+    shown = DIAGNOSIS_FIGURES if options.figures else {}
+    early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
+    with (
+        blas_threads(0),
+        in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
+    ):  # one limit: of two, the first to end would lift both
+        if cores() == 1:
+            following.result()
+        if options.trajectories:
+            kept.attempt(
+                "Trajectories were not simulated",
+                lambda: kept.keep(view={"trajectories": simulations(diagnosis, card, records, options.seed, progress)}),
+            )
+        if diagnosis.compared == TRAJECTORIES:
+            # By trajectories alone hold-out flights and the sensors' noise judge the causes.
+            if (flown := kept.outcome.view.trajectories) is not None:
+                held = {name for names in flown.held.values() for name in names}
+                diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
+            kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
+            if not options.trajectories and diagnosis.causes:
+                kept.keep(["Without trajectories no cause was tested on hold-out flights."])
+        elif (flown := kept.outcome.view.trajectories) and (
+            doubtful := sensors_not_missed(diagnosis, flown.asked)
+        ).missed:
+            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
+        drawn = following.result()
+    if kept.path is not None:
+        drawn |= drawings(kept, late, progress)
+        if progress:
+            progress("report", 0.0)
+        kept.put_page(drawn)
+
+
+def place_of(diagnosis: Diagnosis, name: str) -> str:
+    """Where a hidden effect is in a diagnosis: first, named, ambiguous, minor or missed."""
+    names = [c.name for c in diagnosis.causes]
+    if name in names:
+        return "first" if names[0] == name else "named"
+    if any(name in c.ambiguous_with for c in diagnosis.causes):
+        return "ambiguous"
+    return "minor" if name in diagnosis.minor else "missed"
+
+
+# --- What a diagnosis has found so far, on disk as soon as it is known.
+
+
 class ResultStore:
     """An outcome that grows, and diagnosis.json with it, whichever thread found more; `path`: the folder, if any."""
 
@@ -121,6 +235,9 @@ class ResultStore:
         about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
         told = PageContext(self._card, self._records, self._source, drawn, **about)
         self.fail(() if self.path is None else put_page(lambda: diagnosis_page(o.view, told), self.path))
+
+
+# --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.
 
 
 def follow(
@@ -257,114 +374,3 @@ def in_background(
         except BaseException:
             running.stopped.set()
             raise
-
-
-def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[FlightRecord]]:
-    """One effect that the card's model lacks, drawn at random, hidden in simulated manoeuvres."""
-    Model.from_card(card)  # a card without effects says so before anything is flown
-    rng = np.random.default_rng([seed, 4])
-    names = [
-        e.name
-        for e in CATALOGUE.values()
-        if e.candidate
-        and e.acts_on(FLOWN_AXES)
-        and can_simulate(e)
-        and e.kind is not Kind.NOISE
-        and draw_hidden(np.random.default_rng(0), e.name)
-        and (e.name not in card.effects or e.absent_in(card.fixed))  # lacking, or held at neutral
-    ]
-    failure = InputError("no effect of the catalogue can be hidden")
-    for name in rng.permutation(names)[:5]:
-        try:
-            effects, flights = flyable([str(name)], seed=seed, card=card, **options)
-        except InputError as error:
-            failure = error
-            continue
-        return effects, [flight.record for flight in flights]
-    raise failure
-
-
-def diagnose_records(
-    records: Sequence[FlightRecord],
-    card: Card,
-    options: DiagnoseOptions = DiagnoseOptions(),
-    *,
-    out: Path | None = None,
-    hidden: Hidden | None = None,
-    progress: Progress | None = None,
-) -> Outcome:
-    """Diagnose, as `bayes-aero diagnose` does, by coefficients or, where an accelerometer is missing, by trajectories
-    alone; with `out` it writes diagnosis.json, causes.csv, changes.csv, terms.csv, screen.csv,
-    histories.nc, figures and report.html.
-
-    A stage that fails is left out, and the reason is a note. `hidden` is what simulated records hide, for the
-    comparison with what was found.
-    """
-    card, left_out = on_recorded_axes(card, records)
-    if out is not None:
-        writable(out)
-    source = provenance(card, records, options.seed, options.settings, options)
-    if progress:
-        progress("do the sensors agree?", 0.0)
-    settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
-    found = diagnose(records, card, settings=settings, seed=options.seed, process_noise=noise, progress=progress)
-    alone = not found.by_coefficients
-    options = replace(options, test_points=options.test_points and not alone)
-    known = None if alone else errors_of_diagnosis(found)
-    checks = record_checks(records, card, options.seed, out, known=known)
-    view = view_of(replace(found, following=only_following(checks.health)))
-    named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
-    failed = (*checks.failures, *found.failures)
-    outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
-    kept = ResultStore(outcome, out, card, records, source)
-    kept.keep(left_out)
-    follow_up(kept, records, card, options, progress)
-    return kept.outcome
-
-
-def follow_up(
-    kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
-) -> None:
-    """What follows the search for causes, the trajectories beside all the rest; then the page."""
-    diagnosis = kept.outcome.diagnosis
-    shown = DIAGNOSIS_FIGURES if options.figures else {}
-    early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
-    with (
-        blas_threads(0),
-        in_background(partial(follow, kept, options.test_points, early, envelope=card.envelope), progress) as following,
-    ):  # one limit: of two, the first to end would lift both
-        if cores() == 1:
-            following.result()
-        if options.trajectories:
-            kept.attempt(
-                "Trajectories were not simulated",
-                lambda: kept.keep(view={"trajectories": simulations(diagnosis, card, records, options.seed, progress)}),
-            )
-        if diagnosis.compared == TRAJECTORIES:
-            # By trajectories alone hold-out flights and the sensors' noise judge the causes.
-            if (flown := kept.outcome.view.trajectories) is not None:
-                held = {name for names in flown.held.values() for name in names}
-                diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
-            kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
-            if not options.trajectories and diagnosis.causes:
-                kept.keep(["Without trajectories no cause was tested on hold-out flights."])
-        elif (flown := kept.outcome.view.trajectories) and (
-            doubtful := sensors_not_missed(diagnosis, flown.asked)
-        ).missed:
-            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
-        drawn = following.result()
-    if kept.path is not None:
-        drawn |= drawings(kept, late, progress)
-        if progress:
-            progress("report", 0.0)
-        kept.put_page(drawn)
-
-
-def place_of(diagnosis: Diagnosis, name: str) -> str:
-    """Where a hidden effect is in a diagnosis: first, named, ambiguous, minor or missed."""
-    names = [c.name for c in diagnosis.causes]
-    if name in names:
-        return "first" if names[0] == name else "named"
-    if any(name in c.ambiguous_with for c in diagnosis.causes):
-        return "ambiguous"
-    return "minor" if name in diagnosis.minor else "missed"

@@ -207,26 +207,24 @@ class _Job:
         self.files.stage(self.run)
 
     def sample(self) -> None:
-        """The posteriors, one after the other, with what is said of their other modes and of priors they lean on."""
-        seed = self.options.seed
+        """The posteriors, one after the other."""
         for key, colour, engine in posterior_plan(Colour(self.options.noise)):
-
-            def sampled(
-                key: str = key, colour: Colour = colour, engine: Any = engine
-            ) -> tuple[Posterior, tuple[str, ...]]:
-                run = self.run
-                density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
-                mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-                posterior = engine(density, mode, seed=seed, progress=self.progress)
-                told = other_modes(mode, f"{key}, {colour.value} noise")
-                if run.mle.conflicts and key == "emcee":
-                    told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
-                return posterior, told
-
-            found = self.stage(key, f"The posterior by {key} under {colour.value} noise was not sampled", sampled)
+            left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
+            found = self.stage(key, left_out, partial(self.posterior, key, colour, engine))
             if found is not None:
                 self.add(found[1], posteriors=self.run.posteriors | {key: found[0]})
                 self.files.stage(self.run, posterior_name=key)
+
+    def posterior(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
+        """A posterior, with what is said of its other modes and of the priors that it leans on."""
+        run, seed = self.run, self.options.seed
+        density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
+        mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
+        found = engine(density, mode, seed=seed, progress=self.progress)
+        told = other_modes(mode, f"{key}, {colour.value} noise")
+        if run.mle.conflicts and key == "emcee":
+            told += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
+        return found, told
 
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""

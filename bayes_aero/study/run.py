@@ -67,7 +67,7 @@ def run_study(
     said: dict[str, Mapping[str, Any]] = {}
     work = [(p.unit.as_json(), str(p.folder)) for p in due]
 
-    def one_by_one(_: Any) -> Iterator[Mapping[str, Any]]:
+    def one_by_one() -> Iterator[Mapping[str, Any]]:
         for number, p in enumerate(due):
 
             def progress(text: str, _: float, number: int = number, unit: Unit = p.unit) -> None:
@@ -78,7 +78,7 @@ def run_study(
             yield run_unit(p.unit.as_json(), str(p.folder), progress=progress)
 
     try:
-        for outcome in (runner or one_by_one)(work):
+        for outcome in runner(work) if runner else one_by_one():
             said[str(outcome["name"])] = outcome
     except BaseException:
         with suppress(OSError):  # the reason why the study stopped is reported instead
