@@ -75,7 +75,7 @@ def write_effects_page(
     found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
 ) -> tuple[str, ...]:
     """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
-    from bayes_aero.jobs.io.output_folder import writable  # what draws is heavy, and a study reads this module
+    from bayes_aero.jobs.io.result_file import writable  # what draws is heavy, and a study reads this module
     from bayes_aero.report.figures.prior import channels_needed
     from bayes_aero.report.html.page import Page, put_page
     from bayes_aero.report.html.pictures import Gallery

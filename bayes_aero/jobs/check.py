@@ -19,7 +19,7 @@ from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading.read_record import manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
 from bayes_aero.model.derived_channels import with_sums

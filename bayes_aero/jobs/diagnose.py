@@ -35,7 +35,7 @@ from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json

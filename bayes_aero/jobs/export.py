@@ -18,7 +18,7 @@ from bayes_aero.export.identified import Identified, about, validity, version, w
 from bayes_aero.export.jsbsim import PROPERTIES, jsbsim_files
 from bayes_aero.export.tables import write_tables
 from bayes_aero.jobs.fitted import drawn, exported, read_identified
-from bayes_aero.jobs.io.output_folder import safe_name
+from bayes_aero.jobs.io.result_file import safe_name
 from bayes_aero.jobs.provenance import picked, write_json
 
 SCHEMA = "bayes_aero/export/1"

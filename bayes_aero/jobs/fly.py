@@ -36,7 +36,7 @@ from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.inference.posterior.nuts import ENGINES
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
-from bayes_aero.jobs.io.output_folder import safe_name, writable
+from bayes_aero.jobs.io.result_file import safe_name, writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
 from bayes_aero.jobs.provenance import provenance, sha256_of, write_json

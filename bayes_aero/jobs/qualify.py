@@ -34,8 +34,7 @@ from bayes_aero.jobs.fitted import (
     with_process_noise,
 )
 from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_file import result_file
+from bayes_aero.jobs.io.result_file import result_file, writable
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks

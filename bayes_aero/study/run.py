@@ -10,7 +10,7 @@ from typing import Any
 
 from bayes_aero.atomic_write import sweep, write_whole
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import write_environment
 from bayes_aero.study.case import CaseState, run_unit, state_of
 from bayes_aero.study.study import Study, Unit

@@ -22,7 +22,7 @@ from bayes_aero.flight.card.toml_tables import is_file, read_table
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.jobs.catalogue import effect_named, known_effects
-from bayes_aero.jobs.io.output_folder import safe_name
+from bayes_aero.jobs.io.result_file import safe_name
 from bayes_aero.jobs.options import (
     MAX_SEED,
     DiagnoseOptions,

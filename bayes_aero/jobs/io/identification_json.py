@@ -19,7 +19,7 @@ from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import path_results, record_results
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import named_pairs, picked, write_json
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pooled import next_flight_table
