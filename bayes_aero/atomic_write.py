@@ -47,7 +47,8 @@ def put_folder(made: Path, target: Path) -> None:
 
     Between the two renames a kill leaves what was there under a hidden name; `sweep` puts it back.
     """
-    sync_tree(made)
+    for path in (*sorted(made.rglob("*"), reverse=True), made):  # files, their folders, and itself
+        sync(path)
     aside = made.with_suffix(f".{OLD}")
     while True:
         shutil.rmtree(aside, ignore_errors=True)
@@ -61,13 +62,6 @@ def put_folder(made: Path, target: Path) -> None:
                 raise
     sync(target.parent)
     shutil.rmtree(aside, ignore_errors=True)
-
-
-def sync_tree(folder: Path) -> None:
-    """Every file and every folder below, and the folder itself, on the disk."""
-    for path in sorted(folder.rglob("*"), reverse=True):
-        sync(path)
-    sync(folder)
 
 
 def sync(path: Path) -> None:

@@ -57,8 +57,8 @@ def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
     known = spellings(unit)
     if known:
         return tuple((text, _pint(text)) for text in known)
-    if unclear(unit):
-        return ()
+    if unit.strip() not in _EXACT and unit.strip().lower() in _CASE_TELLS:
+        return ()  # the capitals leave open which of two units is meant: "MS" is no siemens, either
     try:
         return ((unit.strip(), _pint(unit)),)
     except InputError:
@@ -340,11 +340,6 @@ def spellings(text: str) -> tuple[str, ...]:
     if several and not _TEMPERATURES & set(several[0].split()):
         return several
     return () if together in _CASE_TELLS else _FOLDED.get(together, several)
-
-
-def unclear(text: str) -> bool:
-    """Whether the capitals leave open which of two units is meant: "MS" is no siemens, either."""
-    return text.strip() not in _EXACT and text.strip().lower() in _CASE_TELLS
 
 
 def words() -> Iterator[tuple[str, tuple[str, ...]]]:

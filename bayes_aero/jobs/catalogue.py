@@ -13,7 +13,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.model.model import own_effects
-from bayes_aero.parameter import Prior
 
 WORDS = 3  # effects that an unknown name is taken to mean
 
@@ -39,7 +38,14 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
     parameters = []
     for p in effect.parameters:
         least, most = effect.sizes.get(p.name, (None, None))
-        prior = picked(p.prior, "family", "location", "scale", "source") | {"text": prior_in_words(p.prior)}
+        a, b = f"{p.prior.location:g}", f"{p.prior.scale:g}"
+        words = {
+            "normal": f"normal, mean {a}, deviation {b}",
+            "lognormal": f"lognormal, median {a}, deviation of the logarithm {b}",
+            "halfnormal": f"half-normal above {a}, scale {b}",
+            "uniform": f"uniform, {a} to {p.prior.location + p.prior.scale:g}",
+        }
+        prior = picked(p.prior, "family", "location", "scale", "source") | {"text": words[p.prior.family]}
         about = picked(p, "name", "unit", "description", "neutral", "start", "bounds")
         parameters.append(about | {"prior": prior, "least_worth_modelling": least, "largest_plausible": most})
     return {
@@ -58,17 +64,6 @@ def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
         "source": effect.source,
         "model": None if card is None else effect.name in card.effects,
     }
-
-
-def prior_in_words(prior: Prior) -> str:
-    """A prior as people write it."""
-    a, b = f"{prior.location:g}", f"{prior.scale:g}"
-    return {
-        "normal": f"normal, mean {a}, deviation {b}",
-        "lognormal": f"lognormal, median {a}, deviation of the logarithm {b}",
-        "halfnormal": f"half-normal above {a}, scale {b}",
-        "uniform": f"uniform, {a} to {prior.location + prior.scale:g}",
-    }[prior.family]
 
 
 def write_effects_page(

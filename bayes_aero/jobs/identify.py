@@ -77,7 +77,8 @@ def identify(
         job.sample()
     if options.gp:
         job.train_gp()
-    job.find_stall()
+    # CLmax and its angle from the first posterior that converged.
+    job.add(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.run)))
     job.show()
     return job.run
 
@@ -233,10 +234,6 @@ class _Job:
         report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
         self.add(() if report is None else report.left_out, gp=report)
         self.files.stage(self.run, gp_done=True)
-
-    def find_stall(self) -> None:
-        """CLmax and its angle from the first posterior that converged."""
-        self.add(stall=self.stage("stall", "Stall left out", partial(stall_of_run, self.run)))
 
     def show(self) -> None:
         """Figures and the page; then nothing is left of earlier runs."""

@@ -16,27 +16,22 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", 
 
 
 def writable(folder: Path) -> None:
-    """Make the folder for results, or say why it cannot be."""
+    """Make the folder for results, or say why it cannot be; a link in it that leads out of it is refused.
+
+    What is written would land there. The folder may be a link itself, for the user has named it.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        refuse_ways_out(folder)
+        root = folder.resolve()
+        for path in sorted(folder.iterdir()):
+            if path.is_symlink() and not path.resolve().is_relative_to(root):
+                raise InputError(f"{path} is a link that leads out of {folder}; remove it, or give another --out")
         (folder / ERROR).unlink(missing_ok=True)  # of an earlier run
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot write to {folder} ({reason}); give another folder with --out") from None
-
-
-def refuse_ways_out(folder: Path) -> None:
-    """Raise `InputError` for a link in `folder` that leads out of it: what is written would land there.
-
-    The folder may be a link itself, for the user has named it.
-    """
-    root = folder.resolve()
-    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if path.is_symlink() and not path.resolve().is_relative_to(root):
-            raise InputError(f"{path} is a link that leads out of {folder}; remove it, or give another --out")
 
 
 def safe_name(words: str) -> str:
