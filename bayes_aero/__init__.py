@@ -25,17 +25,11 @@ if "xla_cpu_use_fusion_emitters" not in (_flags := os.environ.get("XLA_FLAGS", "
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "api": "Diagnosed Fit diagnose fit gpr next_flight plot read sample",
-    "effect": "Effect Stage",
-    "effects": "CATALOGUE",
-    "errors": "InputError",
-    "flight.card.card": "Card read_card",
-    "flight.record": "FlightRecord",
-    "flight.writers": "write_record",
-    "jobs.fly": "flight_path fly",
-    "model.model": "Model",
-    "parameter": "Parameter Prior",
-}
+    "api": "Diagnosed Fit diagnose fit gpr next_flight plot read sample", "effect": "Effect Stage",
+    "effects": "CATALOGUE", "errors": "InputError", "flight.card.card": "Card read_card",
+    "flight.record": "FlightRecord", "flight.writers": "write_record", "jobs.fly": "flight_path fly",
+    "model.model": "Model", "parameter": "Parameter Prior",
+}  # fmt: skip
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
 if TYPE_CHECKING:

@@ -277,16 +277,12 @@ def sensors_block(found: Mapping[str, Guess]) -> Iterator[str]:
 # --- The aircraft's constants on a starter card: nothing of them can be read off a record.
 
 MEANING = {
-    "mass": "of the flight, with fuel and crew",
-    "Ix": "moment of inertia about the roll axis",
-    "Iy": "moment of inertia about the pitch axis",
-    "Iz": "moment of inertia about the yaw axis",
-    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
-    "wing_area": "reference area of CL, CD and Cm",
-    "chord": "mean aerodynamic chord",
-    "span": "of the wing, from tip to tip",
+    "mass": "of the flight, with fuel and crew", "Ix": "moment of inertia about the roll axis",
+    "Iy": "moment of inertia about the pitch axis", "Iz": "moment of inertia about the yaw axis",
+    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it', "wing_area": "reference area of CL, CD and Cm",
+    "chord": "mean aerodynamic chord", "span": "of the wing, from tip to tip",
     "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
-}
+}  # fmt: skip
 POSITION = '["0 m", "0 m", "0 m"]'
 PLACES = {
     "reference_point": "that Cm is referred to, if it is not the centre of gravity",
