@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayes_aero.cli.terminal import (
-    RECORDS,
-    JsonOption,
-    OutOption,
-    bar,
-    card_and_records,
-    conclude,
-    interruptible,
-    kept_stages,
-    loading,
-    print_lines,
-    teller,
-    with_options,
-)
+from bayes_aero.cli import terminal
 from bayes_aero.jobs.options import DiagnoseOptions, FlyOptions, IdentifyOptions, PathOptions, ReadingOptions
 
 if TYPE_CHECKING:
@@ -32,21 +19,23 @@ if TYPE_CHECKING:
 MOST = 5  # candidates of each stage on a terminal, where there is no cause
 
 
-@with_options
+@terminal.with_options
 def identify(
     reading: ReadingOptions,
     options: IdentifyOptions,
-    records: Annotated[list[Path] | None, typer.Argument(help=f"{RECORDS}; none: two simulated manoeuvres.")] = None,
-    out: OutOption = Path("results"),
-    json: JsonOption = False,
+    records: Annotated[
+        list[Path] | None, typer.Argument(help=f"{terminal.RECORDS}; none: two simulated manoeuvres.")
+    ] = None,
+    out: terminal.OutOption = Path("results"),
+    json: terminal.JsonOption = False,
 ) -> None:
     """Identify the parameters of a card's model: maximum likelihood, posteriors and Gaussian processes.
 
     Example: bayes-aero identify qst01.asc qst02.asc --model attas --out results
     """
-    card, flights = card_and_records(records or [], reading)
+    card, flights = terminal.card_and_records(records or [], reading)
     # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
-    with loading():
+    with terminal.loading():
         from bayes_aero.flight.card.card import read_card
         from bayes_aero.jobs import identify as job
         from bayes_aero.report.pooled import next_flight_table
@@ -54,47 +43,49 @@ def identify(
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
-    console, truth = teller(quiet=json, highlight=True), None
+    console, truth = terminal.teller(quiet=json, highlight=True), None
     if not records:
         console.print("No record given: two simulated stall manoeuvres are identified.")
         same = card.sha256 == read_card("attas").sha256  # with another card's constants the parameters are others
         flights, truth = demo_records(), TRUTH if same else None
-    with interruptible(kept_stages(out)), bar("reading") as tell:
+    with terminal.working(out) as tell:
         found = job.identify(flights, card, options, out=out, truth=truth, progress=tell)
 
     def show() -> None:
         console.print(parameter_table(found).terminal())
         if found.next_flight is not None:
             console.print(next_flight_table(found).terminal())
-        print_lines(console, verdict(found), found.notes)
+        terminal.print_lines(console, verdict(found), found.notes)
         console.print(f"Results are in {out}", highlight=False, soft_wrap=True)
 
-    conclude(console, found, show, json=out / "results.json" if json else None)
+    terminal.conclude(console, found, show, json=out / "results.json" if json else None)
 
 
-@with_options
+@terminal.with_options
 def diagnose(
     reading: ReadingOptions,
     options: DiagnoseOptions,
     records: Annotated[
         list[Path] | None,
-        typer.Argument(help=f"{RECORDS}; none: an effect is hidden in two simulated manoeuvres, then searched for."),
+        typer.Argument(
+            help=f"{terminal.RECORDS}; none: an effect is hidden in two simulated manoeuvres, then searched for."
+        ),
     ] = None,
-    out: OutOption = Path("diagnosis"),
+    out: terminal.OutOption = Path("diagnosis"),
     write_effect: Annotated[
         Path | None,
         typer.Option(
             help="Effect file (.py) for the terms by which unexplained structure is described.", metavar="FILE"
         ),
     ] = None,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: size, uncertainty, rivals, and the gain on hold-out data.
 
     Example: bayes-aero diagnose qst01.asc qst02.asc --model attas --out diagnosis
     """
-    (card, flights), hidden = card_and_records(records or [], reading), None
-    with loading():
+    (card, flights), hidden = terminal.card_and_records(records or [], reading), None
+    with terminal.loading():
         from bayes_aero.jobs.diagnose import diagnose_records, hide_one
         from bayes_aero.jobs.io.effect_file import refuse_existing, write_effects
         from bayes_aero.report.design import in_band_sentences, points_sentences
@@ -104,8 +95,8 @@ def diagnose(
 
     if write_effect is not None:
         refuse_existing(write_effect)
-    console = teller(quiet=json, highlight=True)
-    with interruptible(kept_stages(out)), bar("reading" if records else "simulating") as tell:
+    console = terminal.teller(quiet=json, highlight=True)
+    with terminal.working(out, "reading" if records else "simulating") as tell:
         if not records:
             console.print("No record given: an effect is hidden in two simulated manoeuvres, then searched for.")
             hidden, flights = hide_one(card, options.seed)
@@ -124,7 +115,7 @@ def diagnose(
         if found.view.trajectories is not None:
             console.print(hold_out_error_table(found.view.trajectories).terminal())
         more = (*in_band_sentences(found.in_band), *points_sentences(found.test_points))
-        print_lines(console, (*rest, *more), found.notes)
+        terminal.print_lines(console, (*rest, *more), found.notes)
         for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():
             console.print(sentence, highlight=False, style="bold")
         for line in last:
@@ -132,16 +123,16 @@ def diagnose(
 
     # Trajectories alone are fitted to the record as it is.
     file = out / "diagnosis.json" if json else None
-    conclude(console, found, show, json=file, corrects=d.by_coefficients)
+    terminal.conclude(console, found, show, json=file, corrects=d.by_coefficients)
 
 
-@with_options
+@terminal.with_options
 def fly(
-    records: Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")],
+    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
     reading: ReadingOptions,
     options: FlyOptions,
-    out: OutOption = Path("trajectories"),
-    json: JsonOption = False,
+    out: terminal.OutOption = Path("trajectories"),
+    json: terminal.JsonOption = False,
 ) -> None:
     """Fit a card's model and the initial states to trajectories (output error), with the recorded inputs.
 
@@ -151,25 +142,25 @@ def fly(
 
     Example: bayes-aero fly run1.csv run2.csv --model short_period.toml --out trajectories
     """
-    card, flights = card_and_records(records, reading)
-    with loading():
+    card, flights = terminal.card_and_records(records, reading)
+    with terminal.loading():
         from bayes_aero.jobs.fly import fly as job
         from bayes_aero.jobs.io.fly_json import RESULTS
 
-    console = teller(quiet=json, highlight=True)
-    with interruptible(kept_stages(out)), bar("reading") as tell:
+    console = terminal.teller(quiet=json, highlight=True)
+    with terminal.working(out) as tell:
         found = job(flights, card, options, out=out, progress=tell)
     file, failed = out / RESULTS if json else None, not found.flown.converged
-    conclude(console, found, lambda: print_fit(console, found, out), json=file, failed=failed)
+    terminal.conclude(console, found, lambda: print_fit(console, found, out), json=file, failed=failed)
 
 
-@with_options
+@terminal.with_options
 def path(
-    records: Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")],
+    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
     reading: ReadingOptions,
     options: PathOptions,
-    out: OutOption = Path("path"),
-    json: JsonOption = False,
+    out: terminal.OutOption = Path("path"),
+    json: terminal.JsonOption = False,
 ) -> None:
     """Reconstruct the flight path: errors of sensors from accelerations and rates, without aerodynamics.
 
@@ -182,15 +173,15 @@ def path(
 
     Example: bayes-aero path run1.csv run2.csv --model aircraft.toml --out path
     """
-    card, flights = card_and_records(records, reading)
-    with loading():
+    card, flights = terminal.card_and_records(records, reading)
+    with terminal.loading():
         from bayes_aero.jobs.fly import flight_path
         from bayes_aero.jobs.io.fly_json import RESULTS
 
-    console = teller(quiet=json, highlight=True)
-    with interruptible(kept_stages(out)), bar("reading") as tell:
+    console = terminal.teller(quiet=json, highlight=True)
+    with terminal.working(out) as tell:
         found = flight_path(flights, card, options, out=out, progress=tell)
-    conclude(
+    terminal.conclude(
         console,
         found,
         lambda: print_fit(console, found, out),
@@ -223,5 +214,5 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
     tables += [mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
     for table in tables:
         console.print(table.terminal())
-    print_lines(console, found.sentences, found.notes)
+    terminal.print_lines(console, found.sentences, found.notes)
     console.print(f"Results are in {out}", highlight=False, soft_wrap=True)

@@ -7,22 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bayes_aero.cli.terminal import (
-    RECORDS,
-    JsonOption,
-    OutOption,
-    ResultCardOption,
-    bar,
-    check_result,
-    conclude,
-    interruptible,
-    kept_stages,
-    loading,
-    print_json,
-    print_lines,
-    teller,
-    with_options,
-)
+from bayes_aero.cli import terminal
 from bayes_aero.jobs.options import ExportForm, QualifyOptions
 
 
@@ -39,10 +24,10 @@ def export(
         typer.Option(help="jsbsim: aerodynamics, states and a body; fmu: FMI 2.0; tables: NetCDF and CSV."),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME_FORM, here.")] = None,
-    model: ResultCardOption = None,
+    model: terminal.ResultCardOption = None,
     draws: Annotated[int, typer.Option(min=0, help="Draws of the parameters to write, of their posterior.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Write the identified aerodynamic model for another simulator.
 
@@ -50,20 +35,20 @@ def export(
 
     Example: bayes-aero export results --to jsbsim
     """
-    check_result(result)
-    with loading():
+    terminal.check_result(result)
+    with terminal.loading():
         from bayes_aero.jobs.export import export as run
 
         folder, facts = run(result, to, out=out, card=model, draws=draws, seed=seed)
     if json:
-        print_json(facts | {"folder": str(folder)})
+        terminal.print_json(facts | {"folder": str(folder)})
         return
     sentences = [*facts["sources"], *facts["validity"], *facts["left_out"]]
     if facts["draws"] is not None:
         sentences.append(f"{facts['draws']['count']} draws: {facts['draws']['origin']}.")
     sentences.append(f"The model is in {folder}: {', '.join(facts['files'])}. README.txt says how to use it.")
     for sentence in sentences:
-        teller().print(sentence, soft_wrap=True)
+        terminal.teller().print(sentence, soft_wrap=True)
 
 
 def open(
@@ -73,7 +58,7 @@ def open(
     records: Annotated[
         list[Path] | None, typer.Option(help="Folder of the records, where they have moved; may be repeated.")
     ] = None,
-    model: ResultCardOption = None,
+    model: terminal.ResultCardOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0: any free one.")] = 0,
     browser: Annotated[bool, typer.Option(help="--no-browser: print the address only.")] = True,
 ) -> None:
@@ -83,25 +68,25 @@ def open(
 
     Example: bayes-aero open results
     """
-    check_result(result)
-    with loading():
+    terminal.check_result(result)
+    with terminal.loading():
         from bayes_aero.explore.opened import open_result
         from bayes_aero.explore.page import page_of
         from bayes_aero.explore.server import PageServer
         from bayes_aero.explore.simulator import Simulator
 
-    with bar("reading") as tell:
+    with terminal.bar("reading") as tell:
         simulator = Simulator(open_result(result, model, records or ()))
         server = PageServer(page_of(simulator), port)
         tell("compiling", 0.5)
         simulator.result(0)
     for sentence in simulator.opened.doubts:
-        teller().print(f"! {sentence}", soft_wrap=True)
-    teller().print(f"{simulator.opened.title} is open at {server.url} - Ctrl-C ends it.", soft_wrap=True)
+        terminal.teller().print(f"! {sentence}", soft_wrap=True)
+    terminal.teller().print(f"{simulator.opened.title} is open at {server.url} - Ctrl-C ends it.", soft_wrap=True)
     server.serve(browser=browser)
 
 
-@with_options
+@terminal.with_options
 def qualify(
     result: Annotated[
         str,
@@ -109,10 +94,10 @@ def qualify(
     ],
     options: QualifyOptions,
     records: Annotated[
-        list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {RECORDS}.")
+        list[Path] | None, typer.Argument(help=f"Further tests: records that were not fitted. {terminal.RECORDS}.")
     ] = None,
-    out: OutOption = Path("qualification"),
-    json: JsonOption = False,
+    out: terminal.OutOption = Path("qualification"),
+    json: terminal.JsonOption = False,
 ) -> None:
     """How probably the simulation passes each tolerance of the card: in the manoeuvres flown, and in the next flight.
 
@@ -125,20 +110,20 @@ def qualify(
 
     for path in (*(records or ()), *options.fitted):
         present(path)
-    check_result(result)
-    with loading():
+    terminal.check_result(result)
+    with terminal.loading():
         from bayes_aero.jobs.qualify import RESULTS, qualify_result
         from bayes_aero.report.qualification import further_sentences, sentences, verdict_sentence, verdict_table
 
-    console = teller(quiet=json)
-    with interruptible(kept_stages(out)), bar("reading") as tell:
+    console = terminal.teller(quiet=json)
+    with terminal.working(out) as tell:
         found, failures = qualify_result(result, tuple(records or ()), options, out=out, progress=tell)
 
     def show() -> None:
         console.print(verdict_sentence(found), soft_wrap=True)
         console.print(verdict_table(found).terminal())
         origins = [f"{name}: {text}" for name, text in found.origins.items()]
-        print_lines(console, (*sentences(found), *further_sentences(found.further), *origins))
+        terminal.print_lines(console, (*sentences(found), *further_sentences(found.further), *origins))
         console.print(f"Results are in {out}; qualification.html is to be signed or refused", soft_wrap=True)
 
-    conclude(console, found, show, json=out / RESULTS if json else None, failures=failures)
+    terminal.conclude(console, found, show, json=out / RESULTS if json else None, failures=failures)

@@ -14,22 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.cli.terminal import (
-    FAILED,
-    RECORDS,
-    SUFFIXES,
-    JsonOption,
-    SeedOption,
-    bar,
-    exit_if_failed,
-    exit_in_doubt,
-    interruptible,
-    loading,
-    print_failures,
-    print_json,
-    teller,
-    with_options,
-)
+from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
 from bayes_aero.jobs.options import Manoeuvre, ReadingOptions, SimulatedNoise
 
@@ -39,16 +24,16 @@ if TYPE_CHECKING:
 EFFECTS = "bayes_aero/effects/1"
 
 
-@with_options
+@terminal.with_options
 def check(
-    records: Annotated[list[Path], typer.Argument(help=f"{RECORDS}.")],
+    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
     reading: ReadingOptions,
     sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
-    seed: SeedOption = 0,
+    seed: terminal.SeedOption = 0,
     out: Annotated[
         Path | None, typer.Option(help="Folder for report.html and check.json; none: nothing is written.")
     ] = None,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Check records against a card: channels, units, gaps, what they can test, agreement of the sensors.
 
@@ -56,25 +41,28 @@ def check(
 
     Example: bayes-aero check qst01.asc qst02.asc --model attas
     """
-    with loading():
+    with terminal.loading():
         from bayes_aero.flight.card.card import read_card
         from bayes_aero.jobs.check import check_records, check_results, write_check
 
     card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
-    with interruptible(lambda: "nothing was written; give the same command again"), bar("reading") as tell:
+    with (
+        terminal.interruptible(lambda: "nothing was written; give the same command again"),
+        terminal.bar("reading") as tell,
+    ):
         report = check_records(records, card, sensors=sensors, seed=seed, progress=tell, **how)
         failures = report.failures + (() if out is None else write_check(report, out, seed))
     if json:
-        print_json(check_results(report))
+        terminal.print_json(check_results(report))
     else:
-        print_report(teller(), report)
-        print_failures(teller(), failures)
+        print_report(terminal.teller(), report)
+        terminal.print_failures(terminal.teller(), failures)
         if out is not None:
-            teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+            terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
-        raise typer.Exit(FAILED)
-    exit_if_failed(failures)
-    exit_in_doubt(report.consistency, report.health, corrects=False)
+        raise typer.Exit(terminal.FAILED)
+    terminal.exit_if_failed(failures)
+    terminal.exit_in_doubt(report.consistency, report.health, corrects=False)
 
 
 def print_report(console: Console, report: CheckReport) -> None:
@@ -120,13 +108,13 @@ def print_report(console: Console, report: CheckReport) -> None:
 
 
 def card(
-    record: Annotated[Path, typer.Argument(help=f"A flight record whose columns have names ({SUFFIXES}).")],
+    record: Annotated[Path, typer.Argument(help=f"A flight record whose columns have names ({terminal.SUFFIXES}).")],
     out: Annotated[
         Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
     ] = None,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write CARD.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Write a commented starter card for a new aircraft from a record's columns.
 
@@ -141,7 +129,7 @@ def card(
     target = out or Path(f"{record.stem}.toml")
     if target.exists() and not force:
         raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
-    with loading():
+    with terminal.loading():
         from bayes_aero.jobs.card_template import starter_card
 
     starter = starter_card(record)
@@ -156,10 +144,10 @@ def card(
 
         report, failures = put_starter_page(starter, record, target)
     if json:
-        print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
-        exit_if_failed(failures)
+        terminal.print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        terminal.exit_if_failed(failures)
         return
-    console = teller()
+    console = terminal.teller()
     console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
@@ -175,8 +163,8 @@ def card(
     if split:
         console.print(f"Gaps in time divide the file into {starter.parts} parts: --split reads each as a manoeuvre.")
     console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
-    print_failures(console, failures)
-    exit_if_failed(failures)
+    terminal.print_failures(console, failures)
+    terminal.exit_if_failed(failures)
 
 
 def effects(
@@ -196,7 +184,7 @@ def effects(
     out: Annotated[
         Path | None, typer.Option(help="Folder for report.html and effects.json; none: nothing is written.")
     ] = None,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
 
@@ -215,20 +203,20 @@ def effects(
 
         failures = write_effects_page(found, EFFECTS, card, out)
     if json:
-        print_json({"schema": EFFECTS, "effects": found})
+        terminal.print_json({"schema": EFFECTS, "effects": found})
     elif name is None:
         print_table(found)
     else:
         print_effect(found[0])
     if out is not None and not json:
-        print_failures(teller(), failures)
-        teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
-    exit_if_failed(failures)
+        terminal.print_failures(terminal.teller(), failures)
+        terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+    terminal.exit_if_failed(failures)
 
 
 def print_table(found: Sequence[Mapping[str, Any]]) -> None:
     """By kind; two lines an effect or more, so that 80 columns hold a row."""
-    console = teller(highlight=True)
+    console = terminal.teller(highlight=True)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("effect\n  parameters, unit", no_wrap=True)
     table.add_column("claim\nwhat it needs")
@@ -256,7 +244,7 @@ def print_effect(effect: Mapping[str, Any]) -> None:
     """Claim, formula, parameters with their priors, worked example, source."""
     from bayes_aero.report.text.check import facts, parameter_facts, unit_behind, worked
 
-    console = teller(highlight=True)
+    console = terminal.teller(highlight=True)
 
     def line(title: str, text: str) -> None:
         console.print(f"{title:<12} ", end="", style="bold")
@@ -287,7 +275,7 @@ def simulate(
         typer.Option(help="white: sensors; ar1: also coloured disturbances; buffet: these grow with separation."),
     ] = "ar1",
     noise_scale: Annotated[float, typer.Option(min=0.0, help="Factor on all noise.")] = 1.0,
-    seed: SeedOption = 0,
+    seed: terminal.SeedOption = 0,
     duration: Annotated[float | None, typer.Option(help="Seconds; default 90 (random_stall) or 60.")] = None,
     dt: Annotated[float, typer.Option(help="Sampling interval in s.")] = 0.04,
     airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
@@ -296,7 +284,7 @@ def simulate(
     model: Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")] = "attas",
     page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Write a synthetic record and its true parameters (FILE.truth.json).
 
@@ -307,7 +295,7 @@ def simulate(
     """
     if out.exists() and not force:
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
-    with loading():
+    with terminal.loading():
         from bayes_aero.flight.card.card import read_card
         from bayes_aero.jobs.catalogue import known_effects
         from bayes_aero.jobs.simulate import parsed_effects, simulate_file
@@ -317,13 +305,13 @@ def simulate(
     known = known_effects(card)
     asked = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
     request = Request(parsed_effects(effect or [], known), *asked)
-    with interruptible(lambda: "nothing was written; give the same command again"), bar("simulating"):
+    with terminal.interruptible(lambda: "nothing was written; give the same command again"), terminal.bar("simulating"):
         found, truth, failures = simulate_file(request, card, known, out, page=page)
     if json:
-        print_json(truth)
-        exit_if_failed(failures)
+        terminal.print_json(truth)
+        terminal.exit_if_failed(failures)
         return
-    console, record = teller(), found.record
+    console, record = terminal.teller(), found.record
     console.print(
         f"{manoeuvre}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
         soft_wrap=True,
@@ -334,5 +322,5 @@ def simulate(
         console.print(f"! {note}")
     for what, ending in (("truth", "truth.json"), *([("report", "report.html")] if page else [])):
         console.print(f"The {what} is in {out}.{ending}", soft_wrap=True)
-    print_failures(console, failures)
-    exit_if_failed(failures)
+    terminal.print_failures(console, failures)
+    terminal.exit_if_failed(failures)

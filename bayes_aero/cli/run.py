@@ -13,17 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from bayes_aero.cli.terminal import (
-    DOUBT,
-    FAILED,
-    JsonOption,
-    bar,
-    interruptible,
-    loading,
-    print_failures,
-    print_json,
-    teller,
-)
+from bayes_aero.cli import terminal
 from bayes_aero.errors import InputError
 from bayes_aero.progress import Progress
 
@@ -45,7 +35,7 @@ def run(
     workers: Annotated[int | None, typer.Option(min=1, help="Number of processes on this machine.")] = None,
     memory: Annotated[str | None, typer.Option(help="For each worker, e.g. 4GiB; default: an equal share.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="A Dask cluster, e.g. tcp://node1:8786.")] = None,
-    json: JsonOption = False,
+    json: terminal.JsonOption = False,
 ) -> None:
     """Run a study: every combination of its records, cards, effects, noise models, splits and seeds.
 
@@ -74,14 +64,14 @@ def run(
     from bayes_aero.study.study import read_study
 
     asked = read_study(study, trust_effects=trust_effects)  # a mistake is told before the libraries are loaded
-    with loading():
+    with terminal.loading():
         from bayes_aero.study.run import leftovers, plan
 
     folder = out or Path(f"{study.stem}_results")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give another folder with --out")
     planned = plan(asked, folder)
-    console = teller(quiet=json)
+    console = terminal.teller(quiet=json)
     rest = leftovers(asked, folder)
     if rest:
         console.print(f"! not of this study, left as they are: {', '.join(rest)}", soft_wrap=True)
@@ -93,7 +83,7 @@ def run(
         told, verdict, unwritten = run_planned(asked, folder, planned, (workers, memory, scheduler))
         code = print_outcome(console, folder, planned, told, verdict, unwritten)
     if json:
-        print_json(study_results(asked, folder, [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]))
+        terminal.print_json(study_results(asked, folder, [_row(p) | dict(told.get(p.unit.name, {})) for p in planned]))
     raise typer.Exit(code)
 
 
@@ -118,8 +108,8 @@ def run_planned(
     due = any(p.state.word != "done" for p in planned)
     try:
         with (
-            interruptible(resume),
-            bar("reading", over=3600.0) as show,
+            terminal.interruptible(resume),
+            terminal.bar("reading", over=3600.0) as show,
             unit_runner(*cluster if due else (None, None, None), folder / UNITS, show) as runner,
         ):
             told = run_study(
@@ -133,7 +123,7 @@ def run_planned(
             return told, *put_report(asked, folder)
     except StoppedError as reason:
         print(f"error: {reason}; {resume()}", file=sys.stderr)
-        raise typer.Exit(FAILED) from None
+        raise typer.Exit(terminal.FAILED) from None
 
 
 def print_outcome(
@@ -154,12 +144,12 @@ def print_outcome(
     failed = [row for row in (_row(p) | dict(told.get(p.unit.name, {})) for p in planned) if row["state"] != "done"]
     for row in failed:
         console.print(f"✗ {row['name']}: {row['error']}", style="red", soft_wrap=True)
-    print_failures(console, unwritten)
+    terminal.print_failures(console, unwritten)
     now, every = len(told), len(planned)
     console.print(f"{every} units: {now - len(failed)} done now, {every - now} were done, {len(failed)} failed.")
     console.print(verdict, soft_wrap=True)
     console.print(f"Results are in {folder}: report.html, units/, units.csv, summary.csv, environment/", soft_wrap=True)
-    return FAILED if failed or unwritten else DOUBT if doubts else 0
+    return terminal.FAILED if failed or unwritten else terminal.DOUBT if doubts else 0
 
 
 def _row(p: Planned) -> dict[str, Any]:

@@ -239,6 +239,13 @@ def kept_stages(out: Path) -> Callable[[], str]:
     return told
 
 
+@contextmanager
+def working(out: Path, first: str = "reading") -> Iterator[Progress]:
+    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is there."""
+    with interruptible(kept_stages(out)), bar(first) as tell:
+        yield tell
+
+
 # --- Options of the command line that are gone: one row each, told before the command line is parsed.
 
 GONE: tuple[tuple[str, str, str], ...] = (
