@@ -68,21 +68,12 @@ def check(
 def print_report(console: Console, report: CheckReport) -> None:
     """Cautions, each record, what the records can be used for, whether the sensors agree."""
     from bayes_aero.report.tables.table import channel_table, sampling
-    from bayes_aero.report.text.check import (
-        card_sentences,
-        headline,
-        left_over,
-        part_sentences,
-        sensor_sentences,
-        sizes,
-        unused_columns,
-        use_sentences,
-    )
+    from bayes_aero.report.text import check as text
 
-    doubt, told = report.consistency.disagrees, sensor_sentences(report)
+    doubt, told = report.consistency.disagrees, text.sensor_sentences(report)
     for caution in (*report.cautions, *told[:doubt]):
         console.print(f"! {caution}", style="yellow")
-    for r, unused in zip(report.records, unused_columns(report), strict=True):
+    for r, unused in zip(report.records, text.unused_columns(report), strict=True):
         console.print(r.path, style="bold", end="", soft_wrap=True)
         console.print(f": {sampling(r)}", soft_wrap=True)
         if r.gaps or r.uneven:
@@ -92,19 +83,19 @@ def print_report(console: Console, report: CheckReport) -> None:
             console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
         if unused:
             console.print(f"in the file, not on the card: {', '.join(unused)}")
-        for sentence in (*r.remarks, *part_sentences(r)):
+        for sentence in (*r.remarks, *text.part_sentences(r)):
             console.print(sentence, soft_wrap=True)
         for problem in r.problems:
             console.print(f"✗ {problem}", style="red")
-    for sentence in (*card_sentences(report), *use_sentences(report), *told[doubt:]):
+    for sentence in (*text.card_sentences(report), *text.use_sentences(report), *told[doubt:]):
         console.print(sentence)
     for name, error in report.sensors.errors.items():
         faint = " (too small to be named)" if error["minor"] else ""
-        console.print(f"  {name}: {error['claim']} {sizes(error)}{faint}")
+        console.print(f"  {name}: {error['claim']} {text.sizes(error)}{faint}")
     if not report.sensors.note:
-        console.print(f"  {left_over(report)}")
+        console.print(f"  {text.left_over(report)}")
     colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
-    console.print(headline(report), style=f"bold {colour}")
+    console.print(text.headline(report), style=f"bold {colour}")
 
 
 def card(

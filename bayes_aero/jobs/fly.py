@@ -57,14 +57,7 @@ from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.fly import (
-    disagreement_sentences,
-    fly_sentences,
-    gust_sentences,
-    posterior_sentences,
-    process_noise_sentences,
-    settled_sentences,
-)
+from bayes_aero.report.text import fly as text
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.frequency_error import lines_in
 
@@ -141,11 +134,11 @@ def findings(
     """The sentences on a fit; `hindered`: why diagnose cannot use the records, `disturbed`: with process noise."""
     apart, beside = found.apart, found.process_noise
     return (
-        *gust_sentences(gusts, beside),
-        *settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
-        *(() if beside is None else process_noise_sentences(beside, found.flown)),
-        *fly_sentences(found.flown, hindered, disturbed=disturbed),
-        *disagreement_sentences(apart, hindered),
+        *text.gust_sentences(gusts, beside),
+        *text.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *(() if beside is None else text.process_noise_sentences(beside, found.flown)),
+        *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
+        *text.disagreement_sentences(apart, hindered),
         *motion_sentences(found.motion),
     )
 
@@ -349,7 +342,7 @@ def with_posterior(
         by = partial(sample, engine)
         new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
         posteriors, failures = posteriors | new, (*failures, *failed)
-        said = (*begun.sentences, *posterior_sentences(posteriors))
+        said = (*begun.sentences, *text.posterior_sentences(posteriors))
         found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
     return found
 
