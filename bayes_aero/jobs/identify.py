@@ -131,15 +131,15 @@ class _Job:
 
     def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
         """What a stage returns, or None where it fails, which is told; for bad input by the form of a note `bad`."""
-        with self.timed(name):
-            try:
+        try:
+            with self.timed(name):
                 found, failed = self.attempt(left_out, do, None)
-                self.add((), failed)
-            except InputError as error:
-                if not bad:
-                    raise
-                found = None
-                self.add((bad.format(left_out, error),))
+        except InputError as error:
+            if not bad:
+                raise
+            found, failed = None, ()
+            self.add((bad.format(left_out, error),))
+        self.add((), failed)
         return found
 
     def fit(self, truth: Mapping[str, float] | None) -> None:
