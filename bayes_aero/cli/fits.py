@@ -102,9 +102,8 @@ def diagnose(
             hidden, flights = hide_one(card, options.seed)
         found = diagnose_records(flights, card, options, out=out, hidden=hidden, progress=tell)
     d, rankings = found.diagnosis, found.view.rankings
-    last = [f"Results are in {out}"]
-    if write_effect is not None:
-        last.insert(0, write_effects(d.terms, [record.name for record in flights], write_effect))
+    names = [record.name for record in flights]
+    written = [] if write_effect is None else [write_effects(d.terms, names, write_effect)]
 
     def show() -> None:
         verdict, *rest = sentences(found.view)
@@ -118,12 +117,11 @@ def diagnose(
         terminal.print_lines(console, (*rest, *more), found.notes)
         for sentence in revealed(found.hidden, found.named) if found.hidden is not None else ():
             console.print(sentence, highlight=False, style="bold")
-        for line in last:
+        for line in (*written, f"Results are in {out}"):
             console.print(line, highlight=False, soft_wrap=True)
 
     # Trajectories alone are fitted to the record as it is.
-    file = out / "diagnosis.json" if json else None
-    terminal.conclude(console, found, show, json=file, corrects=d.by_coefficients)
+    terminal.conclude(console, found, show, json=out / "diagnosis.json" if json else None, corrects=d.by_coefficients)
 
 
 @terminal.with_options
