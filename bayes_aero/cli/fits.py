@@ -193,22 +193,15 @@ def path(
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
     from bayes_aero.report.motion import mode_table
-    from bayes_aero.report.tables.fly import (
-        beside_table,
-        error_table,
-        one_step_table,
-        parameter_table,
-        posterior_table,
-        process_noise_table,
-    )
+    from bayes_aero.report.tables import fly as of_fit
 
     flown, beside = found.flown, found.process_noise
-    tables = [parameter_table(flown), *([beside_table(flown)] if flown.frequency else [])]
+    tables = [of_fit.parameter_table(flown), *([of_fit.beside_table(flown)] if flown.frequency else [])]
     if beside is not None and beside.converged:
-        tables.append(process_noise_table(beside, flown, found.posteriors))
-        tables += [] if beside.one_step is None else [one_step_table(beside.one_step, flown.units)]
-    tables += [posterior_table(found.posteriors)] if found.posteriors else []
-    tables.append(error_table(flown))
+        tables.append(of_fit.process_noise_table(beside, flown, found.posteriors))
+        tables += [] if beside.one_step is None else [of_fit.one_step_table(beside.one_step, flown.units)]
+    tables += [of_fit.posterior_table(found.posteriors)] if found.posteriors else []
+    tables.append(of_fit.error_table(flown))
     tables += [mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
     for table in tables:
         console.print(table.terminal())
