@@ -24,30 +24,13 @@ if "xla_cpu_use_fusion_emitters" not in (_flags := os.environ.get("XLA_FLAGS", "
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "CATALOGUE": "effects",
-    "Card": "flight.card.card",
-    "Diagnosed": "api",
-    "Effect": "effect",
-    "Fit": "api",
-    "FlightRecord": "flight.record",
-    "InputError": "errors",
-    "Model": "model.model",
-    "Parameter": "parameter",
-    "Prior": "parameter",
-    "Stage": "effect",
-    "diagnose": "api",
-    "fit": "api",
-    "flight_path": "jobs.path",
-    "fly": "jobs.fly",
-    "gpr": "api",
-    "next_flight": "api",
-    "plot": "api",
-    "read": "api",
-    "read_card": "flight.card.card",
-    "sample": "api",
-    "write_record": "flight.writers",
-}
+_PUBLIC = {
+    "api": "Diagnosed Fit diagnose fit gpr next_flight plot read sample", "effect": "Effect Stage",
+    "effects": "CATALOGUE", "errors": "InputError", "flight.card.card": "Card read_card",
+    "flight.record": "FlightRecord", "flight.writers": "write_record", "jobs.fly": "flight_path fly",
+    "model.model": "Model", "parameter": "Parameter Prior",
+}  # fmt: skip
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
 if TYPE_CHECKING:
     from bayes_aero.api import Diagnosed, Fit, diagnose, fit, gpr, next_flight, plot, read, sample
@@ -57,36 +40,15 @@ if TYPE_CHECKING:
     from bayes_aero.flight.card.card import Card, read_card
     from bayes_aero.flight.record import FlightRecord
     from bayes_aero.flight.writers import write_record
-    from bayes_aero.jobs.fly import fly
-    from bayes_aero.jobs.path import flight_path
+    from bayes_aero.jobs.fly import flight_path, fly
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior
 
 __all__ = [
-    "CATALOGUE",
-    "Card",
-    "Diagnosed",
-    "Effect",
-    "Fit",
-    "FlightRecord",
-    "InputError",
-    "Model",
-    "Parameter",
-    "Prior",
-    "Stage",
-    "__version__",
-    "diagnose",
-    "fit",
-    "flight_path",
-    "fly",
-    "gpr",
-    "next_flight",
-    "plot",
-    "read",
-    "read_card",
-    "sample",
-    "write_record",
-]
+    "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
+    "Stage", "__version__", "diagnose", "fit", "flight_path", "fly", "gpr", "next_flight", "plot", "read", "read_card",
+    "sample", "write_record",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> object:

@@ -16,7 +16,7 @@ Results are in SI units and radians; tables state the units.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
@@ -47,7 +47,8 @@ from bayes_aero.inference.posterior.laplace import density_start, other_modes, s
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.validation import SplitKind, Training, validate
-from bayes_aero.jobs.steps.flights import pooled_manoeuvres
+from bayes_aero.jobs.identify import pooled_manoeuvres
+from bayes_aero.jobs.options import FormingName, NoiseName
 from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks, repaired
 from bayes_aero.model.density import Density
 from bayes_aero.model.joined_records import on_recorded_axes
@@ -73,8 +74,6 @@ from bayes_aero.report.text.identification import verdict
 __all__ = ["Diagnosed", "Fit", "diagnose", "fit", "gpr", "next_flight", "plot", "read", "sample"]
 
 Engine = Literal["emcee", "nuts"]
-NoiseName = Literal["white", "ar1", "buffet-ar1"]
-FormingName = Literal["matched", "published"]
 ENGINES = {"emcee": sample_ensemble, "nuts": sample_nuts}
 
 
@@ -136,40 +135,23 @@ def fit(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4; Morelli and Klein, J. Aircraft 34, 1997.
     """
-    if coefficients not in get_args(FormingName):
-        known = ", ".join(get_args(FormingName))
-        raise InputError(f"there is no way of forming coefficients {coefficients!r}; choose one of {known}")
+    _choose("way of forming coefficients", coefficients, get_args(FormingName))
     card, forming = _card(card), Forming(coefficients)
     records = _sound(records, card)
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     model = model or Model.from_card(card)
     without_spikes, spikes = repaired(records)
     observations = observe(without_spikes, card, model, forming)
-    joint = fit_mle(model, observations, seed=seed)
+    mle = fit_mle(model, observations, seed=seed)
     if forming is Forming.MATCHED:
-        joint = without_noise_bias(joint, without_spikes, card, model, seed=seed)
+        mle = without_noise_bias(mle, without_spikes, card, model, seed=seed)
     alone = fit_each_manoeuvre(model, observations, seed=seed)
     in_band = None
     if frequency is not None:
-        in_band = coefficients_in_band(without_spikes, card, model, joint, frequency, seed=seed)
-    checks = record_checks(records, card, seed, seek=False)
-    found = Identification(
-        card,
-        model,
-        tuple(records),
-        observations,
-        DEFAULT_NOISE,
-        joint,
-        alone,
-        {},
-        notes=(*left_out, *spikes),
-        failures=checks.failures,
-        health=checks.health,
-        consistency=checks.consistency,
-        forming=forming,
-        frequency=in_band,
-    )
-    return Fit(found)
+        in_band = coefficients_in_band(without_spikes, card, model, mle, frequency, seed=seed)
+    checks = vars(record_checks(records, card, seed, seek=False))
+    more = {"notes": (*left_out, *spikes), "forming": forming, "frequency": in_band} | checks
+    return Fit(Identification(card, model, tuple(records), observations, DEFAULT_NOISE, mle, alone, {}, **more))
 
 
 def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1", seed: int = 0) -> Fit:
@@ -192,8 +174,7 @@ def sample(fit: Fit, *, engine: Engine = "emcee", noise: NoiseName = "buffet-ar1
     Source:
         Foreman-Mackey et al., PASP 125 (2013) 306; Hoffman and Gelman, JMLR 15 (2014) 1593.
     """
-    if engine not in ENGINES:
-        raise InputError(f"there is no engine {engine!r}; choose one of {', '.join(ENGINES)}")
+    _choose("engine", engine, ENGINES)
     colour, run = Colour(noise), fit.run
     beside = colour is Colour.WHITE and run.noise is not Colour.WHITE and any(k != "white" for k in run.posteriors)
     if run.posteriors and colour is not run.noise and not beside:
@@ -249,17 +230,9 @@ def gpr(fit: Fit, *, split: SplitKind = "random", sample: bool = True, seed: int
     Raises:
         InputError: there is no such split, or there are more samples than an exact process accepts (8000).
     """
-    if split not in get_args(SplitKind):
-        raise InputError(f"there is no split {split!r}; choose one of {', '.join(get_args(SplitKind))}")
-    run = fit.run
-    report = validate(
-        run.model,
-        run.observations,
-        run.mle,
-        run.card.gp_inputs,
-        Training(split, seed, sample),
-    )
-    return Fit(replace(run, gp=report))
+    _choose("split", split, get_args(SplitKind))
+    run, training = fit.run, Training(split, seed, sample)
+    return Fit(replace(run, gp=validate(run.model, run.observations, run.mle, run.card.gp_inputs, training)))
 
 
 def diagnose(
@@ -509,14 +482,19 @@ def plot(result: Fit | Diagnosed, figure: str | None = None, *, width: float | N
 
 
 def _doubts(health: Sequence[HealthFinding], agreement: Consistency | None, *, corrects: bool) -> list[str]:
-    disagree = agreement is not None and agreement.disagrees
-    answer = consistency_sentences(agreement, corrects=corrects)[:1] if agreement is not None and disagree else []
-    return [*(finding.sentence for finding in health), *answer]
+    said = [finding.sentence for finding in health]
+    if agreement is not None and agreement.disagrees:
+        said += consistency_sentences(agreement, corrects=corrects)[:1]
+    return said
+
+
+def _choose(what: str, given: str, known: Collection[str]) -> None:
+    if given not in known:
+        raise InputError(f"there is no {what} {given!r}; choose one of {', '.join(known)}")
 
 
 def _drawn(figures: Mapping[str, Callable[[Shown], Figure]], name: str, shown: Shown) -> Figure:
-    if name not in figures:
-        raise InputError(f"there is no figure {name!r}; choose one of {', '.join(figures)}")
+    _choose("figure", name, figures)
     try:
         return figures[name](shown)
     except NotDrawn as reason:

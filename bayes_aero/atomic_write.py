@@ -47,7 +47,8 @@ def put_folder(made: Path, target: Path) -> None:
 
     Between the two renames a kill leaves what was there under a hidden name; `sweep` puts it back.
     """
-    sync_tree(made)
+    for path in (*sorted(made.rglob("*"), reverse=True), made):  # files, their folders, and itself
+        sync(path)
     aside = made.with_suffix(f".{OLD}")
     while True:
         shutil.rmtree(aside, ignore_errors=True)
@@ -61,13 +62,6 @@ def put_folder(made: Path, target: Path) -> None:
                 raise
     sync(target.parent)
     shutil.rmtree(aside, ignore_errors=True)
-
-
-def sync_tree(folder: Path) -> None:
-    """Every file and every folder below, and the folder itself, on the disk."""
-    for path in sorted(folder.rglob("*"), reverse=True):
-        sync(path)
-    sync(folder)
 
 
 def sync(path: Path) -> None:
@@ -89,7 +83,14 @@ def sweep(folder: Path) -> None:
     for path in folder.glob(".*"):
         name, *parts = path.name[1:].rsplit(".", 3)
         ours = len(parts) == 3 and parts[0] == host() and parts[1].isdigit() and parts[2] in (PART, OLD)
-        if not ours or _alive(int(parts[1])):
+        if not ours:
+            continue
+        try:
+            os.kill(int(parts[1]), 0)
+            continue  # it lives
+        except ProcessLookupError:
+            pass
+        except OSError:
             continue
         if parts[2] == OLD and not (folder / name).exists():
             with suppress(OSError):  # a neighbour may sweep too
@@ -103,13 +104,3 @@ def sweep(folder: Path) -> None:
 def host() -> str:
     """This machine's name, fit for a file's."""
     return re.sub(r"[^A-Za-z0-9-]", "_", socket.gethostname())
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True

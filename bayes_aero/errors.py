@@ -54,18 +54,13 @@ def plain_line(text: str) -> str:
 def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bool = False) -> str:
     """The sentence on a part of a job that failed unexpectedly, all else of the job being valid.
 
-    Args:
-        what: the part, and that it is not there ("Trajectories were not simulated").
-        reason: what was raised.
-        folder: of the results; where in the program it happened is added to its error.txt.
-        own: whether effects of the user's own may be what failed.
-
-    Raises:
-        the reason itself, where no more can be written.
+    `what`: the part, and that it is not there ("Trajectories were not simulated"). Where in the program it happened is
+    added to error.txt in `folder`. `own`: whether effects of the user's own may be what failed. The reason is raised
+    where no more can be written.
     """
     if no_space(reason):
         raise reason
-    where = ""
+    where, whose = "", "the program or of the card's effect files" if own else "the program"
     if folder is not None:
         with suppress(OSError), (folder / ERROR).open("a", encoding="utf-8") as handle:
             handle.write("".join(traceback.format_exception(reason)) + "\n")
@@ -74,7 +69,6 @@ def failure(what: str, reason: Exception, folder: Path | None = None, *, own: bo
         return plain_line(
             f"{what}: there is not enough memory for it; use fewer or shorter records. All other results are valid."
         )
-    whose = "the program or of the card's effect files" if own else "the program"
     return plain_line(
         f"{what}: {type(reason).__name__}: {reason}. This is a defect of {whose}; please report it{where}. All other "
         "results are valid."

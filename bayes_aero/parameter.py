@@ -44,25 +44,13 @@ class Lengths:
     lateral_moment: float = 1.0
     span: float = 1.0
 
-    def of(self, length: Length) -> float:
-        """The factor of one of them."""
-        return {
-            Length.RATE: self.rate,
-            Length.LATERAL_RATE: self.lateral_rate,
-            Length.LATERAL_MOMENT: self.lateral_moment,
-        }[length]
-
     def times(self, parameter: Parameter) -> float:
         """What a parameter for the usual lengths is multiplied by."""
-        return math.prod(self.of(length) for length in parameter.lengths)
+        return math.prod(getattr(self, length.name.lower()) for length in parameter.lengths)
 
 
 USUAL = Lengths()
-USUALLY = {
-    Length.RATE: "q c/V",
-    Length.LATERAL_RATE: "b/2V",
-    Length.LATERAL_MOMENT: "moments over the span",
-}
+USUALLY = {Length.RATE: "q c/V", Length.LATERAL_RATE: "b/2V", Length.LATERAL_MOMENT: "moments over the span"}
 
 
 @dataclass(frozen=True)
@@ -200,14 +188,18 @@ def per_length(parameter: Parameter, card: Lengths) -> Parameter:
     times = card.times(parameter)
     if times == 1.0:
         return parameter
-    prior, limits = parameter.prior, parameter.limits
+    prior, limits, text = parameter.prior, parameter.limits, parameter.description
+    if Length.LATERAL_RATE in parameter.lengths:
+        text = text.replace("b/2V", "l/V, l the card's lateral_rate_length")
+    if Length.RATE in parameter.lengths:
+        text = text.replace("c/V", "l/V, l the card's rate_length")
     usual = " and ".join(USUALLY[length] for length in parameter.lengths)
     return replace(
         parameter,
         start=times * parameter.start,
         bounds=(times * parameter.bounds[0], times * parameter.bounds[1]),
         limits=limits and replace(limits, low=times * limits.low, high=times * limits.high),
-        description=_in_lengths_of_card(parameter),
+        description=text,
         prior=replace(
             prior,
             location=times * prior.location,
@@ -215,13 +207,6 @@ def per_length(parameter: Parameter, card: Lengths) -> Parameter:
             source=f"{prior.source}; for {usual}, here times {times:.4g}",
         ),
     )
-
-
-def _in_lengths_of_card(parameter: Parameter) -> str:
-    text = parameter.description
-    if Length.LATERAL_RATE in parameter.lengths:
-        text = text.replace("b/2V", "l/V, l the card's lateral_rate_length")
-    return text.replace("c/V", "l/V, l the card's rate_length") if Length.RATE in parameter.lengths else text
 
 
 def departure(value: float, neutral: float) -> float:

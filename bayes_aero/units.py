@@ -1,7 +1,7 @@
 """Conversions at the border: everything inside the package is in SI and radians.
 
 This is the only module that knows pint. The registry takes a third of a second to build and is made on first
-use. How units are spelled is `unit_words`' alone: cards, files and headings share its table.
+use. How units are spelled is one table below, which cards, files and headings share.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
 from itertools import product
 from typing import Any
@@ -57,8 +57,8 @@ def _meanings(unit: str) -> tuple[tuple[str, Any], ...]:
     known = spellings(unit)
     if known:
         return tuple((text, _pint(text)) for text in known)
-    if unclear(unit):
-        return ()
+    if unit.strip() not in _EXACT and unit.strip().lower() in _CASE_TELLS:
+        return ()  # the capitals leave open which of two units is meant: "MS" is no siemens, either
     try:
         return ((unit.strip(), _pint(unit)),)
     except InputError:
@@ -81,8 +81,7 @@ def _pint(unit: str) -> Any:
 
 def _known(unit: str, where: str) -> tuple[Any, ...]:
     """The pint units that `unit` may name."""
-    found = _meanings(unit)
-    if not found:
+    if not (found := _meanings(unit)):
         raise InputError(f"{where}: the unit {unit[:40]!r} is not known; write it as in pint, {_EXAMPLES}")
     return tuple(meant for _, meant in found)
 
@@ -97,12 +96,8 @@ def _pair(one: str, other: str, where: str) -> tuple[Any, Any]:
 def canonical(text: str, si: str | None = None) -> str | None:
     """A unit as cards spell it, whatever a file calls it: "FT/SEC" is "ft/s", "slugs/ft3" is "slug/ft^3".
 
-    Args:
-        text: the unit in a file's unit row, heading or attribute.
-        si: SI unit of the quantity, which decides where a word has two meanings ("lbs" of a thrust is "lbf").
-
-    Returns:
-        The spelling; None where the text is no unit.
+    `si`, the unit of the quantity, decides where a word has two meanings ("lbs" of a thrust is "lbf"). None where the
+    text is no unit.
     """
     found = _meanings(text) if text.strip() else ()
     if si is not None and len(found) > 1:
@@ -125,22 +120,10 @@ def _convert(values: Any, source: str, target: str, where: str) -> Any:
     try:
         with np.errstate(all="ignore"):  # an overflow gives inf, which the record checks tell better
             return _registry().Quantity(values, have).to(want).magnitude
-    except (
-        Exception
-    ) as reason:  # DimensionalityError, OffsetUnitCalculusError, ...: all say "these do not belong together"
+    except Exception as reason:  # DimensionalityError, OffsetUnitCalculusError, ...: these do not belong together
         raise InputError(
             f"{where}: the unit {source!r} cannot be turned into {target!r}; correct the unit, {_EXAMPLES}"
         ) from reason
-
-
-def _same_turns(source: str, target: str, where: str) -> None:
-    have, want = _pair(source, target, where)
-    if _turns(have) != _turns(want):
-        raise InputError(
-            f"{where}: the unit {source!r} does not fit {target!r}; an angle needs an angular unit, and "
-            f"only an angle "
-            f'does: "deg", "rad", "deg/s" or "rad/s" for angles and rates, "1" or "%" for ratios'
-        )
 
 
 def si_unit(unit: str, where: str = "unit") -> str:
@@ -150,27 +133,27 @@ def si_unit(unit: str, where: str = "unit") -> str:
 
 
 def to_si(values: Any, unit: str, channel_name: str, target: str | None = None) -> np.ndarray:
-    """Values of a channel in SI.
-
-    Args:
-        values: numbers in `unit`, any shape.
-        unit: the unit of `values`, e.g. "deg/s".
-        channel_name: the channel, for the error message.
-        target: the SI unit to arrive at; without it the base units of `unit`.
-    """
+    """Values of a channel, any shape, in SI: in `target`, else in the base units of `unit`."""
     where = f"channel {channel_name}"
-    if target is None:
-        target = si_unit(unit, where)
-    _same_turns(unit, target, where)
-    return np.asarray(_convert(np.array(values, dtype=np.float64), unit, target, where), dtype=np.float64)
+    return _between(values, unit, si_unit(unit, where) if target is None else target, unit, where)
 
 
 def from_si(values: Any, unit: str, channel_name: str, source: str | None = None) -> np.ndarray:
     """The inverse of `to_si`: SI values (in `source`, else the base units of `unit`) expressed in `unit`."""
     where = f"channel {channel_name}"
-    source = si_unit(unit, where) if source is None else source
-    _same_turns(unit, source, where)
-    return np.asarray(_convert(np.array(values, dtype=np.float64), source, unit, where), dtype=np.float64)
+    return _between(values, si_unit(unit, where) if source is None else source, unit, unit, where)
+
+
+def _between(values: Any, source: str, target: str, given: str, where: str) -> np.ndarray:
+    """Values in another unit; an angle stays one. `given`: which of the two units is not SI."""
+    have, want = _pair(source, target, where)
+    if _turns(have) != _turns(want):
+        raise InputError(
+            f"{where}: the unit {given!r} does not fit {target if given == source else source!r}; an angle needs an "
+            'angular unit, and only an angle does: "deg", "rad", "deg/s" or "rad/s" for angles and rates, "1" or "%" '
+            "for ratios"
+        )
+    return np.asarray(_convert(np.array(values, dtype=np.float64), source, target, where), dtype=np.float64)
 
 
 def same_unit(one: str, other: str) -> bool | None:
@@ -215,16 +198,12 @@ def quantity_to_si(value: Any, expected: str, where: str) -> float:
     if not unit and expected not in ("", "1"):
         raise InputError(f'{where} is {str(value)!r}, without a unit; write e.g. "{value} {expected}"')
     if expected == "kg" and same_kind(unit, "N") and not same_kind(unit, "kg"):  # a pound is either
-        raise InputError(f"{where} is {str(value)!r}, a weight; {_mass_of(number, unit, where)}")
+        mass = float(_convert(number, unit, "N", where)) / STANDARD_GRAVITY
+        pounds = not same_unit(unit, "N") and not same_unit(unit, "kN")
+        slugs = f' or "{_convert(mass, "kg", "slug", where):.6g} slug"' if pounds else ""
+        how = f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"{slugs}'
+        raise InputError(f"{where} is {str(value)!r}, a weight; {how}")
     return float(_convert(number, unit or "1", expected, where))
-
-
-def _mass_of(weight: float, unit: str, where: str) -> str:
-    """How to write the mass that has a weight, in kg and, for weights in pounds, in slug too."""
-    mass = float(_convert(weight, unit, "N", where)) / STANDARD_GRAVITY
-    pounds = not same_unit(unit, "N") and not same_unit(unit, "kN")
-    slugs = f' or "{_convert(mass, "kg", "slug", where):.6g} slug"' if pounds else ""
-    return f'write the mass, weight over g = 9.80665 m/s^2: "{mass:.6g} kg"{slugs}'
 
 
 def instant(time: float) -> str:
@@ -248,66 +227,30 @@ def number(value: float, digits: int = 3) -> str:
 
 
 _WORDS: dict[str, str] = {
-    "s": "s sec secs second seconds",
-    "min": "min mins minute minutes",
-    "h": "h hr hrs hour hours",
+    "s": "s sec secs second seconds", "min": "min mins minute minutes", "h": "h hr hrs hour hours",
     "ms": "msec msecs millisec millisecs millisecond milliseconds",
-    "us": "us usec usecs microsec microsecond microseconds",
-    "ns": "ns nsec nanosecond nanoseconds",
-    "deg": "deg degs degree degrees °",
-    "rad": "rad rads radian radians",
-    "rpm": "rpm rpms rev/min revs/min r/min 1/min u/min",
-    "m": "m meter meters metre metres",
-    "km": "km kilometer kilometers kilometre kilometres",
-    "cm": "cm centimeter centimeters centimetre centimetres",
-    "mm": "millimeter millimeters millimetre millimetres",
-    "ft": "ft feet foot",
-    "in": "in inch inches",
-    "nmi": "nmi nauticalmile nauticalmiles",
-    "m/s": "mps",
-    "m/s^2": "mps2 mpss",
-    "km/h": "kmh kph kmph",
-    "kt": "kt kts knot knots ktas kcas kias keas",
-    "mph": "mph",
-    "ft/s": "fps f/s f/sec",
-    "ft/s^2": "fps2 fpss f/s2 f/s^2",
-    "ft/min": "fpm f/min",
-    "deg/s": "dps degps degpersec degsec",
-    "deg/s^2": "dps2 dpss degps2",
-    "rad/s": "radps radpersec radsec",
-    "rad/s^2": "radps2",
-    "g": "g gs g's gee gees gn g0",
-    "kg": "kg kgs kilogram kilograms",
-    "lb": "lbm lbsm",
-    "slug": "slug slugs",
-    "N": "n newton newtons",
-    "kN": "kilonewton kilonewtons",
-    "daN": "dan decanewton",
-    "kgf": "kgf kp",
-    "lbf": "lbf lbsf poundforce",
-    "kip": "klbf kip kips",
-    "Pa": "pa pascal pascals",
-    "hPa": "hpa mbar mbars mb mbs millibar millibars hectopascal hectopascals",
-    "kPa": "kpa kilopascal kilopascals",
-    "bar": "bar bars",
-    "psi": "psi psia psid",
-    "lbf/ft^2": "psf psfa psfd",
-    "inHg": "inhg inchhg incheshg inchesofmercury",
-    "mmHg": "mmhg",
+    "us": "us usec usecs microsec microsecond microseconds", "ns": "ns nsec nanosecond nanoseconds",
+    "deg": "deg degs degree degrees °", "rad": "rad rads radian radians",
+    "rpm": "rpm rpms rev/min revs/min r/min 1/min u/min", "m": "m meter meters metre metres",
+    "km": "km kilometer kilometers kilometre kilometres", "cm": "cm centimeter centimeters centimetre centimetres",
+    "mm": "millimeter millimeters millimetre millimetres", "ft": "ft feet foot", "in": "in inch inches",
+    "nmi": "nmi nauticalmile nauticalmiles", "m/s": "mps", "m/s^2": "mps2 mpss", "km/h": "kmh kph kmph",
+    "kt": "kt kts knot knots ktas kcas kias keas", "mph": "mph", "ft/s": "fps f/s f/sec",
+    "ft/s^2": "fps2 fpss f/s2 f/s^2", "ft/min": "fpm f/min", "deg/s": "dps degps degpersec degsec",
+    "deg/s^2": "dps2 dpss degps2", "rad/s": "radps radpersec radsec", "rad/s^2": "radps2",
+    "g": "g gs g's gee gees gn g0", "kg": "kg kgs kilogram kilograms", "lb": "lbm lbsm", "slug": "slug slugs",
+    "N": "n newton newtons", "kN": "kilonewton kilonewtons", "daN": "dan decanewton", "kgf": "kgf kp",
+    "lbf": "lbf lbsf poundforce", "kip": "klbf kip kips", "Pa": "pa pascal pascals",
+    "hPa": "hpa mbar mbars mb mbs millibar millibars hectopascal hectopascals", "kPa": "kpa kilopascal kilopascals",
+    "bar": "bar bars", "psi": "psi psia psid", "lbf/ft^2": "psf psfa psfd",
+    "inHg": "inhg inchhg incheshg inchesofmercury", "mmHg": "mmhg",
     "K": "k kelvin kelvins degk degkelvin degreeskelvin °k",
     "degC": "c degc celsius centigrade degcelsius degreec degreesc degreecelsius degreescelsius °c oc",
     "degF": "f degf fahrenheit degfahrenheit degreef degreesf degreesfahrenheit °f",
-    "degR": "degr rankine degreesrankine",
-    "ft^2": "sqft ftsq",
-    "ft^3": "cuft",
-    "slug ft^2": "slugft2",
-    "slug/ft^3": "slugft3",
-    "kg m^2": "kgm2",
-    "kg/m^3": "kgm3",
-    "Hz": "hz",
-    "%": "% pct percent prct pc %rpm %n1 %n2",
+    "degR": "degr rankine degreesrankine", "ft^2": "sqft ftsq", "ft^3": "cuft", "slug ft^2": "slugft2",
+    "slug/ft^3": "slugft3", "kg m^2": "kgm2", "kg/m^3": "kgm3", "Hz": "hz", "%": "% pct percent prct pc %rpm %n1 %n2",
     "1": "1 - -- none nd n/d nondim dimensionless unitless ratio fraction frac mach",
-}
+}  # fmt: skip
 _FOLDED: dict[str, tuple[str, ...]] = {word: (unit,) for unit, text in _WORDS.items() for word in text.split()}
 _FOLDED |= dict.fromkeys(("lb", "lbs", "pound", "pounds"), ("lb", "lbf"))  # mass or force: the quantity decides
 _FOLDED["kn"] = ("kN", "kt")
@@ -352,15 +295,15 @@ def spellings(text: str) -> tuple[str, ...]:
     first, _, last = plain.replace("(", " ").rpartition(" ")
     if first and last.lower() in _ASIDE:
         return spellings(first)
-    several = _product(plain)
+    several: tuple[str, ...] = ()
+    factors = _factors(plain)
+    if factors is not None:
+        powers = [power for _, power in factors]
+        every = (_composed(zip(units, powers, strict=True)) for units in product(*(meant for meant, _ in factors)))
+        several = tuple(dict.fromkeys(every))
     if several and not _TEMPERATURES & set(several[0].split()):
         return several
     return () if together in _CASE_TELLS else _FOLDED.get(together, several)
-
-
-def unclear(text: str) -> bool:
-    """Whether the capitals leave open which of two units is meant: "MS" is no siemens, either."""
-    return text.strip() not in _EXACT and text.strip().lower() in _CASE_TELLS
 
 
 def words() -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -376,44 +319,30 @@ def _word(word: str) -> tuple[str, ...]:
     return () if folded in _CASE_TELLS else _FOLDED.get(folded, ())
 
 
-def _product(text: str) -> tuple[str, ...]:
-    """Products and quotients of known words, "slug-ft2", "DEG/SEC**2", "m s-2"; empty for anything else."""
+def _factors(text: str) -> list[tuple[tuple[str, ...], int]] | None:
+    """Known words and their powers, of products and quotients as "slug-ft2", "DEG/SEC**2"; None for anything else."""
     left = _PER.sub("/", text)
     left = left[1:] if left.startswith("1/") else left
     factors: list[tuple[tuple[str, ...], int]] = []
     while left.strip():
         found = _FACTOR.match(left)
-        if found is None:
-            return ()
-        meant = _word(found[2])
-        if not meant or meant == ("1",):
-            return ()
+        meant = _word(found[2]) if found else ()
+        if found is None or not meant or meant == ("1",):
+            return None
         power = int(re.sub(r"[\^*()]", "", found[3])) if found[3] else 1
         factors.append((meant, -power if found[1] == "/" else power))
         left = left[found.end() :]
-    together = (_composed(tuple(zip(chosen, (p for _, p in factors), strict=True))) for chosen in _choices(factors))
-    return tuple(dict.fromkeys(together))
+    return factors
 
 
-def _choices(factors: list[tuple[tuple[str, ...], int]]) -> Iterator[tuple[str, ...]]:
-    return product(*(meant for meant, _ in factors))
-
-
-def _composed(factors: tuple[tuple[str, int], ...]) -> str:
+def _composed(factors: Iterable[tuple[str, int]]) -> str:
     """One spelling of a product, each word once: "m/s^2" of m, 1/s and 1/s."""
     powers: dict[str, int] = {}
     for unit, power in factors:
-        for name, own in _parts(unit):
-            powers[name] = powers.get(name, 0) + own * power
+        above, *below = unit.split("/")
+        for sign, part in [*((1, part) for part in above.split()), *((-1, part) for part in below)]:
+            name, _, own = part.partition("^")
+            powers[name] = powers.get(name, 0) + sign * int(own or 1) * power
     above = " ".join(f"{n}^{p}" if p > 1 else n for n, p in powers.items() if p > 0)
     below = "".join(f"/{n}^{-p}" if p < -1 else f"/{n}" for n, p in powers.items() if p < 0)
     return (above or "1") + below
-
-
-def _parts(unit: str) -> Iterator[tuple[str, int]]:
-    """The words of a unit of the table and their powers."""
-    above, *below = unit.split("/")
-    for sign, some in ((1, above.split()), (-1, below)):
-        for part in some:
-            name, _, power = part.partition("^")
-            yield name, sign * int(power or 1)

@@ -26,7 +26,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.steps.post_processing import proposed_points
+from bayes_aero.jobs.diagnose import proposed_points
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import draw_hidden
 from bayes_aero.simulate.synthetic_record import synthetic

@@ -29,7 +29,7 @@ from stranger_six import Plane, Strips, drawn, fly
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.steps.post_processing import proposed_points
+from bayes_aero.jobs.diagnose import proposed_points
 
 FLOWN = {"elevator": 120.0, "aileron": 120.0, "rudder": 120.0, "stall": 95.0, "stall_in_bank": 95.0, "again": 97.0}
 WINGS = ("roll_rate_incidence", "sideslip_incidence", "wing_lift_difference", "wing_drag_difference")

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import bayes_aero as ba
-from bayes_aero.cli.identify import identify as command
+from bayes_aero.cli.fits import identify as command
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.health import channel_health
 from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus

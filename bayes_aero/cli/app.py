@@ -9,17 +9,11 @@ from typing import Annotated
 import typer
 
 from bayes_aero import __version__
-from bayes_aero.cli.card import card
-from bayes_aero.cli.check import check
-from bayes_aero.cli.diagnose import diagnose
-from bayes_aero.cli.effects import effects
-from bayes_aero.cli.fly import fly
+from bayes_aero.cli.fits import diagnose, fly, identify, path
 from bayes_aero.cli.handover import export, qualify
 from bayes_aero.cli.handover import open as open_page
-from bayes_aero.cli.identify import identify
-from bayes_aero.cli.path import path
+from bayes_aero.cli.preparing import card, check, effects, simulate
 from bayes_aero.cli.run import run
-from bayes_aero.cli.simulate import simulate
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED, InterruptionError, refuse_gone
 from bayes_aero.errors import DefectError, InputError, plain_line
 from bayes_aero.study.jit_cache import enable_cache

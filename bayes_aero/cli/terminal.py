@@ -1,14 +1,16 @@
-"""What all commands share: exit codes, the bar, JSON on stdout, choices of options, and options that are gone."""
+"""What all commands share: exit codes, options of their classes, the bar, JSON on stdout, options that are gone."""
 
 from __future__ import annotations
 
+import inspect
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
+from dataclasses import fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from rich.console import Console
@@ -16,6 +18,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainin
 from rich.progress import Progress as ProgressBar
 
 from bayes_aero.errors import InputError
+from bayes_aero.jobs.options import MAX_SEED, Options, ReadingOptions
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
@@ -34,21 +37,44 @@ SUFFIXES = ".csv .asc .mat .xlsx .mf4 .ulg .bin .parquet .nc"
 RECORDS = f"Flight records ({SUFFIXES}), or parts of them, FILE@FROM:TO in seconds"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else on stdout.")]
-ModelOption = Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")]
 SeedOption = Annotated[
-    int, typer.Option(min=0, max=2**32 - 1, help="Same seed, same command, same machine: same numbers.")
+    int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same command, same machine: same numbers.")
 ]
-ResampleOption = Annotated[
-    float | None,
-    typer.Option(help="Interpolate records with uneven or several rates to this time step in s."),
+OutOption = Annotated[Path, typer.Option(help="Folder for the results.")]
+ResultCardOption = Annotated[
+    str | None, typer.Option(help="The card of the result, where it is not found by itself.", metavar="CARD")
 ]
-FrequencyOption = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        metavar="LOW HIGH", help="Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
-    ),
-]
-SplitOption = Annotated[bool, typer.Option("--split", help="Gaps in time divide a file into manoeuvres.")]
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def with_options(command: Command) -> Command:
+    """The command with each parameter that is a class of options spread out: one option a field."""
+    hints, found, classes = get_type_hints(command, include_extras=True), [], {}
+    for p in inspect.signature(command).parameters.values():
+        hint = hints[p.name]
+        if not (isinstance(hint, type) and issubclass(hint, Options)):
+            found.append(p.replace(kind=p.KEYWORD_ONLY, annotation=hint))
+            continue
+        rows = {f.metadata["name"] or f.name: f for f in fields(hint) if f.metadata["name"] is not None}  # type: ignore[arg-type]
+        classes[p.name] = hint, rows
+        for name, f in rows.items():
+            row = {**f.metadata["row"], "help": f.metadata["help"]}
+            spelled = [f"--{name.replace('_', '-')}"] if row.pop("flag", False) else []
+            kind = Annotated[hint.kinds()[f.name], typer.Option(*spelled, **row)]
+            default = None if f.default == () else f.default  # a list that is not given
+            found.append(inspect.Parameter(name, p.KEYWORD_ONLY, default=default, annotation=kind))
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for parameter, (of, rows) in classes.items():
+            values = {f.name: given.pop(name) for name, f in rows.items()}
+            lists = {f.name: tuple(values[f.name] or ()) for f in rows.values() if f.default == ()}
+            given[parameter] = of(**values | lists)
+        command(**given)
+
+    run.__signature__ = inspect.Signature(found)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in found}
+    return run  # type: ignore[return-value]
 
 
 def teller(*, quiet: bool = False, highlight: bool = False) -> Console:
@@ -84,9 +110,7 @@ def loading() -> Iterator[None]:
         yield
 
 
-def card_and_records(
-    model: str, records: Sequence[Path], resample: float | None, split: bool
-) -> tuple[Card, list[FlightRecord]]:
+def card_and_records(records: Sequence[Path], reading: ReadingOptions) -> tuple[Card, list[FlightRecord]]:
     """What a command is given, read before anything that takes seconds to load: a mistake is reported at once."""
     from bayes_aero.flight.reading.read_record import present, read_records
 
@@ -94,8 +118,17 @@ def card_and_records(
         present(path)
     with loading():
         from bayes_aero.flight.card.card import read_card
-    card = read_card(model)
-    return card, read_records(records, card.channels, resample=resample, segments=card.segments, split=split)
+    card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
+    return card, read_records(records, card.channels, segments=card.segments, **how)
+
+
+def check_result(given: str) -> None:
+    """Refuse what is neither a finished result nor a card, before the libraries are loaded."""
+    from bayes_aero.jobs.io.result_file import read_result, result_file
+
+    file = result_file(given)
+    if file is not None:
+        read_result(file)
 
 
 def print_json(content: Mapping[str, Any]) -> None:
@@ -105,28 +138,17 @@ def print_json(content: Mapping[str, Any]) -> None:
     sys.stdout.write(as_json(dict(content)))
 
 
-def print_doubts(
-    console: Console, agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool
-) -> None:
-    """Faulty channels and whether the sensors agree: the first things that are printed.
-
-    `corrects`: whether the command takes known errors of sensors out by itself.
-    """
-    from bayes_aero.report.text.check import consistency_sentences
-
-    for finding in health:
-        console.print(f"! {finding.sentence}", highlight=False)
-    if agreement is not None:
-        first, *rest = consistency_sentences(agreement, corrects=corrects)
-        console.print(f"{'!' if agreement.disagrees else '•'} {first}", highlight=False)
-        for sentence in rest:
-            console.print(f"• {sentence}", highlight=False)
-
-
 def print_failures(console: Console, failures: Sequence[str]) -> None:
     """Parts of a job that failed unexpectedly."""
     for sentence in failures:
         console.print(f"✗ {sentence}", style="red", highlight=False, soft_wrap=True)
+
+
+def print_lines(console: Console, sentences: Sequence[str], notes: Sequence[str] = ()) -> None:
+    """Findings, then remarks."""
+    for mark, lines in (("•", sentences), ("!", notes)):
+        for line in lines:
+            console.print(f"{mark} {line}", highlight=False)
 
 
 def exit_if_failed(failures: Sequence[str]) -> None:
@@ -142,6 +164,46 @@ def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding]
         disagrees = False
     if disagrees or any(finding.grave for finding in health):
         raise typer.Exit(DOUBT)
+
+
+def conclude(
+    console: Console,
+    found: Any,
+    show: Callable[[], None],
+    *,
+    json: Path | None,
+    corrects: bool = False,
+    compared: bool = True,
+    failures: Sequence[str] | None = None,
+    failed: bool = False,
+    doubtful: bool = False,
+) -> None:
+    """Show what a job on records has found, faulty channels and disagreeing sensors first, and leave with its code.
+
+    `found` has `health`, `consistency` and, where they are not given, `failures`; `show` prints all else; `json` is the
+    file to print on stdout instead. `corrects`: the command takes known errors of sensors out by itself; `compared`:
+    the sensors were, else the fit answers whether they agree; `failed`: the result is of no use; `doubtful`: it is in
+    doubt whatever the records are.
+    """
+    from bayes_aero.report.text.check import consistency_sentences
+
+    failed_parts: Sequence[str] = found.failures if failures is None else failures
+    agreement: Consistency | None = found.consistency if compared else None
+    if json is not None:
+        typer.echo(json.read_text(encoding="utf-8"), nl=False)
+    else:
+        print_failures(console, failed_parts)
+        print_lines(console, (), [finding.sentence for finding in found.health])
+        if agreement is not None:
+            first, *rest = consistency_sentences(agreement, corrects=corrects)
+            print_lines(console, *((), [first]) if agreement.disagrees else ([first],))
+            print_lines(console, rest)
+        show()
+    if failed or failed_parts:
+        raise typer.Exit(FAILED)
+    if doubtful:
+        raise typer.Exit(DOUBT)
+    exit_in_doubt(agreement, found.health, corrects=corrects)
 
 
 class InterruptionError(Exception):
@@ -177,80 +239,11 @@ def kept_stages(out: Path) -> Callable[[], str]:
     return told
 
 
-# --- Choices of options, written out so that --help need not import the numerical libraries; a test compares them.
-
-
-class NoiseModel(StrEnum):
-    """Noise models of the posterior: `model.noise.Colour`."""
-
-    WHITE = "white"
-    AR1 = "ar1"
-    BUFFET_AR1 = "buffet-ar1"
-
-
-class Coefficients(StrEnum):
-    """How coefficients are formed: `model.observations.Forming`."""
-
-    MATCHED = "matched"
-    PUBLISHED = "published"
-
-
-class InitialState(StrEnum):
-    """Where a manoeuvre begins: `jobs.options.INITIAL_STATES`."""
-
-    FREE = "free"
-    FIXED = "fixed"
-
-
-class Inputs(StrEnum):
-    """Inputs between samples: `jobs.options.INPUTS`."""
-
-    LINEAR = "linear"
-    HELD = "held"
-
-
-class Split(StrEnum):
-    """How data are held back to test the Gaussian process: `inference.splits.SplitKind`."""
-
-    RANDOM = "random"
-    BLOCK = "block"
-    MANOEUVRE = "manoeuvre"
-
-
-class SimulatedNoise(StrEnum):
-    """Noise of a simulated record: `simulate.request.NOISES`."""
-
-    NONE = "none"
-    WHITE = "white"
-    AR1 = "ar1"
-    BUFFET = "buffet"
-
-
-class Manoeuvre(StrEnum):
-    """What is flown: `simulate.request.MANOEUVRES`."""
-
-    RANDOM_STALL = "random_stall"
-    SLOW_STALL = "slow_stall"
-    ELEVATOR_DOUBLET = "elevator_doublet"
-    ELEVATOR_3211 = "elevator_3211"
-    MULTISINE = "multisine"
-    THRUST_STEPS = "thrust_steps"
-    SPEED_CHANGE = "speed_change"
-    SIDESLIP = "sideslip"
-    BANK_TO_BANK = "bank_to_bank"
-    STABILIZER_STEPS = "stabilizer_steps"
-    AILERON_DOUBLET = "aileron_doublet"
-    RUDDER_DOUBLET = "rudder_doublet"
-    STALL_WITH_BANK = "stall_with_bank"
-    ENGINE_STEPS = "engine_steps"
-
-
-class ExportForm(StrEnum):
-    """Forms of an exported model: `jobs.handover.export.FORMS`."""
-
-    JSBSIM = "jsbsim"
-    FMU = "fmu"
-    TABLES = "tables"
+@contextmanager
+def working(out: Path, first: str = "reading") -> Iterator[Progress]:
+    """The bar of a command that writes stage by stage into `out`; Ctrl-C says what is there."""
+    with interruptible(kept_stages(out)), bar(first) as tell:
+        yield tell
 
 
 # --- Options of the command line that are gone: one row each, told before the command line is parsed.
@@ -273,14 +266,7 @@ GONE: tuple[tuple[str, str, str], ...] = (
 
 
 def refuse_gone(arguments: Sequence[str]) -> None:
-    """Refuse an option that is gone, with what to use instead.
-
-    Args:
-        arguments: of the program, the command first.
-
-    Raises:
-        InputError: one of them is gone.
-    """
+    """Raise `InputError` for an option that is gone, with what to use instead; `arguments`: the command first."""
     command, *rest = arguments or ("",)
     options = rest[: rest.index("--")] if "--" in rest else rest  # behind it are names of files
     spelled = [argument.partition("=")[0] for argument in options]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from bayes_aero.flight.reading.checks import MIN_SAMPLES
 from bayes_aero.flight.reading.read_record import RawColumn, read_raw, repeats
 from bayes_aero.flight.reading.segments import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
-from bayes_aero.jobs.provenance import provenance
+from bayes_aero.jobs.provenance import picked, provenance, sha256_of
 from bayes_aero.physics.coefficient_names import FORMED_FROM, REQUIRED
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
@@ -65,15 +64,8 @@ class Starter:
     def told(self) -> dict[str, Any]:
         """What was guessed, as plain data."""
         channels = {
-            name: {
-                "place": g.column.place,
-                "unit": g.unit,
-                "sign": g.sign,
-                "evidence": g.evidence,
-                "doubt": doubt or None,
-            }
+            name: {"place": g.column.place, **picked(g, "unit", "sign", "evidence"), "doubt": self.doubt(name) or None}
             for name, g in self.found.items()
-            for doubt in (self.doubt(name),)
         }
         unknown = [column.place for column in self.unknown]
         return {"channels": channels, "unknown": unknown, "todo": dict(self.todo), "not_found": list(self.blind)}
@@ -84,12 +76,7 @@ class Starter:
 
 
 def starter_card(path: Path) -> Starter:
-    """Guess from a record's columns.
-
-    Raises:
-        InputError: the record cannot be read, or is too short to guess from.
-        DefectError: the card would not be one.
-    """
+    """Guess from a record's columns; `DefectError` where the card would not be one."""
     raw = read_raw(path)
     longest = max((len(c.values) for c in raw.columns if c.values is not None), default=0)
     if longest < MIN_SAMPLES:
@@ -104,11 +91,11 @@ def starter_card(path: Path) -> Starter:
         "",
         *aircraft_block(),
         "",
-        *_channels(found, unknown, raw.columns),
+        *channels_block(found, unknown, raw.columns),
         "",
-        *_sums(found),
-        *_constants(found),
-        *_sensors(found),
+        *sums_block(found),
+        *constants_block(found),
+        *sensors_block(found),
         *model_block(found, "mach" in found or "mach" in _derivable(found)),
     ]
     open_lines = [line for line in lines if '"TODO' in line and not line.startswith("#")]
@@ -123,26 +110,30 @@ def _text(words: str) -> str:
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]) -> Iterator[str]:
+def channels_block(
+    found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns: Sequence[RawColumn]
+) -> Iterator[str]:
+    """Lines of `[channels]`: each guess with its evidence, what is needed and absent as TODO, the rest as comments."""
     yield "# The file's columns. sign = -1: the file counts the other way (nz up, elevator trailing edge up)."
     yield "[channels]"
     headless = all(column.label is None for column in columns)
     place = "column" if headless else "label"
+    summed = "elevator" not in found and (_both(found, "elevator") or _both(found, "elevon"))
     for name in NEEDED:
-        if name not in found and name not in HELD and name not in _summed(found):
-            yield from _absent(name, place)
+        if name not in found and name not in HELD and not (name == "elevator" and summed):
+            yield _absent(name, place)
     for name, guess in found.items():
         optional = "" if name in NEEDED or name in KINEMATIC else ", required = false"
         sign = ", sign = -1" if guess.sign < 0 else ""
         entry = f"{name} = {{ {_place(guess.column)}, unit = {_text(guess.unit or 'TODO')}{sign}{optional} }}"
         doubt = _implausible(name, guess)
-        if doubt:
-            yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
-            yield f"# {entry}"
-            if name in NEEDED:
-                yield from _absent(name, place, "what the file has was not taken")
+        if not doubt:
+            yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
             continue
-        yield f"{entry} {comment(f'guess: {guess.evidence}; {_range(guess.values)}')}"
+        yield comment(f"NOT TAKEN, {doubt}; {guess.evidence}:")
+        yield f"# {entry}"
+        if name in NEEDED:
+            yield _absent(name, place, "what the file has was not taken")
     if unknown:
         rest = [n for n in STANDARD_CHANNELS if n not in found]
         yield "# Columns that nothing was guessed for. Names that are still free:"
@@ -152,19 +143,14 @@ def _channels(found: Mapping[str, Guess], unknown: Sequence[RawColumn], columns:
         if column.values is None:
             yield comment(f"{column.place}: no numbers")
             continue
-        said = column.unit or (split_heading(column.label)[1] if column.label else None) or _of_spool(column)
+        said = column.unit or (split_heading(column.label)[1] if column.label else None) or "?"
+        if said == "?" and column.label is not None and SPOOL.search(column.label):  # an engine speed, by its size
+            size = float(np.nanmax(np.abs(column.values), initial=0.0))
+            said = "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
         unit = _text(canonical(said) or said)
         yield f"# NAME = {{ {_place(column)}, unit = {unit}, required = false }} # {_range(column.values)}"
     if headless:
         yield "# The file has no header, so nothing can be guessed: say which column is what."
-
-
-def _of_spool(column: RawColumn) -> str:
-    """Unit of an engine speed, N1 or N2, by its size; "?" of anything else."""
-    if column.label is None or column.values is None or not SPOOL.search(column.label):
-        return "?"
-    size = float(np.nanmax(np.abs(column.values), initial=0.0))
-    return "rpm" if size > 200.0 else "%" if size > 2.0 else "1"
 
 
 def _place(column: RawColumn) -> str:
@@ -176,14 +162,13 @@ def _range(values: np.ndarray) -> str:
     return f"{sound.min():.5g} to {sound.max():.5g}" if len(sound) else "no finite number"
 
 
-def _absent(name: str, place: str, why: str = "was not found in the file") -> Iterator[str]:
+def _absent(name: str, place: str, why: str = "was not found in the file") -> str:
     standard = STANDARD_CHANNELS.get(name)
     what, unit = (standard.description, standard.unit) if standard else ("total net thrust", "N")
     if name in ACCELERATIONS:
-        yield comment(f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:")
-        yield f'# {name} = {{ {place} = "...", unit = "{unit}" }}'
-        return
-    yield f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(f"{what}; {why}")}'
+        said = f"{name} was not found: {what}. Without it diagnose works from trajectories alone, identify not:"
+        return f'{comment(said)}\n# {name} = {{ {place} = "...", unit = "{unit}" }}'
+    return f'{name} = {{ {place} = "TODO", unit = "{unit}" }} {comment(f"{what}; {why}")}'
 
 
 def _implausible(name: str, guess: Guess) -> str:
@@ -201,7 +186,8 @@ def _taken(found: Mapping[str, Guess]) -> set[str]:
     return {name for name, guess in found.items() if not _implausible(name, guess)}
 
 
-def _sums(found: Mapping[str, Guess]) -> Iterator[str]:
+def sums_block(found: Mapping[str, Guess]) -> Iterator[str]:
+    """Lines of `[sums]`: what the left and the right one make together."""
     lines = []
     if _both(found, "thrust"):
         lines.append('thrust = ["thrust_left", "thrust_right"]')
@@ -220,11 +206,6 @@ def _both(found: Mapping[str, Guess], name: str) -> bool:
     return name not in found and {f"{name}_left", f"{name}_right"} <= _taken(found)
 
 
-def _summed(found: Mapping[str, Guess]) -> set[str]:
-    """Needed channels that `_sums` makes."""
-    return {"elevator"} if "elevator" not in found and (_both(found, "elevator") or _both(found, "elevon")) else set()
-
-
 def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
     """Channels that are not in the file and can be formed from it, each by the best rule."""
     have = _taken(found)
@@ -234,8 +215,8 @@ def _derivable(found: Mapping[str, Guess]) -> dict[str, str]:
     return {name: rule for name, rule in best.items() if rule is not None and name not in have}
 
 
-def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
-    """Channels that the file lacks, formed from others, or held for the whole record."""
+def constants_block(found: Mapping[str, Guess]) -> Iterator[str]:
+    """Lines of `[derived]` and `[constants]`: channels that the file lacks, formed from others, or held."""
     derived = _derivable(found)
     absent = [name for name in RULES if name not in found and name not in derived]
     if not derived and absent:
@@ -256,65 +237,52 @@ def _constants(found: Mapping[str, Guess]) -> Iterator[str]:
     if "density" not in found and "density" not in derived:
         lines.append('density = "TODO" # of the air, e.g. "0.9 kg/m^3"; neither it nor an altitude was found')
     if "thrust" not in found and not _taken(found) >= {"thrust_left", "thrust_right"}:
-        lines.append(f'thrust = "TODO" # total net thrust, e.g. "2500 N"; {_thrust_of(found)}. Drag is as good as this')
+        sides = [name for name in ("thrust_left", "thrust_right") if name in found]
+        was = (
+            "was not found in the file",
+            f"only {sides[0]} was" if sides else "",
+            "both sides were found, but not taken",
+        )
+        lines.append(f'thrust = "TODO" # total net thrust, e.g. "2500 N"; {was[len(sides)]}. Drag is as good as this')
     lines += [
         f'{name} = "0 rad/s" # guess: found under no heading, taken as zero' for name in LATERAL if name not in found
     ]
-    lines += _still(found)
+    level = [name for name in LEVEL if name not in found]
+    if level and "theta" in found and "altitude" in found:  # the flight path needs them
+        if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
+            said = "guess: found under no heading; it did not roll or yaw"
+            lines += [f'{name} = "0 {LEVEL[name]}" # {said}' for name in level]
+        else:
+            said = "found under no heading, and it rolled or yawed. Sensors go unchecked."
+            lines.append(f"# {', '.join(level)}: {said}")
     if lines:
         yield from ("# Held constant over the record, for want of a channel.", "[constants]", *lines, "")
 
 
-def _thrust_of(found: Mapping[str, Guess]) -> str:
-    """What the file has of the thrust."""
-    sides = [name for name in ("thrust_left", "thrust_right") if name in found]
-    if not sides:
-        return "was not found in the file"
-    return f"only {sides[0]} was" if len(sides) == 1 else "both sides were found, but not taken"
-
-
-def _still(found: Mapping[str, Guess]) -> Iterator[str]:
-    """What the flight path needs beside the recorded channels, where these say that it stood still."""
-    absent = [name for name in LEVEL if name not in found]
-    if not absent or "theta" not in found or "altitude" not in found:
-        return
-    if all(np.nanstd(found[name].si) < STILL for name in LATERAL if name in found):
-        yield from (
-            f'{name} = "0 {LEVEL[name]}" # guess: found under no heading; it did not roll or yaw' for name in absent
-        )
-    else:
-        yield f"# {', '.join(absent)}: found under no heading, and it rolled or yawed. Sensors go unchecked."
-
-
-def _sensors(found: Mapping[str, Guess]) -> Iterator[str]:
+def sensors_block(found: Mapping[str, Guess]) -> Iterator[str]:
+    """Lines of `[sensors]`: what is white in the record."""
     yield "# Standard deviations of the sensors' white noise; data sheets know better."
     yield "[sensors]"
     asked = FORMED_FROM[Axis.LATERAL] if has_lateral(found) else REQUIRED
     wanted = {n: g for n, g in found.items() if n in asked and not _implausible(n, g)}
-    if "time" in found:
-        for name, guess in wanted.items():
-            deviation = noise_of(guess.si)
-            if deviation > 0.5 * quantum(guess.si) and guess.unit is not None:  # less is rounding of a computed signal
-                unit = guess.unit
-                source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
-                size = abs(float(from_si(deviation, unit, name, source)))
-                yield f'{name} = "{size:.2g} {unit}" # guess: what is white in this record'
+    for name, guess in wanted.items() if "time" in found else ():
+        deviation = noise_of(guess.si)
+        if deviation > 0.5 * quantum(guess.si) and guess.unit is not None:  # less is rounding of a computed signal
+            source = STANDARD_CHANNELS[name].unit if name in STANDARD_CHANNELS else "N"
+            size = abs(float(from_si(deviation, guess.unit, name, source)))
+            yield f'{name} = "{size:.2g} {guess.unit}" # guess: what is white in this record'
     yield ""
 
 
 # --- The aircraft's constants on a starter card: nothing of them can be read off a record.
 
 MEANING = {
-    "mass": "of the flight, with fuel and crew",
-    "Ix": "moment of inertia about the roll axis",
-    "Iy": "moment of inertia about the pitch axis",
-    "Iz": "moment of inertia about the yaw axis",
-    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it',
-    "wing_area": "reference area of CL, CD and Cm",
-    "chord": "mean aerodynamic chord",
-    "span": "of the wing, from tip to tip",
+    "mass": "of the flight, with fuel and crew", "Ix": "moment of inertia about the roll axis",
+    "Iy": "moment of inertia about the pitch axis", "Iz": "moment of inertia about the yaw axis",
+    "Ixz": 'product of inertia; "0 kg m^2" if nobody knows it', "wing_area": "reference area of CL, CD and Cm",
+    "chord": "mean aerodynamic chord", "span": "of the wing, from tip to tip",
     "tail_arm": "from the centre of gravity to the tailplane's quarter chord",
-}
+}  # fmt: skip
 POSITION = '["0 m", "0 m", "0 m"]'
 PLACES = {
     "reference_point": "that Cm is referred to, if it is not the centre of gravity",
@@ -343,45 +311,27 @@ def aircraft_block() -> Iterator[str]:
 
 
 def read_back(text: str, record: str) -> None:
-    """Parse a starter card with something plausible in place of every TODO.
+    """Parse a starter card with something plausible in place of every TODO; `DefectError` if it is no card."""
+    units = {"aircraft": AIRCRAFT_KEYS, "constants": {name: c.unit for name, c in STANDARD_CHANNELS.items()}}
 
-    Args:
-        text: the card.
-        record: the file it was made from, named in the error.
+    def filled(given: Any, unit: str) -> Any:
+        if isinstance(given, dict):  # a channel
+            return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
+        return given if given != UNFILLED else 1.0 if unit == "1" else f"1 {unit}"
 
-    Raises:
-        DefectError: it is no card, TODO entries aside.
-    """
     try:
-        parse_card(_filled(parse_table(text.encode(), "of a starter")), "starter", "of a starter")
+        table = parse_table(text.encode(), "of a starter")
+        table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}  # zero, as of some body
+        for section, entries in table.items():
+            if isinstance(entries, dict):
+                known = units.get(section, {})
+                table[section] = {key: filled(value, known.get(key, "1")) for key, value in entries.items()}
+        parse_card(table, "starter", "of a starter")
     except InputError as reason:
         raise DefectError(
             f"the starter card of {record} was not written, for the program could not read it back ({reason})",
             "write the card by hand (docs/reference/card.md explains every key)",
         ) from reason
-
-
-def _filled(table: dict[str, Any]) -> dict[str, Any]:
-    """The table with a value of the right unit for every TODO; a product of inertia is zero, as of some body."""
-    table = {**table, "aircraft": {**table["aircraft"], "Ixz": "0 kg m^2"}}
-    units = {
-        "aircraft": AIRCRAFT_KEYS,
-        "constants": {name: channel.unit for name, channel in STANDARD_CHANNELS.items()},
-    }
-    return {
-        section: {key: _value(value, units.get(section, {}).get(key, "1")) for key, value in entries.items()}
-        if isinstance(entries, dict)
-        else entries
-        for section, entries in table.items()
-    }
-
-
-def _value(given: Any, unit: str) -> Any:
-    if isinstance(given, dict):
-        return {key: (1 if key == "column" else "1") if x == UNFILLED else x for key, x in given.items()}
-    if given != UNFILLED:
-        return given
-    return 1.0 if unit == "1" else f"1 {unit}"
 
 
 # --- The section of a starter card that names the model's effects, those of a stall where the record seems to hold
@@ -413,22 +363,11 @@ def comment(words: str) -> str:
     return "# " + " ".join("".join(c if c.isprintable() else " " for c in words).split())
 
 
-def _mach_moves(found: Mapping[str, Guess]) -> bool:
-    """Whether a lift slope over Mach number can be told from one over nothing."""
-    if "mach" in found:
-        return float(np.ptp(found["mach"].si)) > MACH_MOVES
-    return "airspeed" in found and float(np.ptp(found["airspeed"].si)) / SOUND > MACH_MOVES
-
-
 def has_lateral(found: Mapping[str, Guess]) -> bool:
     """Whether the channels of the lateral axis are there: six coefficients can be formed and explained."""
     return all(name in found for name in MEASURED) and (
         "aileron" in found or {"aileron_left", "aileron_right"} <= set(found)
     )
-
-
-def _rolls(found: Mapping[str, Guess]) -> bool:
-    return float(np.nanstd(found["p"].si)) > ROLLS
 
 
 def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
@@ -439,14 +378,15 @@ def model_block(found: Mapping[str, Guess], mach: bool) -> Iterator[str]:
     yield "# bayes-aero effects lists all; diagnose looks for those that are missing."
     yield "[model]"
     if lateral:
-        moves = _rolls(found)
+        moves = float(np.nanstd(found["p"].si)) > ROLLS
         mark = "" if moves else "# "
         yield comment(f"guess: the aircraft {'rolls' if moves else 'hardly rolls'} in this record:")
         yield f'{mark}axes = ["{Axis.LONGITUDINAL}", "{Axis.LATERAL}"]'
     yield "effects = ["
-    for name in ATTACHED[:1]:
-        yield f'  "{name}",'
-    moves = mach and _mach_moves(found)
+    yield f'  "{ATTACHED[0]}",'
+    spread = {n: float(np.ptp(found[n].si)) for n in ("mach", "airspeed") if n in found}
+    # Whether a lift slope over Mach number can be told from one over nothing.
+    moves = mach and spread.get("mach", spread.get("airspeed", 0.0) / SOUND) > MACH_MOVES
     remark = "needs the Mach number" if not mach else "" if moves else "the Mach number hardly moves in this record"
     yield ("" if moves else "# ") + '  "mach_lift",' + (f" # {remark}" if remark else "")
     yield from (f'  "{name}",' for name in ATTACHED[1:])
@@ -480,8 +420,6 @@ def put_starter_page(starter: Starter, record: Path, card: Path) -> tuple[Path, 
     unknown = [Rest(c.place, c.unit, c.values) for c in starter.unknown]
     view = StarterView(record.name, card.name, time, taken, unknown, starter.todo, starter.blind)
     source = provenance(None, [], None, {})
-    source["inputs"] = [
-        {"name": record.stem, "source": record.name, "sha256": hashlib.sha256(record.read_bytes()).hexdigest()}
-    ]
+    source["inputs"] = [{"name": record.stem, "source": record.name, "sha256": sha256_of(record)}]
     path = card.with_name(card.name + ".report.html")
     return path, put_page(lambda: card_page(view, source), path.parent, path.name)

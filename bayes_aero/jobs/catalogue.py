@@ -1,17 +1,18 @@
-"""The effects that a user can name: built-in ones and those of a card, described as plain data."""
+"""The effects that a user can name: built-in ones and those of a card, as plain data and as a folder with a page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card
+from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.model.model import own_effects
-from bayes_aero.parameter import Parameter, Prior
 
 WORDS = 3  # effects that an unknown name is taken to mean
 
@@ -34,56 +35,57 @@ def effect_named(name: str, among: Mapping[str, Effect]) -> Effect:
 
 def effect_facts(effect: Effect, card: Card | None = None) -> dict[str, Any]:
     """An effect as plain data; `model` says whether the card's model has it, null without a card."""
+    parameters = []
+    for p in effect.parameters:
+        least, most = effect.sizes.get(p.name, (None, None))
+        a, b = f"{p.prior.location:g}", f"{p.prior.scale:g}"
+        words = {
+            "normal": f"normal, mean {a}, deviation {b}",
+            "lognormal": f"lognormal, median {a}, deviation of the logarithm {b}",
+            "halfnormal": f"half-normal above {a}, scale {b}",
+            "uniform": f"uniform, {a} to {p.prior.location + p.prior.scale:g}",
+        }
+        prior = picked(p.prior, "family", "location", "scale", "source") | {"text": words[p.prior.family]}
+        about = picked(p, "name", "unit", "description", "neutral", "start", "bounds")
+        parameters.append(about | {"prior": prior, "least_worth_modelling": least, "largest_plausible": most})
     return {
         "name": effect.name,
         "kind": effect.kind.value,
         "stage": effect.stage.name.lower(),
         "claim": effect.claim,
         "formula": effect.formula,
-        "parameters": [_parameter(p, effect) for p in effect.parameters],
+        "parameters": parameters,
         "needs": list(effect.channels),
         "rests_on": list(effect.uses),
         "axes": [axis.value for axis in effect.axes],
         "proposed_by_diagnose": effect.candidate and (card is None or effect.acts_on(card.axes)),
-        "example": {
-            "parameters": dict(effect.example.parameters),
-            "signals": dict(effect.example.signals),
-            "known": dict(effect.example.known or {}),
-            "increments": dict(effect.example.increments),
-            "source": effect.example.source,
-        },
+        "example": picked(effect.example, "parameters", "signals", "known", "increments", "source")
+        | {"known": effect.example.known or {}},
         "source": effect.source,
         "model": None if card is None else effect.name in card.effects,
     }
 
 
-def _parameter(p: Parameter, effect: Effect) -> dict[str, Any]:
-    least, most = effect.sizes.get(p.name, (None, None))
-    return {
-        "name": p.name,
-        "unit": p.unit,
-        "description": p.description,
-        "neutral": p.neutral,
-        "start": p.start,
-        "bounds": list(p.bounds),
-        "prior": {
-            "family": p.prior.family,
-            "location": p.prior.location,
-            "scale": p.prior.scale,
-            "source": p.prior.source,
-            "text": prior_in_words(p.prior),
-        },
-        "least_worth_modelling": least,
-        "largest_plausible": most,
-    }
+def write_effects_page(
+    found: Sequence[Mapping[str, Any]], schema: str, card: Card | None, out: Path
+) -> tuple[str, ...]:
+    """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
+    from bayes_aero.jobs.io.result_file import writable  # what draws is heavy, and a study reads this module
+    from bayes_aero.report.figures.prior import channels_needed
+    from bayes_aero.report.html.page import Report, put_page
+    from bayes_aero.report.html.pictures import Gallery
+    from bayes_aero.report.pages.effects import effects_page, picture_words
+    from bayes_aero.report.style import save
 
+    writable(out)
+    write_json({"schema": schema, "effects": list(found)}, out / "effects.json")
 
-def prior_in_words(prior: Prior) -> str:
-    """A prior as people write it."""
-    a, b = f"{prior.location:g}", f"{prior.scale:g}"
-    return {
-        "normal": f"normal, mean {a}, deviation {b}",
-        "lognormal": f"lognormal, median {a}, deviation of the logarithm {b}",
-        "halfnormal": f"half-normal above {a}, scale {b}",
-        "uniform": f"uniform, {a} to {prior.location + prior.scale:g}",
-    }[prior.family]
+    def page() -> Report:
+        pictures = ()
+        if len(found) > 1:  # one effect by itself has none
+            (out / "figures").mkdir(exist_ok=True)
+            drawn = save(channels_needed(found), out / "figures" / "channels.png")
+            pictures = Gallery({"channels": drawn}, {"channels": picture_words(found)})("channels")
+        return effects_page(found, provenance(card, [], None, {}), None if card is None else card.title, pictures)
+
+    return put_page(page, out)

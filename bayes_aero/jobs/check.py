@@ -18,9 +18,9 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
 from bayes_aero.flight.reading.read_record import manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
-from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.result_file import writable
+from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.joined_records import joined, on_recorded_axes
@@ -41,47 +41,40 @@ def check_records(
     progress: Progress | None = None,
 ) -> CheckReport:
     """Look at every record, then at what all of them together allow; no aerodynamics is fitted."""
-    looked = []
+    looked: list[RecordReport] = []
     paths = manoeuvres(paths, card.channels, segments=card.segments, split=split)
     for number, path in enumerate(paths):
         if progress:
             progress(f"reading {path.name}", number / len(paths))
-        looked.append(_within_tables(inspect_record(path, card, resample=resample), card))
+        report = inspect_record(path, card, resample=resample)
+        try:
+            if report.record is not None and card.tables:
+                with_sums(report.record, card)
+        except InputError as reason:  # the record leaves a table of the card
+            report = replace(report, problems=(*report.problems, str(reason)), record=None)
+        looked.append(report)
     sound = [r.record for r in looked if r.record is not None]
     whole = len(sound) == len(looked)
     used, left_out = on_recorded_axes(card, sound) if whole else (card, ())
-    uses, not_testable = (usable_for(sound, used), _not_testable(sound, used)) if whole else ({}, {})
-    why = "not asked for" if not sensors else "a record is not usable" if len(sound) < len(looked) else ""
+    uses = usable_for(sound, used) if whole else {}
+    not_testable: dict[str, str] = {}
+    if whole and used.linear is None and "alpha" in available(sound, used):
+        own = tuple(own_effects(used.effect_files).values())
+        not_testable = dict(candidate_model(Model.from_card(used), joined(sound, used, ()), own).not_testable)
+    why = "not asked for" if not sensors else "" if whole else "a record is not usable"
     if not why and progress:
         progress("do the sensors agree?", 0.5)
-    known, sought, sensors_found = (None, "", SensorCheck(why, {}, {})) if why else _sensors(sound, card, seed)
+    known, sought, found = (None, "", SensorCheck(why, {}, {})) if why else errors_of_sensors(sound, card, seed)
     checks = record_checks(sound, card, seed, known=known, seek=False, left_out=why)
     agreement = replace(checks.consistency, unsought=sought)
     return CheckReport(
-        card, tuple(looked), uses, not_testable, sensors_found, agreement, checks.health, left_out, checks.failures
+        card, tuple(looked), uses, not_testable, found, agreement, checks.health, left_out, checks.failures
     )
 
 
-def _within_tables(report: RecordReport, card: Card) -> RecordReport:
-    """The report, with a problem more if the record leaves a table of the card."""
-    if report.record is None or not card.tables:
-        return report
-    try:
-        with_sums(report.record, card)
-    except InputError as reason:
-        return replace(report, problems=(*report.problems, str(reason)), record=None)
-    return report
-
-
-def _not_testable(records: Sequence[FlightRecord], card: Card) -> dict[str, str]:
-    """Why an effect of the catalogue cannot be tested in the records, by effect."""
-    if card.linear is not None or "alpha" not in available(records, card):
-        return {}
-    own = tuple(own_effects(card.effect_files).values())
-    return dict(candidate_model(Model.from_card(card), joined(records, card, ()), own).not_testable)
-
-
-def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[KnownErrors | None, str, SensorCheck]:
+def errors_of_sensors(
+    records: Sequence[FlightRecord], card: Card, seed: int
+) -> tuple[KnownErrors | None, str, SensorCheck]:
     """The errors that a selection along the flight path names, or why it could not look for them."""
     try:
         found = screen_sensor_errors(list(records), card, seed=seed)
@@ -96,39 +89,32 @@ def _sensors(records: Sequence[FlightRecord], card: Card, seed: int) -> tuple[Kn
 
 def check_results(report: CheckReport) -> dict[str, Any]:
     """The report as plain data."""
-    records = []
+    records, card, sensors = [], report.card, report.sensors
     for r in report.records:
         about = asdict(replace(r, record=None))
         del about["record"]
         records.append(about | {"sha256": None if r.record is None else r.record.sha256, "usable": not r.problems})
+    unchecked = report.consistency.agreement is Agreement.NOT_CHECKED
     return {
         "schema": SCHEMA,
         "usable": report.usable,
-        "card": {"name": report.card.name, "title": report.card.title, "sha256": report.card.sha256},
-        "constants": dict(report.card.constants),
-        "derived": list(report.card.derived),
-        "tables": {name: [axis.channel for axis in table.axes] for name, table in report.card.tables.items()},
-        "sums": {name: list(parts) for name, parts in report.card.sums.items()},
+        "card": picked(card, "name", "title", "sha256"),
+        "constants": card.constants,
+        "derived": list(card.derived),
+        "tables": {name: [axis.channel for axis in table.axes] for name, table in card.tables.items()},
+        "sums": {name: list(parts) for name, parts in card.sums.items()},
         "consistency": consistency_results(report.consistency),
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
-        "axes_left_out": list(report.left_out),
-        "not_testable": report.not_testable,
-        "cautions": list(report.cautions),
-        "health": health_results(report.health),
+        **picked(report, "axes_left_out=left_out", "not_testable", "cautions", "health"),
         "sensors": {
-            "checked": not report.sensors.note,
-            "why_not": report.sensors.note or None,
-            "agree": _agree(report),
-            "errors": report.sensors.errors,
-            "rms": {n: {"before": a, "after": b} for n, (a, b) in report.sensors.rms.items()},
+            "checked": not sensors.note,
+            "why_not": sensors.note or None,
+            "agree": None if unchecked else not report.consistency.disagrees,  # within their noise
+            "errors": sensors.errors,
+            "rms": named_pairs(sensors.rms, "before", "after"),
         },
     }
-
-
-def _agree(report: CheckReport) -> bool | None:
-    """Whether the sensors agree within their noise; None where that was not checked."""
-    return None if report.consistency.agreement is Agreement.NOT_CHECKED else not report.consistency.disagrees
 
 
 def write_check(report: CheckReport, out: Path, seed: int = 0) -> tuple[str, ...]:

@@ -6,7 +6,8 @@ Nothing here is certain, and every guess carries its evidence: it is meant to be
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
@@ -51,18 +52,8 @@ def guessed(columns: Sequence[RawColumn]) -> tuple[dict[str, Guess], list[RawCol
                 found[guess.channel] = guess
             elif loose:
                 unknown.append(column)
-    found = _time(found)
-    found = _angles_by_rates(found)
-    found = _angles_by_path(found)
-    found = _angles(found)
-    found = _rates(found)
-    found = _rates_of_rates(found)
-    found = _accelerations(found)
-    found = _speed_and_height(found)
-    found = _density(found)
-    found = _dynamic_pressure(found)
-    found = {name: _by_size(guess) for name, guess in found.items()}
-    found = _elevator(found)
+    for step in STEPS:
+        step(found)
     return found, unknown
 
 
@@ -100,30 +91,25 @@ def _called(column: RawColumn, name: str, loose: bool) -> Guess | None:
         return None
     si = SI.get(channel)
     told = [column.unit, split_heading(heading, si)[1], split_heading(symbol, si)[1] if symbol else None]
-    said = (canonical(unit, si) for unit in told if unit)
-    unit = next((u for u in said if u and _fits(u, channel)), None)
-    return Guess(channel, column, unit, evidence=evidence + (f" and its unit {unit}" if unit else ""))
+    for unit in (canonical(unit, si) for unit in told if unit):
+        with suppress(ValueError):  # values in this unit cannot be the channel
+            if unit:
+                to_si(0.0, unit, channel, si)
+                return Guess(channel, column, unit, evidence=f"{evidence} and its unit {unit}")
+    return Guess(channel, column, None, evidence=evidence)
 
 
-def _fits(unit: str, channel: str) -> bool:
-    """Whether values in this unit can be the channel."""
-    try:
-        to_si(0.0, unit, channel, SI.get(channel))
-    except ValueError:
-        return False
-    return True
+# --- The steps, in the order of `STEPS`: each changes guesses by what the values of others say.
 
 
-def _time(found: dict[str, Guess]) -> dict[str, Guess]:
+def unit_of_time(found: dict[str, Guess]) -> None:
     guess = found.get("time")
-    if guess is None or guess.unit is not None:
-        return found
-    step = float(np.median(np.diff(guess.values)))
-    unit = "ms" if step > 2.0 else "s"
-    return found | {"time": guess.because(f"its median step is {step:.6g}", unit=unit)}
+    if guess is not None and guess.unit is None:
+        step = float(np.median(np.diff(guess.values)))
+        found["time"] = guess.because(f"its median step is {step:.6g}", unit="ms" if step > 2.0 else "s")
 
 
-def _angles_by_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+def angles_by_rates(found: dict[str, Guess]) -> None:
     """Bank and pitch attitude change as the roll and pitch rates say, which tells their units apart.
 
     Where neither unit is stated, the two tell each other only if they differ.
@@ -142,19 +128,18 @@ def _angles_by_rates(found: dict[str, Guess]) -> dict[str, Guess]:
         found[attitude] = angle.because(why, unit=unit)
         if not stated:
             found[name] = rate.because(f"{attitude} changes at {abs(slope):.2g} times it", unit=other)
-    return found
 
 
-def _angles_by_path(found: dict[str, Guess]) -> dict[str, Guess]:
+def angles_by_path(found: dict[str, Guess]) -> None:
     """Pitch attitude less angle of attack is the angle of the path, as climb and airspeed make it where their units are
     stated."""
     step, names = step_of(found), ("theta", "alpha", "airspeed", "altitude")
     if step is None or not all(name in found for name in names):
-        return found
+        return
     theta, alpha, speed, height = (found[name] for name in names)
     missing = [g for g in (theta, alpha) if g.unit is None]
     if not missing or speed.unit is None or height.unit is None:
-        return found
+        return
     path = np.arcsin(np.clip(np.gradient(smooth(height.si)) / step / np.maximum(smooth(speed.si), 1.0), -1.0, 1.0))
     if len(missing) == 2:
         said, meant = theta.values - alpha.values, path
@@ -165,13 +150,13 @@ def _angles_by_path(found: dict[str, Guess]) -> dict[str, Guess]:
     said, meant = smooth(said), smooth(meant)
     slope = slope_of(meant, said) if alike(said, meant) else None
     if slope is None or slope <= 0.0:
-        return found
+        return
     unit = "deg" if slope > BETWEEN else "rad"
     why = f"theta - alpha is the angle of the climb in {unit}"
-    return found | {g.channel: g.because(why, unit=unit) for g in missing}
+    found |= {g.channel: g.because(why, unit=unit) for g in missing}
 
 
-def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
+def angles_by_size(found: dict[str, Guess]) -> None:
     """Beyond 1.6 it can only be degrees, a heading or bank beyond a turn; smaller ones go with the rest of the file.
 
     A heading comes from another instrument: it tells of the others only where they are large, too.
@@ -188,10 +173,9 @@ def _angles(found: dict[str, Guess]) -> dict[str, Guess]:
             if name not in large:
                 why += ", and other angles of the file are in degrees" if degrees else ", too little for degrees"
             found[name] = guess.because(why, unit="deg" if degrees or name in large else "rad")
-    return found
 
 
-def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
+def rates_by_angles(found: dict[str, Guess]) -> None:
     """Unit and sign of each rate from the attitude that it changes; what that does not tell goes with the others.
 
     One instrument gives all three: a small rate in degrees is as large as another in radians.
@@ -210,28 +194,28 @@ def _rates(found: dict[str, Guess]) -> dict[str, Guess]:
         found[name] = guess.because(
             f"{attitude} changes at {slope / expected:.2g} times it", unit=unit, sign=1 if slope > 0.0 else -1
         )
-    found = _yaw_rate(found)
+    yaw_rate(found)
     rates = [found[name] for name in ("p", "q", "r") if name in found]
     stated = [guess for guess in rates if guess.unit is not None]  # the yaw rate may be of another instrument
     known = {guess.unit: guess.channel for guess in stated if guess.channel != "r" or len(stated) == 1}
     reach = max((largest(guess) for guess in rates), default=0.0)
+    angles = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
     for guess in rates:
         if guess.unit is None and len(known) == 1 and (largest(guess) <= FASTEST or "deg/s" in known):
             unit, beside = next(iter(known.items()))
             found[guess.channel] = guess.because(f"as {beside}", unit=unit)
         elif guess.unit is None:
             own = largest(guess) if known else reach  # what differs from the others is judged by itself
-            unit = "deg/s" if own > ANGLE or (not known and _degrees(found)) else "rad/s"
+            unit = "deg/s" if own > ANGLE or (not known and angles.count("deg") > len(angles) / 2) else "rad/s"
             found[guess.channel] = guess.because(f"the rates reach {reach:.3g}", unit=unit)
-    return found
 
 
-def _yaw_rate(found: dict[str, Guess]) -> dict[str, Guess]:
+def yaw_rate(found: dict[str, Guess]) -> None:
     """Unit of the yaw rate from the heading, r = psi' cos(theta) cos(phi) - theta' sin(phi), else from the bank of a
     turn, r = g sin(phi) cos(theta) / V: no unit of airspeed is as far from another as degrees are from radians."""
     guess, step = found.get("r"), step_of(found)
     if guess is None or guess.unit is not None or step is None:
-        return found
+        return
     zero = np.zeros(len(guess.values))
     phi, theta = (found[name].si if name in found else zero for name in ("phi", "theta"))
     ways: list[tuple[str, np.ndarray]] = []
@@ -246,11 +230,11 @@ def _yaw_rate(found: dict[str, Guess]) -> dict[str, Guess]:
         if slope is not None and abs(slope) > 1e-3:
             unit = "deg/s" if abs(slope) > BETWEEN else "rad/s"
             why = f"it is {abs(slope):.2g} times what the {of} makes in rad/s"
-            return found | {"r": guess.because(why, unit=unit)}
-    return found
+            found["r"] = guess.because(why, unit=unit)
+            return
 
 
-def _rates_of_rates(found: dict[str, Guess]) -> dict[str, Guess]:
+def accelerations_of_rates(found: dict[str, Guess]) -> None:
     """Unit of an angular acceleration from the rate that it changes."""
     step = step_of(found)
     for name, of in (("p_dot", "p"), ("q_dot", "q"), ("r_dot", "r"), ("alpha_dot", "alpha"), ("beta_dot", "beta")):
@@ -263,15 +247,9 @@ def _rates_of_rates(found: dict[str, Guess]) -> dict[str, Guess]:
             unit = SI[name] if radians else SI[name].replace("rad", "deg")
             ratio = slope / (1.0 if radians else math.pi / 180.0)
             found[name] = guess.because(f"{of} changes at {ratio:.2g} times it", unit=unit)
-    return found
 
 
-def _degrees(found: Mapping[str, Guess]) -> bool:
-    units = [g.unit for name, g in found.items() if SI.get(name) == "rad"]
-    return units.count("deg") > len(units) / 2
-
-
-def _accelerations(found: dict[str, Guess]) -> dict[str, Guess]:
+def accelerations_by_gravity(found: dict[str, Guess]) -> None:
     """Level flight shows gravity: 1, 9.8 or 32 tells the unit of all three, its sign the direction of az."""
     az = found.get("az")
     level = None if az is None else float(np.median(az.values))
@@ -285,10 +263,9 @@ def _accelerations(found: dict[str, Guess]) -> dict[str, Guess]:
         guess = found.get(name)
         if guess is not None and guess.unit is None:
             found[name] = guess.because("as az" if unit else "no az to compare it with", unit=unit or "m/s^2")
-    return found
 
 
-def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
+def speed_and_height(found: dict[str, Guess]) -> None:
     """The climb: height changes by airspeed times the sine of the path angle, which tells the two units together.
 
     Pairs as km/h with ft and m/s with m differ there by 9 per cent only, and ft/s with ft from m/s with m by nothing:
@@ -308,7 +285,7 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
         every = dict.fromkeys((*USUAL, *((v, h) for v in speeds for h in heights)))
         pairs = [(v, h) for v, h in every if speed.unit in (None, v) and height.unit in (None, h)]
         if pairs:
-            turning, middle = _turning_speed(found), float(np.median(speed.values))
+            turning, middle = turning_speed(found), float(np.median(speed.values))
 
             def misfit(pair: tuple[str, str]) -> float:
                 v, h = speeds[pair[0]], heights[pair[1]]
@@ -320,15 +297,15 @@ def _speed_and_height(found: dict[str, Guess]) -> dict[str, Guess]:
             ratio = slope * heights[h] / speeds[v]
             why = f"height changes at {ratio:.2g} times airspeed x sin(theta - alpha) in {v} and {h}"
             why += "" if turning is None else f", and az and q say {turning / speeds[v]:.2g} {v}"
-            return found | {"airspeed": speed.because(why, unit=v), "altitude": height.because(why, unit=h)}
+            found |= {"airspeed": speed.because(why, unit=v), "altitude": height.because(why, unit=h)}
+            return
     for name, unit, other in (("airspeed", "m/s", "kt"), ("calibrated_airspeed", "m/s", "kt"), ("altitude", "m", "ft")):
         guess = found.get(name)
         if guess is not None and guess.unit is None:
             found[name] = guess.because(f"nothing in the file tells {unit} from {other}", unit=unit)
-    return found
 
 
-def _turning_speed(found: Mapping[str, Guess]) -> float | None:
+def turning_speed(found: Mapping[str, Guess]) -> float | None:
     """Airspeed in m/s at which the path turns: az + g cos(theta) = V (d alpha/dt - q); None where that cannot be seen.
 
     Small angles and level wings.
@@ -343,14 +320,14 @@ def _turning_speed(found: Mapping[str, Guess]) -> float | None:
     return slope_of(turn, normal)
 
 
-def _density(found: dict[str, Guess]) -> dict[str, Guess]:
+def density_of_air(found: dict[str, Guess]) -> None:
     """Unit in which it is that of a standard atmosphere at the altitude, else what dynamic pressure and airspeed make,
     else that of some air."""
     guess, height = found.get("density"), found.get("altitude")
     speed, pressure = found.get("airspeed"), found.get("dynamic_pressure")
     middle = 0.0 if guess is None else float(np.median(guess.values))
     if guess is None or guess.unit is not None or not middle > 0.0:
-        return found
+        return
     rho, why = MIDDLING, "flight goes on"
     if height is not None:
         rho, why = float(np.median(standard_air(height.si)[0])), "a standard atmosphere has at the altitude"
@@ -361,67 +338,64 @@ def _density(found: dict[str, Guess]) -> dict[str, Guess]:
     sizes = {u: float(to_si(1.0, u, "density", "kg/m^3")) for u in units}  # slug/ft^3 and g/cm^3 are a factor 2 apart
     unit = min(sizes, key=lambda u: abs(math.log(middle * sizes[u] / max(rho, 1e-3))))
     why = f"it is {middle * sizes[unit] / max(rho, 1e-3):.2g} times what {why} in {unit}"
-    return found | {"density": guess.because(why, unit=unit)}
+    found["density"] = guess.because(why, unit=unit)
 
 
-def _dynamic_pressure(found: dict[str, Guess]) -> dict[str, Guess]:
+def dynamic_pressure(found: dict[str, Guess]) -> None:
     """Unit in which it makes air of the recorded density, or else of some density, at the airspeed."""
     guess, speed = found.get("dynamic_pressure"), found.get("airspeed")
     if guess is None or guess.unit is not None or speed is None or speed.unit is None:
-        return found
+        return
     density = found.get("density")
     rho = float(np.median(density.si)) if density and density.unit else MIDDLING
     ratio = float(np.median(guess.values)) / (0.5 * rho * float(np.median(speed.si)) ** 2 or 1.0)
     if not ratio > 0.0:
-        return found
+        return
     sizes = {u: float(to_si(1.0, u, "dynamic_pressure", "Pa")) for u in ("Pa", "hPa", "kPa", "lbf/ft^2", "psi")}
     unit = min(sizes, key=lambda u: abs(math.log(ratio * sizes[u])))
     why = f"it is {ratio * sizes[unit]:.2g} times half of density times airspeed squared in {unit}"
-    return found | {"dynamic_pressure": guess.because(why, unit=unit)}
+    found["dynamic_pressure"] = guess.because(why, unit=unit)
 
 
-def _by_size(guess: Guess) -> Guess:
+def units_by_size(found: dict[str, Guess]) -> None:
     """What is left, by the size of its values."""
-    if guess.unit is not None:
-        return guess
-    size, middle = largest(guess), float(np.median(guess.values))
-    choices = {
-        "static_temperature": ("K" if middle > 150.0 else "degC"),
-        "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
-        **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
-        **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
-        "engine_speed": "rpm",
-        "calibrated_airspeed": "m/s",
-        "radio_altitude": "ft" if size > 13_000.0 else "m",
-    }
-    unit = choices.get(guess.channel, SI.get(guess.channel, "1"))
-    if guess.channel.startswith("thrust"):
-        if size > 300.0:
-            return guess.because(f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
-        unit = "kN"
-    return guess.because(f"it reaches {size:.4g}", unit=unit)
+    for name, guess in [(name, guess) for name, guess in found.items() if guess.unit is None]:
+        size, middle = largest(guess), float(np.median(guess.values))
+        choices = {
+            "static_temperature": ("K" if middle > 150.0 else "degC"),
+            "static_pressure": ("Pa" if size > 1200.0 else "hPa"),
+            **dict.fromkeys(FRACTIONS, "%" if size > 2.0 else "1"),
+            **dict.fromkeys(("alpha_dot", "beta_dot"), "deg/s" if size > ANGLE else "rad/s"),
+            "engine_speed": "rpm",
+            "calibrated_airspeed": "m/s",
+            "radio_altitude": "ft" if size > 13_000.0 else "m",
+        }
+        if guess.channel.startswith("thrust") and size > 300.0:
+            found[name] = guess.because(f"it reaches {size:.4g}, and nothing in the file tells N from lbf")
+            continue
+        unit = "kN" if guess.channel.startswith("thrust") else choices.get(guess.channel, SI.get(guess.channel, "1"))
+        found[name] = guess.because(f"it reaches {size:.4g}", unit=unit)
 
 
-def _elevator(found: dict[str, Guess]) -> dict[str, Guess]:
+def sign_of_elevator(found: dict[str, Guess]) -> None:
     """Trailing edge down pitches the nose down: the sign that pitch acceleration shows, alpha and q accounted for."""
     step = step_of(found)
     if step is None or not all(name in found for name in ("elevator", "q", "alpha")):
-        return found
-    elevator = found["elevator"]
-    slope = _pitch_response(elevator.si, found["alpha"].si, found["q"].si, step)
-    if slope is None:
-        return found
-    why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
-    return found | {"elevator": elevator.because(why, sign=-1 if slope > 0.0 else 1)}
+        return
+    elevator, q = found["elevator"], smooth(found["q"].si)
+    others = np.stack([smooth(found["alpha"].si), q, np.ones_like(q)], axis=1)
+    both = np.stack([smooth(elevator.si), np.gradient(q) / step], axis=1)
+    own, turning = (both - others @ np.linalg.lstsq(others, both, rcond=None)[0]).T
+    slope = slope_of(own, turning) if alike(own, turning, FAINT) else None  # 1/s^2 a rad
+    if slope is not None:
+        why = f"pitch acceleration follows it with {slope:+.2g} 1/s^2 a rad; trailing edge down positive has a minus"
+        found["elevator"] = elevator.because(why, sign=-1 if slope > 0.0 else 1)
 
 
-def _pitch_response(elevator: np.ndarray, alpha: np.ndarray, q: np.ndarray, step: float) -> float | None:
-    """Pitch acceleration a rad of elevator, 1/s^2, beside alpha and q; None where it is not told from noise."""
-    q = smooth(q)
-    beside = np.stack([smooth(alpha), q, np.ones_like(q)], axis=1)
-    both = np.stack([smooth(elevator), np.gradient(q) / step], axis=1)
-    own, turning = (both - beside @ np.linalg.lstsq(beside, both, rcond=None)[0]).T
-    return slope_of(own, turning) if alike(own, turning, FAINT) else None
+STEPS: tuple[Callable[[dict[str, Guess]], None], ...] = (
+    unit_of_time, angles_by_rates, angles_by_path, angles_by_size, rates_by_angles, accelerations_of_rates,
+    accelerations_by_gravity, speed_and_height, density_of_air, dynamic_pressure, units_by_size, sign_of_elevator,
+)  # fmt: skip
 
 
 # --- One column of an unknown file, taken for a channel, and simple measures of its values.

@@ -2,40 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Event, Lock
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
+from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
+from bayes_aero.diagnosis.in_band import causes_in_band
 from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.trajectories import with_tested
-from bayes_aero.diagnosis.view.models import view_of
-from bayes_aero.diagnosis.view.results import DiagnosisView
+from bayes_aero.diagnosis.trajectories.results import Trajectories
+from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
+from bayes_aero.diagnosis.view.models import view_of, with_holdout_scores, with_stalls
+from bayes_aero.diagnosis.view.results import View
+from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
 from bayes_aero.dynamics.simulated.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
+from bayes_aero.errors import InputError, attempted
+from bayes_aero.flight.aircraft import Envelope
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.compiled_programs import blas_threads, cores
-from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome
-from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_store import ResultStore
+from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
+from bayes_aero.jobs.io.result_file import writable
+from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.post_processing import drawings, follow, in_background, simulations
+from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES
+from bayes_aero.report.design import points_table
+from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
+from bayes_aero.report.html.page import put_page
+from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
+from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
+from bayes_aero.report.tables.table import write_csv
+from bayes_aero.report.text.diagnosis import revealed
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 
@@ -51,7 +66,7 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
         and can_simulate(e)
         and e.kind is not Kind.NOISE
         and draw_hidden(np.random.default_rng(0), e.name)
-        and _absent(card, e.name)
+        and (e.name not in card.effects or e.absent_in(card.fixed))  # lacking, or held at neutral
     ]
     failure = InputError("no effect of the catalogue can be hidden")
     for name in rng.permutation(names)[:5]:
@@ -62,11 +77,6 @@ def hide_one(card: Card, seed: int, **options: Any) -> tuple[Hidden, list[Flight
             continue
         return effects, [flight.record for flight in flights]
     raise failure
-
-
-def _absent(card: Card, name: str) -> bool:
-    """Whether the card's model lacks an effect, or holds it at neutral."""
-    return name not in card.effects or CATALOGUE[name].absent_in(card.fixed)
 
 
 def diagnose_records(
@@ -88,7 +98,7 @@ def diagnose_records(
     card, left_out = on_recorded_axes(card, records)
     if out is not None:
         writable(out)
-    source = provenance(card, records, options.seed, _told(options), options)
+    source = provenance(card, records, options.seed, options.settings, options)
     if progress:
         progress("do the sensors agree?", 0.0)
     settings, noise = DiagnosisSettings(max_effects=options.max_effects), options.process_noise
@@ -98,23 +108,16 @@ def diagnose_records(
     known = None if alone else errors_of_diagnosis(found)
     checks = record_checks(records, card, options.seed, out, known=known)
     view = view_of(replace(found, following=only_following(checks.health)))
-    named = {name: _found(view.diagnosis, name) for name in hidden} if hidden else {}
+    named = {name: place_of(view.diagnosis, name) for name in hidden} if hidden else {}
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept = ResultStore(outcome, out, card, records, source)
-    for sentence in left_out:
-        kept.note(sentence)
-    _stages(kept, records, card, options, progress)
+    kept.keep(left_out)
+    follow_up(kept, records, card, options, progress)
     return kept.outcome
 
 
-def _told(options: DiagnoseOptions) -> dict[str, Any]:
-    """The settings on which the search rests."""
-    noise = options.process_noise
-    return {"max_effects": options.max_effects} | ({} if noise is None else {"process_noise": noise})
-
-
-def _stages(
+def follow_up(
     kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
 ) -> None:
     """What follows the search for causes, the trajectories beside all the rest; then the page."""
@@ -130,16 +133,20 @@ def _stages(
         if options.trajectories:
             kept.attempt(
                 "Trajectories were not simulated",
-                lambda: kept.trajectories(simulations(diagnosis, card, records, options.seed, progress)),
+                lambda: kept.keep(view={"trajectories": simulations(diagnosis, card, records, options.seed, progress)}),
             )
         if diagnosis.compared == TRAJECTORIES:
-            kept.judged(_judged(kept.outcome.view, records, card))
+            # By trajectories alone hold-out flights and the sensors' noise judge the causes.
+            if (flown := kept.outcome.view.trajectories) is not None:
+                held = {name for names in flown.held.values() for name in names}
+                diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
+            kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
             if not options.trajectories and diagnosis.causes:
-                kept.note("Without trajectories no cause was tested on hold-out flights.")
+                kept.keep(["Without trajectories no cause was tested on hold-out flights."])
         elif (flown := kept.outcome.view.trajectories) and (
             doubtful := sensors_not_missed(diagnosis, flown.asked)
         ).missed:
-            kept.judged(judged_on_held_out_flights(diagnosis, doubtful))
+            kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
         drawn = following.result()
     if kept.path is not None:
         drawn |= drawings(kept, late, progress)
@@ -148,20 +155,221 @@ def _stages(
         kept.put_page(drawn)
 
 
-def _judged(view: DiagnosisView, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
-    """A diagnosis by trajectories alone with what hold-out flights and the sensors' noise say of it."""
-    flown = view.trajectories
-    found = view.diagnosis
-    if flown is not None:
-        held = {name for names in flown.held.values() for name in names}
-        found = judged_on_held_out_flights(found, flown.asked, held)
-    return with_tested(found, flown, records, card)
-
-
-def _found(diagnosis: Diagnosis, name: str) -> str:
+def place_of(diagnosis: Diagnosis, name: str) -> str:
+    """Where a hidden effect is in a diagnosis: first, named, ambiguous, minor or missed."""
     names = [c.name for c in diagnosis.causes]
     if name in names:
         return "first" if names[0] == name else "named"
     if any(name in c.ambiguous_with for c in diagnosis.causes):
         return "ambiguous"
     return "minor" if name in diagnosis.minor else "missed"
+
+
+# --- What a diagnosis has found so far, on disk as soon as it is known.
+
+
+class ResultStore:
+    """An outcome that grows, and diagnosis.json with it, whichever thread found more; `path`: the folder, if any."""
+
+    def __init__(
+        self,
+        outcome: Outcome,
+        path: Path | None,
+        card: Card,
+        records: Sequence[FlightRecord],
+        source: Mapping[str, Any],
+    ) -> None:
+        self.outcome, self.path = outcome, path
+        self._card, self._records, self._source, self._lock = card, records, source, Lock()
+        self.keep(view={"diagnosis": outcome.diagnosis, "trajectories": outcome.view.trajectories})
+
+    def keep(
+        self,
+        notes: Sequence[str] = (),
+        failures: Sequence[str] = (),
+        view: Mapping[str, Any] | None = None,
+        **changes: Any,
+    ) -> None:
+        """Put more into the outcome and on disk: `notes` on what was left out, parts of its view, other parts."""
+        with self._lock:
+            o = self.outcome
+            seen = replace(o.view, **view) if view else o.view
+            more = {"notes": (*o.notes, *notes), "failures": (*o.failures, *failures)}
+            self.outcome = replace(o, view=seen, **more, **changes)
+            if self.path is not None:
+                content = diagnosis_results(self.outcome, self._card, self._records, self._source)
+                write_json(content, self.path / "diagnosis.json")
+        if self.path is None:
+            return
+        if changes.get("test_points", {}).get("points"):
+            write_csv(points_table(changes["test_points"]), self.path / "test_points.csv")
+        if view and "diagnosis" in view:
+            found = view["diagnosis"]
+            tables = {"causes": causes_table(found), "changes": changes_table(found), "terms": terms_table(found)}
+            for name, table in (tables | {"screen": screen_table(seen.rankings, found)}).items():
+                write_csv(table, self.path / f"{name}.csv")
+        if view and "trajectories" in view:
+            flown = seen.trajectories.paths if seen.trajectories else ()
+            by_coefficients = partial(diagnosed, seen) if isinstance(seen, View) else dict
+            self.fail(put_histories(lambda: {**by_coefficients(), **flights(flown)}, self.path))
+
+    def fail(self, failures: Sequence[str]) -> None:
+        """Keep what failed unexpectedly; none is nothing."""
+        if failures:
+            self.keep(failures=failures)
+
+    def attempt(self, what: str, do: Callable[[], None]) -> None:
+        """Do what may fail, which keeps its own results; for bad input `what` is noted, anything else is a failure."""
+        try:
+            _, failed = attempted(what, do, None, self.path, own=bool(self._card.effect_files))
+            self.fail(failed)
+        except InputError as error:
+            self.keep([f"{what}: {error}"])
+
+    def put_page(self, drawn: Mapping[str, Path]) -> None:
+        """report.html with the figures `drawn`; a note says why if there is none."""
+        o = self.outcome
+        names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
+        about: dict[str, Any] = {name: getattr(o, name) for name in names}
+        about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
+        told = PageContext(self._card, self._records, self._source, drawn, **about)
+        self.fail(() if self.path is None else put_page(lambda: diagnosis_page(o.view, told), self.path))
+
+
+# --- What follows a diagnosis while trajectories are flown: test points, sizes in a band, stalls, scores, figures.
+
+
+def follow(
+    kept: ResultStore, test_points: bool, figures: ViewFigures, tell: Progress, envelope: Envelope
+) -> dict[str, Path]:
+    """All that needs no trajectories, kept piece by piece; stalls and figures only where there is a folder for them.
+
+    Returns the figures drawn, by name.
+    """
+    found = kept.outcome.diagnosis
+    if test_points:
+        what = "Test points that would decide what is open were not chosen"
+        kept.attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
+        kept.attempt(
+            "Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found))
+        )
+    if kept.path is None:
+        return {}
+    view = kept.outcome.view
+    if isinstance(view, View):
+        tell("stall", 0.0)
+        kept.attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
+        what = "Manoeuvres were not scored one by one"
+        kept.attempt(what, lambda: kept.keep(view={"holdout": with_holdout_scores(view).holdout}))
+    return drawings(kept, figures, tell)
+
+
+def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
+    """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
+    view = kept.outcome.view
+    if not figures or kept.path is None or not isinstance(view, View):
+        return {}
+    written, failed = draw_all(figures, view, kept.path / "figures", tell)
+    kept.fail(failed)
+    return {path.stem: path for path in written}
+
+
+# --- What follows from a diagnosis: the flights that would settle what it left open, and simulated ones.
+
+SETS = 2  # ambiguity sets for which the manoeuvres are judged
+
+
+def proposed_points(diagnosis: Diagnosis, envelope: Envelope = ANYWHERE) -> dict[str, Any]:
+    """The manoeuvres that decide all that the coefficients leave open, in the order of flying; empty if there is
+    nothing to decide. Raises `InputError` if the model cannot be flown."""
+    sets = open_sets(diagnosis)
+    if not sets:
+        return {}
+    state = diagnosis.aerodynamics.state
+    theta = state.theta.copy()
+    for one in diagnosis.absorbed:  # at its usual value: as fitted, the control may do nothing
+        theta[state.full.columns([one.parameter])] = one.usual[0]
+    points = next_test_points(state, sets, envelope, theta)
+    rows = ("manoeuvre", "amplitude", "airspeed", "altitude", "seconds", "excursion")
+    return {
+        "questions": [
+            picked(q, "effects", "enough") | {"present": present}
+            for q, present in zip(points.questions, points.present, strict=True)
+        ],
+        "points": [picked(p, *rows, "standard_errors=expected", "nats_per_second=rate") for p in points.points],
+        "refused": points.refused,
+        "envelope": {name: [None if np.isinf(x) else x for x in pair] for name, pair in envelope.ranges.items()},
+        "stated": list(envelope.stated),
+    }
+
+
+def open_sets(diagnosis: Diagnosis) -> dict[frozenset[str], dict[str, float]]:
+    """What the coefficients leave open: effects, and the sizes of their parameters."""
+    candidates = diagnosis.aerodynamics.state.full.candidates
+    sets: dict[frozenset[str], dict[str, float]] = {}
+    effects = {e.name for e in candidates}
+    for cause in diagnosis.causes:
+        members = frozenset({cause.name, *effects.intersection(cause.ambiguous_with)})  # a form cannot be flown
+        if len(members) > 1 and cause.stage == "coefficients":
+            sets.setdefault(members, {name: abs(size.mean) for name, size in cause.parameters.items()})
+    known = {c.name for c in diagnosis.causes if c.stage == "coefficients"}
+    for pair in diagnosis.together:
+        if set(pair.effects) <= known:  # at the least sizes worth modelling: the estimates mean nothing
+            sets = {frozenset(pair.effects): {}} | sets
+    sets = dict(list(sets.items())[:SETS])
+    parameters = {p.name: e.name for e in candidates for p in e.parameters}
+    for one in diagnosis.absorbed:
+        sets.setdefault(one.members, {p: abs(one.sizes[e].mean) for p, e in parameters.items() if e in one.sizes})
+    return sets
+
+
+def simulations(
+    diagnosis: Diagnosis, card: Card, records: Sequence[FlightRecord], seed: int, progress: Progress | None = None
+) -> Trajectories:
+    """Simulate the card's and the extended model with the records' inputs, fitted to all and on hold-out flights."""
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+    flights = despiked(join(records, card, FLIGHT))[0]
+    return compare_trajectories(flights, diagnosis, bands, biases=card.output_biases, seed=seed, progress=progress)
+
+
+# --- A job beside others: on the core that they leave free, and stopped when they are.
+
+Result = TypeVar("Result")
+
+
+class BackgroundJob(Generic[Result]):
+    """A job that runs. Where it is will be shown from when it is waited for."""
+
+    def __init__(self, pool: Executor, job: Callable[[Progress], Result], progress: Progress | None) -> None:
+        self.stopped, self._waited = Event(), Event()
+
+        def tell(text: str, share: float) -> None:
+            if self.stopped.is_set():  # the job ends where it next tells where it is
+                raise CancelledError
+            if progress and self._waited.is_set():
+                progress(text, share)
+
+        self._running = pool.submit(job, tell)
+
+    def result(self) -> Result:
+        """What the job returns, or raises, once it has."""
+        self._waited.set()
+        return self._running.result()
+
+
+@contextmanager
+def in_background(
+    job: Callable[[Progress], Result], progress: Progress | None = None
+) -> Iterator[BackgroundJob[Result]]:
+    """Run `job` in a thread of its own while the block lasts, and until it ends.
+
+    The job is handed a function to be told where it is. There it ends if the block fails: Ctrl-C does not wait for its
+    whole length.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        running = BackgroundJob(pool, job, progress)
+        try:
+            yield running
+        except BaseException:
+            running.stopped.set()
+            raise

@@ -18,8 +18,8 @@ from bayes_aero.export.identified import Identified, about, validity, version, w
 from bayes_aero.export.jsbsim import PROPERTIES, jsbsim_files
 from bayes_aero.export.tables import write_tables
 from bayes_aero.jobs.fitted import drawn, exported, read_identified
-from bayes_aero.jobs.io.output_folder import safe_name
-from bayes_aero.jobs.provenance import write_json
+from bayes_aero.jobs.io.result_file import safe_name
+from bayes_aero.jobs.provenance import picked, write_json
 
 SCHEMA = "bayes_aero/export/1"
 WIDTH = 100
@@ -28,21 +28,10 @@ WIDTH = 100
 def export(
     given: str, form: str, *, out: Path | None = None, card: str | None = None, draws: int = 0, seed: int = 0
 ) -> tuple[Path, dict[str, Any]]:
-    """Write the model of a result or a card as `form`: jsbsim, fmu or tables.
+    """Write the model of a result, or of a card that states all values, as `form`, one of `FORMS`, with `draws`.
 
-    Args:
-        given: folder or file of a result of identify, fly or diagnose, or a card that states all values.
-        form: one of `FORMS`.
-        out: folder to make; default NAME_FORM in the working directory.
-        card: the card of the result, where it is not found by itself.
-        draws: how many draws of the parameters to write beside it.
-        seed: of the draws.
-
-    Returns:
-        The folder, and what export.json says.
-
-    Raises:
-        InputError: nothing can be exported, or the folder exists.
+    `out`: the folder to make; default NAME_FORM in the working directory. `card`: that of the result, where it is not
+    found by itself. Returns the folder, and what export.json says.
     """
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
@@ -55,23 +44,21 @@ def export(
 
 
 def write_export(found: Identified, form: str, target: Path) -> dict[str, Any]:
-    """Write a model as `form` into the new folder `target`, and say what export.json says.
-
-    Raises:
-        InputError: the model has no counterpart in this form, or the folder exists.
-    """
+    """Write a model as `form` into the new folder `target`, and say what export.json says."""
     found = _renamed(found)
     if target.exists() or target.is_symlink():
         raise InputError(f"{target} exists; give another folder with --out")
     part = beside(target.absolute())
     try:
         part.mkdir(parents=True)
-        files = FORMS[form](found, part)
-        facts = _facts(found, form, files)
+        facts = export_facts(found, form, FORMS[form](found, part))
         write_json(facts, part / "export.json")
-        write_whole(_readme(found, form), part / "README.txt")
+        write_whole(wrapped((*about(found), *use_of(found, form)), WIDTH) + "\n", part / "README.txt")
         if found.draws is not None:
-            _write_draws(found, part / "draws.csv")
+            text = io.StringIO(newline="")
+            rows = ([repr(float(x)) for x in row] for row in found.draws.values)
+            csv.writer(text).writerows([found.draws.names, *rows])
+            write_whole(text.getvalue(), part / "draws.csv")
         put_folder(part, target.absolute())
     except OSError as reason:
         raise InputError(
@@ -88,7 +75,8 @@ def _renamed(found: Identified) -> Identified:
     return replace(found, name=safe_name(name if re.match(r"[A-Za-z_]", name) else f"_{name}"))
 
 
-def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
+def write_jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
+    """A root directory of JSBSim; the names of its files."""
     files = jsbsim_files(found)
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -96,24 +84,19 @@ def _jsbsim(found: Identified, folder: Path) -> tuple[str, ...]:
     return tuple(files)
 
 
-def _fmu(found: Identified, folder: Path) -> tuple[str, ...]:
-    return (write_fmu(found, folder).name,)
-
-
 FORMS: dict[str, Callable[[Identified, Path], tuple[str, ...]]] = {
-    "jsbsim": _jsbsim,
-    "fmu": _fmu,
+    "jsbsim": write_jsbsim,
+    "fmu": lambda found, folder: (write_fmu(found, folder).name,),
     "tables": write_tables,
 }
 
 
-def _facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
+def export_facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, Any]:
     """What a program may want to know of the export."""
     read = found.program.inputs_of("parameter")
     return {
         "schema": SCHEMA,
-        "name": found.name,
-        "title": found.title,
+        **picked(found, "name", "title"),
         "form": form,
         "version": version(),
         "files": list(files),
@@ -131,11 +114,7 @@ def _facts(found: Identified, form: str, files: tuple[str, ...]) -> dict[str, An
     }
 
 
-def _readme(found: Identified, form: str) -> str:
-    return wrapped((*about(found), *_use(found, form)), WIDTH) + "\n"
-
-
-def _use(found: Identified, form: str) -> tuple[str, ...]:
+def use_of(found: Identified, form: str) -> tuple[str, ...]:
     """How the files of a form are used."""
     if form == "jsbsim":
         table = [f"{n}: {PROPERTIES[n][0]}" for n in found.program.inputs_of("signal") if n in PROPERTIES]
@@ -152,12 +131,3 @@ def _use(found: Identified, form: str) -> tuple[str, ...]:
         "largest errors along the axes. X is an axis: take the incidence from its tables, the static X from "
         "X_static, and X through its lag where there is one.",
     )
-
-
-def _write_draws(found: Identified, path: Path) -> None:
-    assert found.draws is not None
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(found.draws.names)
-    writer.writerows([repr(float(x)) for x in row] for row in found.draws.values)
-    write_whole(text.getvalue(), path)

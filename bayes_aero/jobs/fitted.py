@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,8 @@ from bayes_aero.flight.reading.read_record import read_again
 from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.result_file import read_result, result_file
+from bayes_aero.jobs.options import MOST_DRAWS
+from bayes_aero.jobs.provenance import sha256_of
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model, effect_named, own_effects
 from bayes_aero.physics.coefficient_names import COEFFICIENTS
@@ -39,71 +41,52 @@ def fitted_records(
 ) -> list[FlightRecord]:
     """The records with which a result was made, in their order and read as they were.
 
-    Args:
-        provenance: of the result.
-        result: its file.
-        card: of the result.
-        remedy: what to do where one is not found, e.g. "give it with --fitted".
-        files: where they are looked for first, whatever their names.
-        folders: the same by their names; then at the paths that the result states, from the working directory, the
-            result's folder and the one above it.
-
-    Raises:
-        InputError: one is not found, or its samples differ.
+    They are looked for in `files`, whatever their names, then by their names in `folders`, then at the paths that the
+    result states, from the working directory, the result's folder and the one above it. `remedy`: what to do where one
+    is not found, e.g. "give it with --fitted".
     """
     found = []
     for one in provenance["inputs"]:
-        _refuse_lost(one, result)
-        there = [path for path in _places(Path(one["read"]["path"]), result, files, folders) if path.is_file()]
-        record = _same(one, card, there)
+        if "content" not in one:
+            raise InputError(
+                f"{result} was written by an earlier version, which did not state how it read its records; run the "
+                "command again"
+            )
+        if one["read"] is None:
+            raise InputError(
+                f"record {one['name']} of {result} was made in memory, so that it cannot be read again; write it to a "
+                "file, and run the command with that"
+            )
+        path = Path(one["read"]["path"])
+        places = [*(segment_of(file).file for file in files), *(folder / path.name for folder in folders)]
+        for folder in (Path(), result.parent, result.parent.parent):
+            places += dict.fromkeys((folder / path, folder / path.name))
+        there = [place for place in places if place.is_file()]
+        record = unchanged_record(one, card, there)
         if record is None:
-            changed = [path for path in there if path not in files]
+            changed = [place for place in there if place not in files]
             where = f"in {folders[0]}" if folders else "where it was, nor beside the result, nor here"
             raise InputError(
                 f"record {changed[0]} has changed since {result} was made (its content differs); run the command "
                 f"again, or {remedy} as it was"
                 if changed
-                else f"record {Path(one['read']['path']).name} of {result} is not {where}; {remedy}"
+                else f"record {path.name} of {result} is not {where}; {remedy}"
             )
         found.append(replace(record, name=one["name"]))
     return found
 
 
-def _refuse_lost(one: Mapping[str, Any], result: Path) -> None:
-    """Refuse a record that cannot be read again wherever it may be."""
-    if "content" not in one:
-        raise InputError(
-            f"{result} was written by an earlier version, which did not state how it read its records; run the command "
-            "again"
-        )
-    if one["read"] is None:
-        raise InputError(
-            f"record {one['name']} of {result} was made in memory, so that it cannot be read again; write it to a "
-            "file, and run the command with that"
-        )
-
-
-def _same(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
+def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) -> FlightRecord | None:
     """The record from the first file that is unchanged; else from one with the same samples, as written anew."""
     for path in there:
-        if hashlib.sha256(path.read_bytes()).hexdigest() == one["sha256"]:
+        if sha256_of(path) == one["sha256"]:
             return read_again(one["read"], path, card.channels)
     for path in there:
-        try:
+        with suppress(InputError):
             record = read_again(one["read"], path, card.channels)
-        except InputError:
-            continue
-        if record.content == one["content"]:
-            return record
+            if record.content == one["content"]:
+                return record
     return None
-
-
-def _places(path: Path, result: Path, files: Sequence[Path], folders: Sequence[Path]) -> Iterator[Path]:
-    """Where the file of a record may be."""
-    yield from (segment_of(file).file for file in files)
-    yield from (folder / path.name for folder in folders)
-    for folder in (Path(), result.parent, result.parent.parent):
-        yield from dict.fromkeys((folder / path, folder / path.name))
 
 
 # --- The identified model of a finished result, or of a card that states values.
@@ -112,11 +95,7 @@ USABLE = ("converged", "at_bound")
 
 
 def read_identified(given: str, card: str | None = None) -> tuple[Identified, Path | None, Mapping[str, Any]]:
-    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`.
-
-    Raises:
-        InputError: also where the card states a linear system.
-    """
+    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`."""
     found, folder, told = read_finished(given, card)
     if isinstance(found, IdentifiedLinear):
         raise InputError(
@@ -129,22 +108,15 @@ def read_identified(given: str, card: str | None = None) -> tuple[Identified, Pa
 def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
     """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
 
-    Args:
-        given: path of the folder or file, or the name of a shipped card.
-        card: the card of the result, where it is not found by itself.
-
-    Returns:
-        The model with its values; the folder of the result (None: a card) and the result itself.
-
-    Raises:
-        InputError: there is no such folder or card, the fit did not converge, or a parameter has no value.
+    `card`: that of the result, where it is not found by itself. Returns the model with its values, the folder of the
+    result (None: a card) and the result itself; `InputError` where the fit did not converge or has no value of all.
     """
     file = result_file(given)
     if file is None:
-        return _of_card(read_card(given)), None, {}
+        return model_of_card(read_card(given)), None, {}
     told = read_result(file)
     try:
-        found = _of_result(told, file, card_of(told["provenance"], file, card))
+        found = model_of_result(told, file, card_of(told["provenance"], file, card))
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
             raise
@@ -152,10 +124,11 @@ def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path |
     return found, file.parent, told
 
 
-def _of_card(card: Card) -> Identified:
+def model_of_card(card: Card) -> Identified:
+    """The model of effects at the values that the card states."""
     model = Model.from_card(card)
     stated = {name: change.start for name, change in card.changes.items() if change.start is not None}
-    values = dict(model.fixed) | {name: x for name, x in stated.items() if name not in dict(model.fixed)}
+    values = stated | dict(model.fixed)
     missing = [p.name for p in model.parameters if p.name not in values]
     if missing:
         raise InputError(
@@ -166,60 +139,50 @@ def _of_card(card: Card) -> Identified:
     return Identified(card.name, card.title, model, card.aircraft, values, sources)
 
 
-def _of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
-    kind = told["schema"].split("/")[1]
-    estimates, causes, how = {"results": _identified, "trajectories": _flown, "diagnosis": _diagnosed}[kind](told, file)
+def model_of_result(told: Mapping[str, Any], file: Path, card: Card) -> Finished:
+    """The model at the values of a result, with where these come from and the ranges that were flown."""
+    estimates, causes, how = estimates_of(told, file)
+    source = told["provenance"]
+    records = ", ".join(f"{one['name']} (sha256 {one['sha256'][:16]})" for one in source["inputs"])
+    made = source.get("versions", {}).get("bayes-aero", "of unknown version")
+    origin = f"Records: {records}. Card {card.name} (sha256 {card.sha256[:16]}). Result of bayes-aero {made}."
+
+    def complete(values: Mapping[str, float | None]) -> dict[str, float]:
+        for name, x in values.items():
+            if x is None:
+                raise InputError(f"{file} has no value of {name}; run the command again with this version")
+        return {name: float(x) for name, x in values.items() if x is not None}
+
     if card.linear is not None:
-        found = IdentifiedLinear(card, {}, (how, _origin(told, card)), len(told["records"]))
-        return replace(found, values=_complete({name: estimates.get(name) for name in found.names}, file))
-    model = _extended(_recorded(Model.from_card(card), card, estimates, told), card, causes)
-    values = dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free}
-    return Identified(
-        card.name,
-        card.title,
-        model,
-        card.aircraft,
-        _complete(values, file),
-        (how, _origin(told, card)),
-        _flown_ranges(told["records"]),
-    )
+        found = IdentifiedLinear(card, {}, (how, origin), len(told["records"]))
+        return replace(found, values=complete({name: estimates.get(name) for name in found.names}))
+    model = fitted_model(card, estimates, causes, told)
+    values = complete(dict(model.fixed) | {p.name: estimates.get(p.name) for p in model.free})
+    ranges = [record.get("ranges", {}) for record in told["records"]]  # flown: lowest and highest that all records have
+    shared = set.intersection(*(set(one) for one in ranges)) if ranges else set()
+    known = [n for n in sorted(shared) if all(None not in one[n] for one in ranges)]
+    flown = {n: (min(one[n][0] for one in ranges), max(one[n][1] for one in ranges)) for n in known}
+    return Identified(card.name, card.title, model, card.aircraft, values, (how, origin), flown)
 
 
-def _complete(values: Mapping[str, float | None], file: Path) -> dict[str, float]:
-    """The same, with a value of every parameter."""
-    for name, x in values.items():
-        if x is None:
-            raise InputError(f"{file} has no value of {name}; run the command again with this version")
-    return {name: float(x) for name, x in values.items() if x is not None}
-
-
-def _identified(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
-    mle = told["mle"]
-    if mle["status"] not in USABLE:
-        raise InputError(f"the fit of {file} has not converged ({mle['advice']}); there is no model to export")
-    values = {name: p["estimate"] for name, p in mle["parameters"].items()}
-    return values, [], "Values: maximum likelihood on coefficients (identify)."
-
-
-def _flown(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
-    if not told["converged"]:
-        raise InputError(
-            f"the fit of {file} has not converged ({told['status'].replace('_', ' ')}); there is no model to export"
-        )
-    values = {name: p["estimate"] for name, p in told["parameters"].items()}
-    if with_process_noise(told):
+def estimates_of(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
+    """Values by parameter, the causes that were added to the card's model, and a sentence on the method."""
+    kind = told["schema"].split("/")[1]
+    if kind == "results":
+        mle = told["mle"]
+        if mle["status"] not in USABLE:
+            raise InputError(f"the fit of {file} has not converged ({mle['advice']}); there is no model to export")
+        values = {name: p["estimate"] for name, p in mle["parameters"].items()}
+        return values, [], "Values: maximum likelihood on coefficients (identify)."
+    if kind == "trajectories":
+        if not told["converged"]:
+            status = told["status"].replace("_", " ")
+            raise InputError(f"the fit of {file} has not converged ({status}); there is no model to export")
+        values = {name: p["estimate"] for name, p in told["parameters"].items()}
+        if not with_process_noise(told):
+            return values, [], "Values: output error, maximum likelihood on trajectories (fly)."
         values |= {name: x for name, (x, _) in told["process_noise"]["estimates"].items()}
         return values, [], "Values: maximum likelihood on trajectories with process noise (fly)."
-    return values, [], "Values: output error, maximum likelihood on trajectories (fly)."
-
-
-def with_process_noise(told: Mapping[str, Any]) -> bool:
-    """Whether a fit with process noise describes the record better than output error does."""
-    filtered = told.get("process_noise")
-    return filtered is not None and bool(filtered["converged"]) and (filtered["gain"] or 0.0) > 0.0
-
-
-def _diagnosed(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], list[str], str]:
     if not told["base_parameters"]:
         raise InputError(f"{file} has no fitted parameters; there is no model to export")
     values = {name: move["after"] for name, move in told["base_parameters"].items()}
@@ -231,59 +194,41 @@ def _diagnosed(told: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], lis
     return values, names, f"Values: {added} (diagnose)."
 
 
-def _recorded(model: Model, card: Card, estimates: Mapping[str, Any], told: Mapping[str, Any]) -> Model:
-    """The card's model on the axes that were recorded: a fit leaves out the others."""
+def with_process_noise(told: Mapping[str, Any]) -> bool:
+    """Whether a fit with process noise describes the record better than output error does."""
+    filtered = told.get("process_noise")
+    return filtered is not None and bool(filtered["converged"]) and (filtered["gain"] or 0.0) > 0.0
+
+
+def fitted_model(card: Card, estimates: Mapping[str, Any], causes: Sequence[str], told: Mapping[str, Any]) -> Model:
+    """The card's model on the axes that were recorded, for a fit leaves out the others, with the causes."""
+    model = Model.from_card(card)
     fixed = dict(model.fixed)
     known = [e for e in model.effects if all(p.name in estimates or p.name in fixed for p in e.parameters)]
-    if len(known) == len(model.effects):
-        return model
-    fitted = told["mle"]["fit"] if "mle" in told else told.get("fitted_outputs", ())
-    axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(fitted))
-    if "mle" not in told:
-        axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in known))
-    own = {p.name for e in known for p in e.parameters}
-    kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= own]
-    names = {p.name for e in kept for p in e.parameters}
-    if not axes or not kept:
-        raise InputError(f"the result has values of no effect of card {card.name}; run the command again")
-    return replace(
-        model,
-        axes=axes,
-        effects=tuple(kept),
-        parameters=tuple(p for p in model.parameters if p.name in names),
-        fixed=tuple((name, x) for name, x in model.fixed if name in names),
-    )
-
-
-def _extended(model: Model, card: Card, causes: Sequence[str]) -> Model:
-    """The model with causes; an effect of the card that was held at neutral is freed."""
-    own = own_effects(card.effect_files)
+    if len(known) < len(model.effects):
+        fitted = told["mle"]["fit"] if "mle" in told else told.get("fitted_outputs", ())
+        axes = tuple(a for a in model.axes if "mle" not in told or set(COEFFICIENTS[a]) & set(fitted))
+        if "mle" not in told:
+            axes = tuple(a for a in axes if any(e.axes == (a,) and e.parameters for e in known))
+        own = {p.name for e in known for p in e.parameters}
+        kept = [e for e in known if e.acts_on(axes) and set(e.uses) <= own]
+        names = {p.name for e in kept for p in e.parameters}
+        if not axes or not kept:
+            raise InputError(f"the result has values of no effect of card {card.name}; run the command again")
+        parameters = tuple(p for p in model.parameters if p.name in names)
+        model = replace(model, axes=axes, effects=tuple(kept), parameters=parameters)
+        model = replace(model, fixed=tuple((name, x) for name, x in model.fixed if name in names))
     there = {e.name for e in model.effects}
-    freed = {p.name for e in model.effects if e.name in causes for p in e.parameters}
+    freed = {p.name for e in model.effects if e.name in causes for p in e.parameters}  # held at neutral on the card
     model = replace(model, fixed=tuple((name, x) for name, x in model.fixed if name not in freed))
-    added: list[Effect] = [own.get(name) or effect_named(name) for name in causes if name not in there]
+    own_files = own_effects(card.effect_files)
+    added: list[Effect] = [own_files.get(name) or effect_named(name) for name in causes if name not in there]
     return model.extended(*added) if added else model
-
-
-def _origin(told: Mapping[str, Any], card: Card) -> str:
-    source = told["provenance"]
-    records = ", ".join(f"{one['name']} (sha256 {one['sha256'][:16]})" for one in source["inputs"])
-    made = source.get("versions", {}).get("bayes-aero", "of unknown version")
-    return f"Records: {records}. Card {card.name} (sha256 {card.sha256[:16]}). Result of bayes-aero {made}."
-
-
-def _flown_ranges(records: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each channel that all records have."""
-    ranges = [record.get("ranges", {}) for record in records]
-    shared = set.intersection(*(set(one) for one in ranges)) if ranges else set()
-    known = [n for n in sorted(shared) if all(None not in one[n] for one in ranges)]
-    return {n: (min(one[n][0] for one in ranges), max(one[n][1] for one in ranges)) for n in known}
 
 
 # --- Draws of the parameters of a finished result: of its posterior, or of the normal distribution of its estimates.
 
 SAMPLERS = ("nuts", "emcee")
-MOST_DRAWS = 10_000
 TRIES = 50  # times as many normal draws are made until enough lie within the bounds
 
 
@@ -299,9 +244,6 @@ def drawn(
 
     A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
     normal distribution, of which draws beyond a parameter's bounds are left out.
-
-    Raises:
-        InputError: the result has neither, or `count` is no sensible number.
     """
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
@@ -309,46 +251,45 @@ def drawn(
     for sampler in SAMPLERS:
         status = told.get("posterior", {}).get("status", {}).get(sampler)
         file = None if folder is None else folder / f"posterior_{sampler}.nc"
-        if status is not None and status["status"] == "converged" and file is not None and file.is_file():
-            return _of_posterior(file, wanted, count, rng, f"posterior by {sampler} under {status['noise']} noise")
-    rows, matrix = _stored(told)
+        if status is None or status["status"] != "converged" or file is None or not file.is_file():
+            continue
+        with xr.open_datatree(file, engine="h5netcdf") as tree:
+            posterior = tree["posterior"].to_dataset()
+            names = tuple(name for name in wanted if name in posterior)
+            values = np.stack([np.asarray(posterior[name]).reshape(-1) for name in names], axis=1)
+        if count > len(values):
+            raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
+        origin = f"posterior by {sampler} under {status['noise']} noise"
+        return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
+    filtered = with_process_noise(told)
+    if "causes" in told:  # a diagnosis
+        stored = told.get("covariance") or {}
+        rows, matrix = stored.get("parameters", ()), stored.get("matrix")
+    else:
+        part = told["process_noise"] if filtered else told.get("mle", told)
+        rows, matrix = part["estimates" if filtered else "parameters"], part.get("covariance")
     if matrix is None:
         raise InputError(
             f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
             "of the result again with this version, or do without draws"
         )
-    return _normal(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng, with_process_noise(told))
+    draws = normal_draws(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng)
+    held = [name for name in wanted if name not in draws.names]
+    origin = "normal distribution of the estimates, " + (
+        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
+    )
+    return replace(draws, origin=origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
 
 
-def _stored(told: Mapping[str, Any]) -> tuple[Sequence[str], Sequence[Sequence[float]] | None]:
-    """The covariance of the estimates, and the names of its rows; None where the result has none."""
-    if "causes" in told:  # a diagnosis
-        stored = told.get("covariance")
-        return ((), None) if stored is None else (stored["parameters"], stored["matrix"])
-    filtered = with_process_noise(told)
-    part = told["process_noise"] if filtered else told.get("mle", told)
-    return tuple(part["estimates"] if filtered else part["parameters"]), part.get("covariance")
-
-
-def _of_posterior(file: Path, wanted: Sequence[str], count: int, rng: np.random.Generator, origin: str) -> Draws:
-    with xr.open_datatree(file, engine="h5netcdf") as tree:
-        posterior = tree["posterior"].to_dataset()
-        names = tuple(name for name in wanted if name in posterior)
-        values = np.stack([np.asarray(posterior[name]).reshape(-1) for name in names], axis=1)
-    if count > len(values):
-        raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
-    return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
-
-
-def _normal(
+def normal_draws(
     found: Finished,
     wanted: Sequence[str],
     rows: Sequence[str],
     covariance: Float[np.ndarray, "k k"],
     count: int,
     rng: np.random.Generator,
-    filtered: bool,
 ) -> Draws:
+    """About the estimates, within the bounds; what the covariance does not know is left out."""
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
     names = tuple(name for name, one in zip(rows, known, strict=True) if one)
     part = covariance[np.ix_(known, known)]
@@ -363,11 +304,7 @@ def _normal(
             f"{found.name}: almost all normal draws of {', '.join(names)} lie beyond the bounds; sample the posterior "
             "with identify, or fly --posterior"
         )
-    held = [name for name in wanted if name not in names]
-    origin = "normal distribution of the estimates, " + (
-        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
-    )
-    return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
+    return Draws(names, draws, "")
 
 
 # --- The card of a finished result: results name it by its hash, and do not repeat it.
@@ -376,16 +313,11 @@ def _normal(
 def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> Card:
     """The card with which a result was made, and its effect files as they were.
 
-    Args:
-        provenance: of the result.
-        result: its file.
-        given: a card named by the user; None: the shipped card of that name, the path that the result states, or a
-            file of that name beside the result or in the working directory.
-
-    Raises:
-        InputError: it is not found, or it is not the one of the result.
+    `given`: a card named by the user; None: the shipped card of that name, the path that the result states, or a file
+    of that name beside the result or in the working directory.
     """
     name, sha256 = provenance["card"]["name"], provenance["card"]["sha256"]
+    shipped = shipped_cards().get(name)
     if given is not None:
         card = read_card(given)
         if card.sha256 != sha256:
@@ -394,31 +326,20 @@ def card_of(provenance: Mapping[str, Any], result: Path, given: str | None) -> C
                 "--model, or run the command again"
             )
     else:
-        path = next((p for p in _card_places(provenance, result) if p.is_file() and _hash(p) == sha256), None)
+        stated = provenance["card"].get("path")
+        places = [*([shipped] if shipped else []), *([Path(stated)] if stated else [])]
+        places += [folder / f"{name}.toml" for folder in (result.parent, result.parent.parent, Path())]
+        path = next((p for p in places if p.is_file() and sha256_of(p) == sha256), None)
         if path is None:
             raise InputError(
                 f"{result} was made with a card {name} that is not found here unchanged; give it with --model"
             )
-        card = read_card(name if shipped_cards().get(name) == path else path)
-    now = {path.name: _hash(path) for path in card.effect_files if path.is_file()}
+        card = read_card(name if shipped == path else path)
+    now = {path.name: sha256_of(path) for path in card.effect_files if path.is_file()}
     for file in provenance.get("effect_files", ()):
         if now.get(file["name"]) != file["sha256"]:
             raise InputError(f"effect file {file['name']} has changed since {result} was made; run the command again")
     return card
-
-
-def _card_places(provenance: Mapping[str, Any], result: Path) -> Iterator[Path]:
-    name = provenance["card"]["name"]
-    if name in shipped_cards():
-        yield shipped_cards()[name]
-    if provenance["card"].get("path"):
-        yield Path(provenance["card"]["path"])
-    for folder in (result.parent, result.parent.parent, Path()):
-        yield folder / f"{name}.toml"
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # --- The linear system of a card with the values that a finished result has found.

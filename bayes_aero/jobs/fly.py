@@ -1,38 +1,51 @@
-"""The job of `bayes-aero fly`: parameters fitted to trajectories by output error; numbers are on disk first."""
+"""The jobs of `bayes-aero fly` and `path`: fits to trajectories by output error; numbers are on disk first."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.consistency import in_gusts
+import jax.numpy as jnp
+import numpy as np
+
+from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
+from bayes_aero.diagnosis.trajectories.histories import with_process_noise
 from bayes_aero.diagnosis.trajectories.motion import motion_of
 from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW, fit_disagreements, still_apart
-from bayes_aero.dynamics.flight import DERIVED
-from bayes_aero.dynamics.output_channels import OF_AXIS
-from bayes_aero.errors import attempted
-from bayes_aero.flight.card.card import Card
+from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, fit_trajectories, still_apart
+from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
+from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
+from bayes_aero.dynamics.path import path_dynamics
+from bayes_aero.errors import InputError, attempted
+from bayes_aero.flight.card.card import Card, channel_units
+from bayes_aero.flight.card.toml_tables import is_file
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.writers import write_record
 from bayes_aero.inference.frequency import linear_in_band
+from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
+from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.posterior.nuts import ENGINES
+from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import safe_name, writable
 from bayes_aero.jobs.io.time_histories import flights, put_histories
-from bayes_aero.jobs.options import FREE, LINEAR, FlyOptions, check_band
-from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.jobs.steps.flights import (
-    coefficient_fit,
-    flown_dynamics,
-    output_error_fit,
-    process_noise,
-    starts_of,
-    with_posterior,
-)
-from bayes_aero.jobs.steps.record_checks import record_checks, usable_for
+from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
+from bayes_aero.jobs.provenance import provenance, sha256_of, write_json
+from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_notes, usable_for
+from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
+from bayes_aero.model.model import Model
+from bayes_aero.model.observations import observe
+from bayes_aero.physics.flightpath import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
@@ -44,32 +57,21 @@ from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
-from bayes_aero.report.text.fly import (
-    disagreement_sentences,
-    fly_sentences,
-    gust_sentences,
-    process_noise_sentences,
-    settled_sentences,
-)
+from bayes_aero.report.text import fly as text
+from bayes_aero.report.text.phrases import several
+from bayes_aero.residuals.frequency_error import lines_in
 
+UNFILTERED = "Process noise was not fitted, because output error did not converge."
 DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}
 
 
+@keywords(FlyOptions)
 def fly(
     records: Sequence[FlightRecord],
     card: Card,
+    options: FlyOptions = FlyOptions(),
     *,
     out: Path | None = None,
-    windows: float = WINDOW,
-    initial_state: str = FREE,
-    priors: bool = True,
-    outputs: str | Sequence[str] | None = None,
-    inputs: str = LINEAR,
-    seed: int = 0,
-    figures: bool = True,
-    process_noise: bool | None = None,
-    posterior: bool = False,
-    frequency: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Flight:
     """Fit the card's model to the trajectories of the records (output error), as `bayes-aero fly` does.
@@ -79,21 +81,8 @@ def fly(
     Args:
         records: flights, fitted jointly.
         card: one with a model of effects or a linear one.
+        options: the settings; instead of them their names may be given, e.g. `fly(records, card, windows=5.0)`.
         out: a folder for trajectories.json, parameters.csv, histories.nc, figures and report.html; None writes nothing.
-        windows: length in s of the windows that are fitted before whole manoeuvres.
-        initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
-            names none the first sample.
-        priors: False omits all priors from the reported fit, including those of free initial states.
-        outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
-            outputs), and without these all recorded ones but altitude and q_dot.
-        inputs: "linear" between samples, or "held" until the next one.
-        seed: of the fit of the coefficients.
-        figures: False draws none.
-        process_noise: True fits the same model with process noise, too, by an extended Kalman filter; None: if the
-            flight path of a record shows gusts, or if output error and the coefficients disagree.
-        posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
-        frequency: lowest and highest frequency, Hz, of a band in which a linear card is fitted, too, by equation error
-            and output error.
         progress: called with a stage and the share of it that is done.
 
     Returns:
@@ -105,154 +94,347 @@ def fly(
     Source:
         Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4.
     """
-    chosen = (windows, initial_state, priors, outputs, inputs, seed, figures, process_noise, posterior)
-    options = FlyOptions(*chosen, frequency=frequency)
-    return fly_records(records, card, options, out=out, progress=progress)
-
-
-def fly_records(
-    records: Sequence[FlightRecord],
-    card: Card,
-    options: FlyOptions = FlyOptions(),
-    *,
-    out: Path | None = None,
-    progress: Progress | None = None,
-) -> Flight:
-    """`fly` with its options in one."""
-    setting, seed = options.setting(card), options.seed
-    check_band(options.frequency, records, card, flown=True)
+    setting = setting_of(options, card)
+    check_band(options.frequency, records, card)
     card, left_out = on_recorded_axes(card, records, OF_AXIS, DERIVED)
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
-    notes = [*left_out, *notes]
     if out is not None:
         writable(out)
     if progress:
         progress("do the sensors agree?", 0.0)
-    checks = record_checks(records, card, seed, out)
-    asked = options.process_noise is None and not options.filtered
-    gusts = in_gusts(records, card, seed) if asked and checks.consistency.recorded else {}
-    if gusts:
-        options = replace(options, process_noise=True)
-    coefficients, failed = attempted(
-        "The coefficients gave no first values",
-        lambda: None if options.flight_path else coefficient_fit(records, card, seed, progress),
-        None,
-        out,
-        own=bool(card.effect_files),
-    )
-    starts = starts_of(coefficients, dynamics)
-    flown = output_error_fit(flights, dynamics, card, starts, options, progress)
+    checks, asked = record_checks(records, card, options.seed, out), options.process_noise is None
+    gusts = in_gusts(records, card, options.seed) if asked and checks.consistency.recorded else {}
+    options = replace(options, process_noise=True) if gusts else options
+    coefficients, failed = coefficient_fit(records, card, options, out, progress)
+    flown = output_error_fit(flights, dynamics, card, coefficients, options, progress)
     flown = replace(flown, following=only_following(checks.health))
-    if options.frequency is not None:
-        in_band, responses = linear_in_band(flights, dynamics, options.frequency)
-        flown = replace(flown, frequency=in_band, frequency_responses=responses)
-        notes += [said for fit in flown.frequency for said in frequency_sentences(fit)]
     apart = () if coefficients is None else fit_disagreements(coefficients, flown)
     disputed = asked and not gusts and bool(apart)
-    options = replace(options, process_noise=options.filtered or disputed)
-    source = provenance(card, records, seed, _told(options, setting), options)
+    options = replace(options, process_noise=bool(options.process_noise) or disputed)
+    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
+    source = provenance(card, records, options.seed, options.settings | chosen, options)
     (beside, sample), more = process_noise(flown, options, card, out, progress)
-    if options.filtered and not flown.converged:
-        notes.append("Process noise was not fitted, because output error did not converge.")
+    notes = [*left_out, *notes, *(said for fit in flown.frequency for said in frequency_sentences(fit))]
+    notes += [UNFILTERED] if options.process_noise and not flown.converged else []
     moves, unmoved = attempted("Modes of motion were not found", lambda: motion_of(flown, beside), None, out)
     hindered = usable_for(records, card).get("diagnose", "")
-    plain = fly_sentences(flown, hindered, disturbed=options.filtered)
-    decided = settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed)
-    filtered = (*gust_sentences(gusts, beside), *decided, *_filtered(beside, flown))
-    said = (*filtered, *plain, *disagreement_sentences(apart, hindered), *motion_sentences(moves))
     failed = (*checks.failures, *failed, *more, *unmoved)
-    found = Flight(flown, said, tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
-
-    def put(found: Flight) -> None:
-        if out is not None:
-            _put_numbers(found, out)
-            write_json(fly_results(found, card, records, source), out / RESULTS)
-
+    found = Flight(flown, (), tuple(notes), checks.health, checks.consistency, failed, apart, beside, motion=moves)
+    said = findings(found, gusts, hindered, disputed=disputed, disturbed=bool(options.process_noise))
+    found = replace(found, sentences=said)
+    files = None if out is None else FlightFiles(out, card, records, source)
     if sample is not None:
-        found = with_posterior(found, sample, card, out, put)
+        found = with_posterior(found, sample, card, out, files.put if files else lambda _: None)
+    return files.write(found, figures=options.figures, progress=progress) if files else found
+
+
+def findings(
+    found: Flight, gusts: Mapping[str, float], hindered: str, *, disputed: bool, disturbed: bool
+) -> tuple[str, ...]:
+    """The sentences on a fit; `hindered`: why diagnose cannot use the records, `disturbed`: with process noise."""
+    apart, beside = found.apart, found.process_noise
+    return (
+        *text.gust_sentences(gusts, beside),
+        *text.settled_sentences(apart, beside, still_apart(apart, beside), asked=disputed),
+        *(() if beside is None else text.process_noise_sentences(beside, found.flown)),
+        *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
+        *text.disagreement_sentences(apart, hindered),
+        *motion_sentences(found.motion),
+    )
+
+
+class FlightFiles:
+    """What a fit to trajectories writes into `out`: numbers first, then what shows them."""
+
+    def __init__(self, out: Path, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]) -> None:
+        self.out, self.card, self.records, self.source = out, card, records, source
+
+    def put(self, found: Flight) -> None:
+        """Tables, a file of each sampler and trajectories.json; posteriors of an earlier run go."""
+        out = self.out
+        write_csv(parameter_table(found.flown), out / "parameters.csv")
+        if found.process_noise is not None and found.process_noise.histories:
+            write_csv(gust_table(found.process_noise), out / "gusts.csv")
+        for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
+            (out / name).unlink(missing_ok=True)
+        for engine, posterior in found.posteriors.items():
+            posterior.save(out / f"posterior_{engine}.nc")
+        if found.posteriors:
+            write_csv(posterior_table(found.posteriors), out / "posterior.csv")
+        self._noted(found)
+
+    def _noted(self, found: Flight, said: Sequence[str] = (), failures: Sequence[str] = ()) -> Flight:
+        """trajectories.json, with what could not be drawn or shown after the numbers."""
+        found = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
+        write_json(fly_results(found, self.card, self.records, self.source), self.out / RESULTS)
+        return found
+
+    def write(self, found: Flight, *, figures: bool, progress: Progress | None) -> Flight:
+        """Everything; the fit with what could not be made."""
+        self.put(found)
+        together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
+        failed = put_histories(lambda: flights(together, found.flown.units), self.out)
+        drawn: list[Path] = []
+        if figures:
+            every: list[tuple[Any, Any]] = [(fly_figures(found.flown) | FREQUENCY_FIGURES, found.flown)]
+            every += [] if found.process_noise is None else [(DISTURBED, found.process_noise)]
+            every += [({"pair": pair_of}, found.posteriors)] if found.posteriors else []
+            for number, (drawings, shown) in enumerate(every):
+                paths, more = draw_all(drawings, shown, self.out / "figures", None if number else progress)
+                drawn, failed = [*drawn, *paths], (*failed, *more)
+        many = figures and len(self.records) > MOST_MANOEUVRES
+        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
+        found = self._noted(found, said, failed) if said or failed else found
+        if progress:
+            progress("report", 0.95)
+        names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
+        told: dict[str, Any] = {name: getattr(found, name) for name in names}
+        pictures = {path.stem: path for path in drawn}
+        context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
+        failed = put_page(lambda: fly_page(found.flown, context), self.out)
+        return self._noted(found, (), failed) if failed else found
+
+
+# --- The fits: coefficients, first values from them, output error, process noise.
+
+
+def check_band(band: tuple[float, float] | None, records: Sequence[FlightRecord], card: Card) -> None:
+    """Refuse a band in which a record has no frequency, and trajectories of effects, before anything is computed."""
+    if band is None:
+        return
+    if card.linear is None:
+        raise InputError(
+            f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model of "
+            "effects, so use bayes-aero identify --frequency"
+        )
+    for record in records:
+        lines_in(band, record.n, record.dt, record.name)
+
+
+def setting_of(options: FlyOptions, card: Card) -> Setting:
+    """How trajectories are fitted; what is not given is the card's."""
+    outputs, initial = (None, {}) if options.flight_path else (card.fly.outputs, card.fly.initial_state)
+    if options.outputs is not None:
+        names = options.outputs.split(",") if isinstance(options.outputs, str) else options.outputs
+        outputs = tuple(dict.fromkeys(name.strip() for name in names))
+    return Setting(outputs, None if options.initial_state == FREE else initial, options.priors, options.inputs == HELD)
+
+
+def coefficient_fit(
+    records: Sequence[FlightRecord], card: Card, options: FlyOptions, out: Path | None, progress: Progress | None
+) -> tuple[MleResult | None, tuple[str, ...]]:
+    """The fit of the coefficients, as `identify` does it, where they can be formed; what failed unexpectedly."""
+    if options.flight_path or card.linear is not None:
+        return None, ()
+    if progress:
+        progress("coefficients", 0.0)
+
+    def fitted() -> MleResult | None:
+        model, (without_spikes, _) = Model.from_card(card), repaired(records)
+        try:
+            found = fit_mle(model, observe(without_spikes, card, model), seed=options.seed)
+            return without_noise_bias(found, without_spikes, card, model, seed=options.seed)
+        except InputError:
+            return None
+
+    return attempted("The coefficients gave no first values", fitted, None, out, own=bool(card.effect_files))
+
+
+def output_error_fit(
+    flights: Flights,
+    dynamics: Dynamics,
+    card: Card,
+    coefficients: MleResult | None,
+    options: FlyOptions,
+    progress: Progress | None,
+) -> TrajectoryFit:
+    """The card's model fitted to the trajectories, and in a band, as the options say.
+
+    It starts from what the fit of the coefficients has found, too: a trajectory has optima far from the flight.
+    """
+    starts = []
+    if coefficients is not None:
+        near = dict(zip(coefficients.names, coefficients.estimate, strict=True))
+        lower, upper = (np.array([p.bounds[i] for p in dynamics.free], float) for i in (0, 1))
+        start = np.array([near.get(p.name, p.start) for p in dynamics.free])
+        starts = [np.clip(start, lower, upper)] if np.all(np.isfinite(start)) else []
+    found = fit_trajectories(
+        flights,
+        dynamics,
+        {name: STANDARD_CHANNELS[name].unit for name in STANDARD_CHANNELS} | channel_units(card),
+        starts=starts,
+        window=options.windows,
+        tolerances={name: tolerance.value for name, tolerance in card.tolerances.items()},
+        biases={} if options.flight_path else card.output_biases,
+        setting=setting_of(options, card),
+        progress=progress,
+    )
+    if options.frequency is None:
+        return found
+    in_band, responses = linear_in_band(flights, dynamics, options.frequency)
+    return replace(found, frequency=in_band, frequency_responses=responses)
+
+
+# --- What a record is flown by: the card's model of effects, its linear system, or its accelerations and rates.
+
+
+def flown_dynamics(
+    records: Sequence[FlightRecord], card: Card, outputs: Sequence[str], *, path: bool
+) -> tuple[Flights, Dynamics, list[str]]:
+    """The records end to end without spikes, what flies them, and what to say of it.
+
+    `path`: the recorded accelerations and rates fly them, not the card's model.
+    """
+    notes: list[str] = []
+    dynamics: Dynamics
+    if path:
+        flights, spikes = despiked(join(records, card, PATH_CORE))
+        if why := no_flight_path(records, card):
+            raise InputError(f"the flight path cannot be reconstructed: {why}")
+        flights, dynamics = path_dynamics(flights, card)
+        unused = "psi" in flights.channels and "psi" not in dynamics.states
+        notes += ["The heading is left out: it jumps or stands still, or bank was not recorded."] if unused else []
+    elif card.linear is not None:
+        flights, spikes = despiked(join(records, card, card.linear.inputs))
+        dynamics = linear_dynamics(card, flights.lengths)
+    else:
+        flights, spikes = despiked(join(records, card, FLIGHT))
+        dynamics = aircraft_dynamics(Model.from_card(card), flights, outputs)
+        still = taken_as_zero(flights)
+        notes += [f"Not recorded, and taken as zero: {several(still)}."] if still else []
+        notes += [f"Held to the record: {several(dynamics.prescribed)}."] if dynamics.prescribed else []
+    unseen = [n for n in dynamics.start if n not in flights.channels and n in STANDARD_CHANNELS]
+    notes += [f"States that were not recorded begin at zero or as fitted: {several(unseen)}."] if unseen else []
+    notes += spike_notes(spikes)
+    return flights, dynamics, notes
+
+
+# --- The fit with process noise beside output error, and its posterior.
+
+Sampling = Callable[[str], dict[str, Posterior]]
+
+
+def process_noise(
+    flown: TrajectoryFit, options: FlyOptions, card: Card, out: Path | None, progress: Progress | None
+) -> tuple[tuple[ProcessNoise | None, Sampling | None], tuple[str, ...]]:
+    """The fit with process noise where it was asked for and output error has a result to start from; what samples its
+    posterior where that was asked for and the fit has converged."""
+    if not (options.process_noise and flown.converged):
+        return (None, None), ()
+    if progress:
+        progress("process noise", 0.9)
+    what, fit = "Process noise was not fitted", partial(with_process_noise, flown)
+    found, failed = attempted(what, fit, None, out, own=bool(card.effect_files))
+    if found is None:
+        return (None, None), failed
+    beside, sample = found
+    wanted = options.posterior and beside.converged
+    return (beside, partial(sample, options.seed, progress) if wanted else None), failed
+
+
+def with_posterior(
+    found: Flight, sample: Sampling, card: Card, out: Path | None, put: Callable[[Flight], None]
+) -> Flight:
+    """With the posterior, and what is said of its chains; what is known is `put` before each sampler, for minutes."""
+    begun, posteriors, failures = found, {}, found.failures
+    for engine in ENGINES:
+        put(found)
+        by = partial(sample, engine)
+        new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
+        posteriors, failures = posteriors | new, (*failures, *failed)
+        said = (*begun.sentences, *text.posterior_sentences(posteriors))
+        found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
+    return found
+
+
+# --- The flight path by itself: errors of sensors, and the records without them.
+
+CORRECTED = "corrected"
+WRITTEN, SCHEMA = "written.json", "bayes_aero/corrected/1"  # the files of the folder, with their hashes
+UNSAFE = r"[^\w.@+-]"  # in the name of a file
+
+
+@keywords(PathOptions)
+def flight_path(
+    records: Sequence[FlightRecord],
+    card: Card,
+    options: PathOptions = PathOptions(),
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Flight:
+    """Reconstruct the flight path, as `bayes-aero path` does: errors of sensors by output error, without aerodynamics.
+
+    Args:
+        records: flights, fitted jointly; biases of accelerometers and gyros and the wind are each flight's own.
+        card: says where the accelerometer is. Errors of sensors that it states keep their values.
+        options: the settings; instead of them their names may be given, e.g. `process_noise=True`.
+        out: a folder for trajectories.json, parameters.csv, figures, report.html and the corrected records; None writes
+            nothing.
+        progress: called with a stage and the share of it that is done.
+
+    Returns:
+        The fit with its findings. SI and radians.
+
+    Raises:
+        InputError: the flight path needs a channel that was not recorded.
+
+    Source:
+        Klein and Morelli, Aircraft System Identification, 2006, ch. 10.
+    """
+    targets = [] if out is None else corrected_files(records, out / CORRECTED)
+    found = fly(records, card, options.fly, out=out, progress=progress)
     if out is None:
         return found
-    return _written(found, card, records, source, out, figures=options.figures, progress=progress)
+    folder = out / CORRECTED
+    for left in written_before(folder):  # records of an earlier run are none of this one, whatever comes of it
+        left.unlink()
+    if found.flown.converged and not found.flown.worse:
+        folder.mkdir(exist_ok=True)
+        for record, target in zip(corrected_records(records, found.flown), targets, strict=True):
+            write_record(record, target, card.channels)
+            files = {path.name: sha256_of(path) for path in targets if path.is_file()}
+            write_json({"schema": SCHEMA, "files": files}, folder / WRITTEN)
+    return found
 
 
-def _filtered(beside: ProcessNoise | None, flown: TrajectoryFit) -> tuple[str, ...]:
-    """What the fit with process noise says; nothing without one."""
-    return () if beside is None else tuple(process_noise_sentences(beside, flown))
+def corrected_files(records: Sequence[FlightRecord], folder: Path) -> list[Path]:
+    """Where the corrected records go, a file each; `InputError` for one that this command did not write as it is."""
+    own, found = written_before(folder), []
+    for record in records:
+        name = safe_name(re.sub(UNSAFE, "_", record.name))
+        endings = chain([""], (f"_{k}" for k in count(2)))
+        path = next(p for p in (folder / f"{name}{k}.csv" for k in endings) if p not in found)
+        if path.exists() and path not in own:
+            raise InputError(
+                f"{path} is not as bayes-aero path wrote it, and would be replaced; move it, or give another folder "
+                "with --out"
+            )
+        found.append(path)
+    return found
 
 
-def _told(options: FlyOptions, setting: Setting) -> dict[str, Any]:
-    """The settings by the names of the options; `outputs` only where they were chosen."""
-    chosen = {} if setting.outputs is None else {"outputs": list(setting.outputs)}
-    chosen |= {"frequency": list(options.frequency)} if options.frequency is not None else {}
-    names = ("windows", "initial_state", "priors", "inputs", "posterior")
-    return {name: getattr(options, name) for name in names} | {"process_noise": options.filtered} | chosen
+def written_before(folder: Path) -> list[Path]:
+    """The files of an earlier run that are as it wrote them; all others are the user's."""
+    try:
+        files = dict(json.loads((folder / WRITTEN).read_text(encoding="utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    there = {folder / Path(name).name: sha256 for name, sha256 in files.items()}
+    return [path for path, sha256 in there.items() if is_file(path) and sha256_of(path) == sha256]
 
 
-def _written(
-    found: Flight,
-    card: Card,
-    records: Sequence[FlightRecord],
-    source: dict[str, Any],
-    out: Path,
-    *,
-    figures: bool,
-    progress: Progress | None,
-) -> Flight:
-    """Numbers first; what cannot be drawn or shown after them is a note, and the numbers are written again with it."""
-
-    def noted(said: Sequence[str], failures: Sequence[str]) -> Flight:
-        more = replace(found, notes=(*found.notes, *said), failures=(*found.failures, *failures))
-        write_json(fly_results(more, card, records, source), out / RESULTS)
-        return more
-
-    _put_numbers(found, out)
-    together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
-    found = noted((), ())
-    failed = put_histories(lambda: flights(together, found.flown.units), out)
-    found = noted((), failed) if failed else found
-    drawn: list[Path] = []
-    if figures:
-        drawings = fly_figures(found.flown) | FREQUENCY_FIGURES
-        drawn, failed = draw_all(drawings, found.flown, out / "figures", progress)
-        if found.process_noise is not None:
-            met, more = draw_all(DISTURBED, found.process_noise, out / "figures")
-            drawn, failed = [*drawn, *met], (*failed, *more)
-        if found.posteriors:
-            pairs, more = draw_all({"pair": pair_of}, found.posteriors, out / "figures")
-            drawn, failed = [*drawn, *pairs], (*failed, *more)
-        many = len(records) > MOST_MANOEUVRES
-        said = [f"Figures are drawn for up to {MOST_MANOEUVRES} manoeuvres."] if many else []
-        found = noted(said, failed) if said or failed else found
-    if progress:
-        progress("report", 0.95)
-    shown = {path.stem: path for path in drawn}
-    context = FlyContext(
-        card,
-        records,
-        source,
-        found.sentences,
-        found.notes,
-        shown,
-        found.consistency,
-        found.failures,
-        found.health,
-        found.process_noise,
-        found.posteriors,
-        found.motion,
-    )
-    failed = put_page(lambda: fly_page(found.flown, context), out)
-    return noted((), failed) if failed else found
-
-
-def _put_numbers(found: Flight, out: Path) -> None:
-    """Tables, and a file of each sampler; posteriors that an earlier run has left there go."""
-    write_csv(parameter_table(found.flown), out / "parameters.csv")
-    if found.process_noise is not None and found.process_noise.histories:
-        write_csv(gust_table(found.process_noise), out / "gusts.csv")
-    for engine in ("nuts", "emcee"):
-        (out / f"posterior_{engine}.nc").unlink(missing_ok=True)
-    (out / "posterior.csv").unlink(missing_ok=True)
-    for engine, posterior in found.posteriors.items():
-        posterior.save(out / f"posterior_{engine}.nc")
-    if found.posteriors:
-        write_csv(posterior_table(found.posteriors), out / "posterior.csv")
+def corrected_records(records: Sequence[FlightRecord], flown: TrajectoryFit) -> list[FlightRecord]:
+    """The records without the errors that were found: flow angles and accelerations as at the true sensors."""
+    fit = flown.fit
+    flights, dynamics = fit.flown.flights, fit.flown.dynamics
+    true = dynamics.corrected(dynamics.values(jnp.asarray(fit.estimate)), flights.channels, flights.aircraft)
+    found, begin = [], 0
+    for record, length in zip(records, flights.lengths, strict=True):
+        part = slice(begin, begin + length)
+        changed = {
+            n: np.asarray(x[part]) for n, x in true.items() if n in record.channels and x is not flights.channels[n]
+        }
+        found.append(replace(record, channels={**record.channels, **changed}))
+        begin += length
+    return found

@@ -11,14 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
+from bayes_aero.diagnosis.trajectories.histories import fly_given
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.reading.read_record import rate_notes
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.pooled import check_manoeuvres
+from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.pooled import check_manoeuvres, next_flight
+from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.calibration import pit_of, prior_sensitivity
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
@@ -28,11 +33,11 @@ from bayes_aero.inference.stall import stall_of_run
 from bayes_aero.inference.validation import Training, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
-from bayes_aero.jobs.options import IdentifyOptions, check_band
+from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.flights import fly_identified, left_out_of_many, pooled_manoeuvres
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
 from bayes_aero.model.density import Density
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
@@ -42,8 +47,9 @@ from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.frequency import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
+from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.text.restraints import leaning_sentences
-from bayes_aero.residuals.frequency_error import Band
+from bayes_aero.residuals.frequency_error import Band, lines_in
 
 
 def identify(
@@ -71,7 +77,8 @@ def identify(
         job.sample()
     if options.gp:
         job.train_gp()
-    job.find_stall()
+    # CLmax and its angle from the first posterior that converged.
+    job.add(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.run)))
     job.show()
     return job.run
 
@@ -89,20 +96,22 @@ class _Job:
         out: Path | None,
         progress: Progress | None,
     ) -> None:
-        check_band(options.frequency, records, card)
+        if options.frequency is not None:
+            for record in records:  # refuses a band in which it has no frequency
+                lines_in(options.frequency, record.n, record.dt, record.name)
         if options.next_flight:
             check_manoeuvres(len(records))
         card, self.left_out = on_recorded_axes(card, records)
         self.records, self.card, self.options, self.out, self.progress = records, card, options, out, progress
         self.model = Model.from_card(card)
         self.repaired, self.spikes = repaired(records)
-        self.observations = observe(self.repaired, card, self.model, options.forming)
+        self.observations = observe(self.repaired, card, self.model, Forming(options.coefficients))
         self.seconds: dict[str, float] = {}
-        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.told, options))
+        self.files = IdentificationFiles(out, provenance(card, records, options.seed, options.settings, options))
 
     def attempt(self, what: str, do: Callable[[], Any], otherwise: Any) -> tuple[Any, tuple[str, ...]]:
         """What `do` returns or, if it fails unexpectedly, `otherwise` and the reason."""
-        return attempted(what, do, otherwise, folder=self.out, own=bool(self.card.effect_files))
+        return attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
 
     def add(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
         """Put more into the run."""
@@ -120,9 +129,23 @@ class _Job:
         if self.progress:
             self.progress(stage, 1.0)
 
+    def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
+        """What a stage returns, or None where it fails, which is told; for bad input by the form of a note `bad`."""
+        try:
+            with self.timed(name):
+                found, failed = self.attempt(left_out, do, None)
+        except InputError as error:
+            if not bad:
+                raise
+            found, failed = None, ()
+            self.add((bad.format(left_out, error),))
+        self.add((), failed)
+        return found
+
     def fit(self, truth: Mapping[str, float] | None) -> None:
         """Maximum likelihood, of all manoeuvres and of each alone; the sensors are compared before."""
-        model, observations, seed, forming = self.model, self.observations, self.options.seed, self.options.forming
+        model, observations, seed = self.model, self.observations, self.options.seed
+        forming = Forming(self.options.coefficients)
         with self.timed("do the sensors agree?"):
             checks = record_checks(self.records, self.card, seed, self.out)
             failures = checks.failures
@@ -147,7 +170,7 @@ class _Job:
             model,
             tuple(self.records),
             observations,
-            self.options.noise,
+            Colour(self.options.noise),
             mle,
             alone,
             {},
@@ -165,21 +188,15 @@ class _Job:
     def fit_in_band(self, band: Band) -> None:
         """The same parameters in the frequency domain."""
         with self.timed("frequency domain"):
-            found = coefficients_in_band(
-                self.repaired, self.card, self.model, self.run.mle, band, seed=self.options.seed
-            )
+            seed = self.options.seed
+            found = coefficients_in_band(self.repaired, self.card, self.model, self.run.mle, band, seed=seed)
         self.add(frequency_sentences(found), frequency=found)
         self.files.stage(self.run)
 
     def pool(self) -> None:
         """Partial pooling of the manoeuvres, and the next flight."""
-        with self.timed("next flight"):
-            do = partial(pooled_manoeuvres, self.run, self.repaired, seed=self.options.seed, progress=self.progress)
-            try:
-                found, failed = self.attempt("The next flight was left out", do, None)
-                self.add((), failed, next_flight=found)
-            except InputError as error:
-                self.add((f"The next flight was left out: {error}.",))
+        do = partial(pooled_manoeuvres, self.run, self.repaired, seed=self.options.seed, progress=self.progress)
+        self.add(next_flight=self.stage("next flight", "The next flight was left out", do, bad="{}: {}."))
         self.files.stage(self.run)
 
     def fly(self) -> None:
@@ -192,53 +209,31 @@ class _Job:
 
     def sample(self) -> None:
         """The posteriors, one after the other."""
-        for key, colour, engine in _plan(self.options.noise):
-            with self.timed(key):
-                sampled, failed = self.attempt(
-                    f"The posterior by {key} under {colour.value} noise was not sampled",
-                    partial(self._sampled, key, colour, engine),
-                    None,
-                )
-            self.add((), failed)
-            if sampled is not None:
-                posterior, told = sampled
-                self.add(told, posteriors=self.run.posteriors | {key: posterior})
+        for key, colour, engine in posterior_plan(Colour(self.options.noise)):
+            left_out = f"The posterior by {key} under {colour.value} noise was not sampled"
+            found = self.stage(key, left_out, partial(self.posterior, key, colour, engine))
+            if found is not None:
+                self.add(found[1], posteriors=self.run.posteriors | {key: found[0]})
                 self.files.stage(self.run, posterior_name=key)
 
-    def _sampled(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
+    def posterior(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
         """A posterior, with what is said of its other modes and of the priors that it leans on."""
         run, seed = self.run, self.options.seed
         density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
         mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
-        posterior = engine(density, mode, seed=seed, progress=self.progress)
+        found = engine(density, mode, seed=seed, progress=self.progress)
         told = other_modes(mode, f"{key}, {colour.value} noise")
         if run.mle.conflicts and key == "emcee":
-            told += leaning_sentences(prior_sensitivity(density, posterior), run.mle.conflicts)
-        return posterior, told
+            told += leaning_sentences(prior_sensitivity(density, found), run.mle.conflicts)
+        return found, told
 
     def train_gp(self) -> None:
-        """Gaussian processes beside maximum likelihood."""
-        o = self.options
-        training = Training(o.split, o.seed)
-        try:
-            with self.timed("gp"):
-                report, failed = self.attempt(
-                    "Gaussian process left out",
-                    lambda: validate(
-                        self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress
-                    ),
-                    None,
-                )
-            self.add(() if report is None else report.left_out, failed, gp=report)
-        except InputError as error:  # too large for the exact process: said, and the rest stands
-            self.add((f"Gaussian process left out: {error}",))
+        """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
+        training = Training(self.options.split, self.options.seed)
+        asked = (self.model, self.observations, self.run.mle, self.card.gp_inputs, training, self.progress)
+        report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
+        self.add(() if report is None else report.left_out, gp=report)
         self.files.stage(self.run, gp_done=True)
-
-    def find_stall(self) -> None:
-        """CLmax and its angle from the first posterior that converged."""
-        with self.timed("stall"):
-            stall, failed = self.attempt("Stall left out", partial(stall_of_run, self.run), None)
-        self.add((), failed, stall=stall)
 
     def show(self) -> None:
         """Figures and the page; then nothing is left of earlier runs."""
@@ -252,18 +247,63 @@ class _Job:
             self.add((), failed)
         self.files.stage(self.run)
         if options.page and out is not None:
-            pictures = {p.stem: p for p in drawn}
+            shown = (self.files.source, {p.stem: p for p in drawn}, self.files.flown)
             with self.timed("report"):
-                failed = put_page(
-                    lambda: identification_page(self.run, self.files.source, pictures, self.files.flown), out
-                )
+                failed = put_page(lambda: identification_page(self.run, *shown), out)
             if failed:
                 self.add((), failed)
                 self.files.stage(self.run)
         self.files.remove_older(self.run, page=options.page, figures=options.figures)
 
 
-def _plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
+def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     """Which posteriors are sampled, under which noise model and by which engine."""
     plan = [("emcee", noise, sample_ensemble), ("nuts", noise, sample_nuts)]
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
+
+
+# --- The identified model flown through the recorded inputs: what its coefficients' errors become on the way.
+
+
+def fly_identified(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, out: Path
+) -> tuple[tuple[SimulatedManoeuvre, ...], tuple[str, ...], tuple[str, ...]]:
+    """Every record from its measured initial state, notes and failures; nothing where a channel that drives it is
+    missing, with a note that says so."""
+    values, left_out = dict(zip(mle.names, map(float, mle.estimate), strict=True)), "The identified model was not flown"
+    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
+
+    def flown() -> tuple[SimulatedManoeuvre, ...]:
+        return fly_given(despiked(join(records, card, FLIGHT))[0], model, values, bands)
+
+    try:
+        paths, failures = attempted(left_out, flown, (), out, own=bool(card.effect_files))
+    except InputError as error:
+        return (), (f"{left_out}: {error}",), ()
+    return paths, (), failures
+
+
+# --- Several manoeuvres of an identification: what they say of the next flight, and what is left out of many.
+
+
+def pooled_manoeuvres(
+    run: Identification, without_spikes: Sequence[FlightRecord], *, seed: int = 0, progress: Progress | None = None
+) -> NextFlight:
+    """Pool the manoeuvres of a run, without the bias of sensor noise; `without_spikes` are its records as fitted."""
+    alone = run.alone
+    if run.forming is Forming.MATCHED:  # the joint fit, beside which they stand, has no such bias either
+        alone = {
+            name: without_noise_bias(fit, [record], run.card, run.model, seed=seed)
+            for (name, fit), record in zip(alone.items(), without_spikes, strict=True)
+        }
+    return next_flight(run.model, run.observations, alone, seed=seed, progress=progress)
+
+
+def left_out_of_many(manoeuvres: int) -> tuple[str, ...]:
+    """What is left out because there are so many."""
+    said = []
+    if manoeuvres > MAX_SEPARATE_FITS:
+        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
+    if manoeuvres > MOST_MANOEUVRES:
+        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
+    return tuple(said)

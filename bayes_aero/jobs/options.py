@@ -1,55 +1,103 @@
-"""What the jobs may be told, checked: by the commands' options, by a study, by Python."""
+"""The options of the commands, once: command line, Python keywords, studies and the JSON's settings come from here.
 
+Nothing heavy is imported: --help and a study's file need these alone.
+"""
+
+# ruff: noqa: RUF009 - `option` makes a field
 from __future__ import annotations
 
-import hashlib
+import inspect
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_type_hints
 
-from bayes_aero.diagnosis.trajectories.results import Setting
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
-from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import WRITERS, write_record
-from bayes_aero.inference.validation import SplitKind
-from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
-from bayes_aero.model.noise import Colour
-from bayes_aero.model.observations import Forming
-from bayes_aero.report.html.page import put_page
-from bayes_aero.report.pages.check import simulated_page
-from bayes_aero.residuals.frequency_error import lines_in
-from bayes_aero.simulate.demo import Request
-from bayes_aero.simulate.synthetic_record import Synthetic, synthetic
+
+NoiseName = Literal["white", "ar1", "buffet-ar1"]  # `model.noise.Colour`
+FormingName = Literal["matched", "published"]  # `model.observations.Forming`
+SplitName = Literal["random", "block", "manoeuvre"]  # `inference.validation.SplitKind`
+InitialStateName = Literal["free", "fixed"]
+InputsName = Literal["linear", "held"]
+ExportForm = Literal["jsbsim", "fmu", "tables"]
+SimulatedNoise = Literal["none", "white", "ar1", "buffet"]  # `simulate.demo.NOISES`
+Manoeuvre = Literal[  # `simulate.demo.MANOEUVRES`
+    "random_stall", "slow_stall", "elevator_doublet", "elevator_3211", "multisine", "thrust_steps", "speed_change",
+    "sideslip", "bank_to_bank", "stabilizer_steps", "aileron_doublet", "rudder_doublet", "stall_with_bank",
+    "engine_steps",
+]  # fmt: skip
+FREE, FIXED = get_args(InitialStateName)
+LINEAR, HELD = get_args(InputsName)
 
 SHORTEST = 1.0  # s of a window: two ends of the straight line from which the initial state is read
-INITIAL_STATES = FREE, FIXED = "free", "fixed"
-INPUTS = LINEAR, HELD = "linear", "held"
+WHOLE = 1e6  # s: no windows; integrated accelerations stay near the measured path from the start
+DRAWS, FEWEST, MOST_DRAWS = 400, 100, 10_000  # of a qualification: with fewer no probability is decided
+MOST_GUSTS = 20.0  # m/s
+MAX_SEED = 2**32 - 1  # that every generator takes
+
+Names = str | Sequence[str] | None  # a list, or separated by commas as on a command line
+Job = TypeVar("Job", bound=Callable[..., Any])
 
 
-def check_band(
-    band: tuple[float, float] | None, records: Sequence[FlightRecord], card: Card, *, flown: bool = False
-) -> None:
-    """Refuse a band in which a record has no frequency, and trajectories of effects, before anything is computed."""
-    if band is None:
-        return
-    if flown and card.linear is None:
-        raise InputError(
-            f"trajectories are fitted in the frequency domain for linear cards only; card {card.name} has a model of "
-            "effects, so use bayes-aero identify --frequency"
-        )
-    for record in records:
-        lines_in(band, record.n, record.dt, record.name)
+def option(default: Any, help: str = "", *, name: str | None = "", kind: Any = None, **row: Any) -> Any:
+    """A field that is an option.
+
+    Args:
+        default: its value where it is not given.
+        help: its text on the command line.
+        name: on the command line, where the field's own name is taken; None: it is no option there.
+        kind: its type on the command line, where the field's is another.
+        row: more of the command line's row: `min`, `max`, `metavar`, `flag` (a switch without its --no-).
+    """
+    return field(default=default, metadata={"help": help, "name": name, "kind": kind, "row": row})
+
+
+def _seed() -> Any:
+    return option(0, "Same seed, same command, same machine: same numbers.", min=0, max=MAX_SEED)
+
+
+def _figures() -> Any:
+    return option(True, "Draw the figures.")
+
+
+def _frequency() -> Any:
+    said = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
+    return option(None, said, metavar="LOW HIGH")
+
+
+class Options:
+    """Options of one command as a dataclass whose fields are made by `option`."""
+
+    SETTINGS: ClassVar[tuple[str, ...]] = ()  # on which the numbers rest: provenance names them
+    APART: ClassVar[tuple[str, ...]] = ("seed",)  # that a study does not state under [options]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Those on which the numbers rest; what was left to the program is absent."""
+        chosen = {name: getattr(self, name) for name in self.SETTINGS}
+        return {n: list(x) if isinstance(x, tuple) else x for n, x in chosen.items() if x is not None}
+
+    @classmethod
+    def kinds(cls) -> dict[str, Any]:
+        """The type of each option as it is written on a command line or in a study."""
+        hints = {f.name: f.metadata["kind"] or get_type_hints(cls)[f.name] for f in fields(cls)}  # type: ignore[arg-type]
+        return {name: str | None if hint == Names else hint for name, hint in hints.items()}
 
 
 @dataclass(frozen=True)
-class IdentifyOptions:
+class ReadingOptions(Options):
+    """The card, and how records are read."""
+
+    APART = ("model",)
+    model: str = option("attas", "Card: a .toml file, or a shipped one by name.", metavar="CARD")
+    resample: float | None = option(None, "Interpolate records with uneven or several rates to this time step in s.")
+    split: bool = option(False, "Gaps in time divide a file into manoeuvres.", flag=True)
+
+
+@dataclass(frozen=True)
+class IdentifyOptions(Options):
     """What an identification may be told.
 
     `coefficients` are formed from signals all filtered alike (`matched`) or as the published ones (`published`).
@@ -59,31 +107,24 @@ class IdentifyOptions:
     `frequency`: a band, Hz, in which the parameters are fitted, too.
     """
 
-    noise: Colour = DEFAULT_NOISE
-    coefficients: str = Forming.MATCHED
-    split: SplitKind = "random"
-    seed: int = 0
-    sample: bool = True
-    gp: bool = True
-    next_flight: bool = False
-    figures: bool = True
-    page: bool = True
-    frequency: tuple[float, float] | None = None
-
-    @property
-    def forming(self) -> Forming:
-        """How coefficients are formed."""
-        return Forming(self.coefficients)
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """Those that provenance names."""
-        chosen = {"noise": self.noise.value, "split": self.split, "coefficients": self.forming.value}
-        return chosen | ({} if self.frequency is None else {"frequency": list(self.frequency)})
+    SETTINGS = ("noise", "split", "coefficients", "frequency")
+    APART = ("seed", "noise", "split")
+    seed: int = _seed()
+    noise: NoiseName = option("buffet-ar1", "Noise model of the posterior.")
+    coefficients: FormingName = option("matched", "Same filter for all signals (matched), or as the published results.")
+    split: SplitName = option("random", "Split whose Gaussian-process hyperparameters are sampled.", name="gp_split")
+    frequency: tuple[float, float] | None = _frequency()
+    sample: bool = option(True, "Sample the posterior; otherwise maximum likelihood with its bounds only.")
+    gp: bool = option(True, "Train the Gaussian processes.")
+    next_flight: bool = option(
+        False, "Pool the manoeuvres: scatter of parameters between them, and a flight not yet flown.", flag=True
+    )
+    figures: bool = _figures()
+    page: bool = option(True, name=None)
 
 
 @dataclass(frozen=True)
-class DiagnoseOptions:
+class DiagnoseOptions(Options):
     """What a diagnosis may be told.
 
     `max_effects` is the number of effects that each stage may add. `test_points` adds the manoeuvres that would decide
@@ -92,103 +133,156 @@ class DiagnoseOptions:
     are in gusts.
     """
 
-    seed: int = 0
-    max_effects: int = 8
-    test_points: bool = True
-    trajectories: bool = True
-    figures: bool = True
-    process_noise: bool | None = None
+    SETTINGS = ("max_effects", "process_noise")
+    seed: int = _seed()
+    max_effects: int = option(8, "Effects that each stage may add to the model.", min=1)
+    test_points: bool = option(
+        True, "Propose manoeuvres that decide what is open; fit causes in a band of frequencies."
+    )
+    trajectories: bool = option(True, "Simulate the card's and the extended model with the recorded inputs.")
+    figures: bool = _figures()
+    process_noise: bool | None = option(
+        None, "Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."
+    )
 
 
 @dataclass(frozen=True)
-class FlyOptions:
-    """What a fit to trajectories may be told; see `jobs.fly.fly`. `process_noise` None: where the records are in
-    gusts, or output error and the coefficients disagree."""
+class FlyOptions(Options):
+    """What a fit to trajectories may be told.
 
-    windows: float = WINDOW
-    initial_state: str = FREE
-    priors: bool = True
-    outputs: str | Sequence[str] | None = None
-    inputs: str = LINEAR
-    seed: int = 0
-    figures: bool = True
-    process_noise: bool | None = None
-    posterior: bool = False
-    frequency: tuple[float, float] | None = None  # Hz; a band in which a linear card is fitted, too
-    flight_path: bool = False  # the recorded accelerations and rates are flown, not the card's model
+    Attributes:
+        windows: length in s of the windows that are fitted before whole manoeuvres.
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the card's ([fly] initial_state), and where it
+            names none the first sample.
+        priors: False omits all priors from the reported fit, including those of free initial states.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: the card's ([fly]
+            outputs), and without these all recorded ones but altitude and q_dot.
+        inputs: "linear" between samples, or "held" until the next one.
+        process_noise: True fits the same model with process noise, too, by an extended Kalman filter; None: if the
+            flight path of a record shows gusts, or if output error and the coefficients disagree.
+        posterior: True also samples the posterior of the fit with process noise, by emcee and NUTS.
+        frequency: lowest and highest frequency, Hz, of a band in which a linear card is fitted, too, by equation error
+            and output error.
+        seed: of the fit of the coefficients.
+        figures: False draws none.
+        flight_path: the recorded accelerations and rates are flown, not the card's model.
+    """
+
+    SETTINGS = ("windows", "initial_state", "priors", "inputs", "posterior", "process_noise", "frequency")
+    APART = ("seed", "flight_path")
+    windows: float = option(12.0, "Length of the windows that are fitted before whole manoeuvres, in s.")
+    initial_state: InitialStateName = option(
+        FREE, "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample."
+    )
+    priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
+    outputs: Names = option(
+        None,
+        "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.",
+        metavar="NAME,NAME",
+    )
+    inputs: InputsName = option(
+        LINEAR,
+        "Inputs between samples: linear, for recorded positions; held, for commands held until the next sample.",
+    )
+    process_noise: bool | None = option(
+        None,
+        "Fit the same model with process noise, too (extended Kalman filter); default: if there are gusts, or if "
+        "output error and the coefficients disagree.",
+    )
+    posterior: bool = option(False, "With --process-noise: sample the posterior, too (NUTS and emcee).", flag=True)
+    frequency: tuple[float, float] | None = _frequency()
+    seed: int = _seed()
+    figures: bool = _figures()
+    flight_path: bool = option(False, name=None)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
-        if self.posterior and not self.filtered:
+        if self.posterior and not self.process_noise:
             raise InputError("a posterior is that of the fit with process noise; ask for process noise, too")
         if self.posterior and not self.priors:
             raise InputError("a posterior needs the priors; ask for one of the two only")
         if not (math.isfinite(self.windows) and self.windows >= SHORTEST):
             raise InputError(f"windows of {self.windows:g} s cannot be flown; give at least {SHORTEST:g} s")
-        chosen = ("initial state", self.initial_state, INITIAL_STATES), ("inputs", self.inputs, INPUTS)
-        for name, given, known in chosen:
+        for name in ("initial_state", "inputs"):
+            known, given = get_args(self.kinds()[name]), getattr(self, name)
             if given not in known:
-                raise InputError(f"the setting {name} is {given!r}; use {' or '.join(known)}")
+                raise InputError(f"the setting {name.replace('_', ' ')} is {given!r}; use {' or '.join(known)}")
+
+
+@dataclass(frozen=True)
+class PathOptions(Options):
+    """What a reconstruction of the flight path may be told.
+
+    Attributes:
+        initial_state: "free", fitted for each manoeuvre, or "fixed": the first sample.
+        priors: False omits all priors.
+        outputs: names of the outputs that are compared, a list or separated by commas; default: all that were recorded
+            of airspeed, flow angles, attitude, heading and altitude.
+        process_noise: True fits again with gusts and noise of the states, by an extended Kalman filter.
+        figures: False draws none.
+    """
+
+    initial_state: InitialStateName = option(FREE, "free: fitted for each manoeuvre; fixed: the first sample.")
+    priors: bool = option(True, "--no-priors: a fit without priors.")
+    outputs: Names = option(
+        None, "Outputs to compare, e.g. airspeed,alpha,theta; default: all recorded.", metavar="NAME,NAME"
+    )
+    process_noise: bool = option(
+        False,
+        "Fit again with gusts and the noise of accelerometers and gyros, by an extended Kalman filter.",
+        flag=True,
+    )
+    figures: bool = _figures()
 
     @property
-    def filtered(self) -> bool:
-        """Whether process noise is fitted, if the records do not ask for it."""
-        return bool(self.process_noise)
-
-    def setting(self, card: Card) -> Setting:
-        """How trajectories are fitted; what is not given is the card's."""
-        own = None if self.flight_path else card.fly.outputs
-        asked = own if self.outputs is None else tuple(dict.fromkeys(_names(self.outputs)))
-        initial = None if self.initial_state == FREE else {} if self.flight_path else card.fly.initial_state
-        return Setting(asked, initial, self.priors, self.inputs == HELD)
+    def fly(self) -> FlyOptions:
+        """The same for the fit to trajectories."""
+        return FlyOptions(WHOLE, flight_path=True, **vars(self))
 
 
-def _names(given: str | Sequence[str]) -> list[str]:
-    """Names in a list or separated by commas."""
-    return [name.strip() for name in (given.split(",") if isinstance(given, str) else given)]
+@dataclass(frozen=True)
+class QualifyOptions(Options):
+    """What a qualification may be told.
 
-
-# --- A simulated record on disk, with its truth beside it.
-
-SCHEMA = "bayes_aero/truth/1"
-
-
-def simulate_file(
-    request: Request, card: Card, known: Mapping[str, Effect], out: Path, *, page: bool = False
-) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
-    """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
-
-    With `page` there is `out`.report.html, too; what of it cannot be made is told in the last item.
+    `card`: of the result, where it is not found by itself; `fitted`: files of its records, likewise. `draws` of every
+    flight. `gusts`: a stated intensity, m/s.
     """
-    if out.suffix.lower() not in WRITERS:
-        raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent}; make it, or name another file with --out")
-    found = synthetic(request, card, known, out.stem)
-    record = found.record
-    write_record(record, out, [c for c in card.channels if record.has(c.name)])
-    try:
-        read_record(out, card.channels)
-    except InputError:
-        out.unlink(missing_ok=True)
-        raise
-    asked = asdict(request) | {"duration": request.seconds}
-    source = provenance(card, [record], request.seed, {k: v for k, v in asked.items() if k not in ("effects", "seed")})
-    del source["inputs"]
-    truth = {
-        "schema": SCHEMA,
-        "file": {"name": out.name, "sha256": hashlib.sha256(out.read_bytes()).hexdigest()},
-        "seed": request.seed,
-        "effects": {name: dict(values) for name, values in request.effects.items()},
-        "parameters": dict(found.parameters),
-        "disturbance": dict(found.disturbance),
-        "sensor_noise": dict(found.sensor_noise),
-        "notes": list(found.notes),
-        "provenance": source,
-    }
-    write_json(truth, out.with_name(out.name + ".truth.json"))
-    failures: tuple[str, ...] = ()
-    if page:
-        flown = [p for e in known.values() for p in e.parameters if p.name in found.parameters]
-        failures = put_page(lambda: simulated_page(record, card, truth, flown), out.parent, out.name + ".report.html")
-    return found, truth, failures
+
+    card: str | None = option(
+        None, "The card of the result, where it is not found by itself.", name="model", metavar="CARD"
+    )
+    fitted: tuple[Path, ...] = option(
+        (), "A record of the result, where they are not found by themselves; once for each.", kind=list[Path] | None
+    )
+    draws: int = option(DRAWS, "Flights drawn for every test.")
+    gusts: float | None = option(
+        None, "Intensity of gusts in m/s (standard deviation); default: those that fly has estimated."
+    )
+    seed: int = _seed()
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that decide nothing."""
+        if not FEWEST <= self.draws <= MOST_DRAWS:
+            raise InputError(f"--draws is {self.draws}; give a number from {FEWEST} to {MOST_DRAWS}")
+        if self.gusts is not None and not 0.0 <= self.gusts <= MOST_GUSTS:
+            raise InputError(f"--gusts is {self.gusts:g} m/s; give a number from 0 to {MOST_GUSTS:g}")
+
+
+def keywords(kind: type[Options]) -> Callable[[Job], Job]:
+    """For a job of records, card and options: the fields of `kind`, its options, may be given by keyword instead."""
+    keys = {n: p for n, p in inspect.signature(kind).parameters.items() if n != "flight_path"}
+
+    def of(job: Job) -> Job:
+        @wraps(job)
+        def run(records: Any, card: Any, options: Options | None = None, **given: Any) -> Any:
+            own = {name: given.pop(name) for name in keys if name in given}
+            if own and options is not None:
+                raise TypeError(f"{job.__name__}() has its options in one or by keyword, not both")
+            return job(records, card, options or kind(**own), **given)
+
+        signature = inspect.signature(job)
+        parameters = [*signature.parameters.values(), *(p.replace(kind=p.KEYWORD_ONLY) for p in keys.values())]
+        run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return run  # type: ignore[return-value]
+
+    return of

@@ -10,7 +10,8 @@ import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from functools import cache
@@ -24,20 +25,9 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
 
 PACKAGES = (
-    "bayes-aero",
-    "arviz-base",
-    "arviz-stats",
-    "emcee",
-    "equinox",
-    "jax",
-    "jaxlib",
-    "numpy",
-    "numpyro",
-    "pandas",
-    "pint",
-    "scipy",
-    "xarray",
-)
+    "bayes-aero", "arviz-base", "arviz-stats", "emcee", "equinox", "jax", "jaxlib", "numpy", "numpyro", "pandas",
+    "pint", "scipy", "xarray",
+)  # fmt: skip
 
 
 def provenance(
@@ -57,28 +47,27 @@ def provenance(
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "settings": settings,
         **({} if seed is None else {"seed": seed}),
-        **({} if options is None else {"options": asdict(options)}),
+        **({} if options is None else {"options": dict(vars(options))}),
         "inputs": [
-            {
-                "name": r.name,
-                "source": Path(r.source).name,
-                "sha256": r.sha256,
-                "content": r.content,
-                "read": r.read or None,
-            }
+            {"name": r.name, "source": Path(r.source).name, **picked(r, "sha256", "content"), "read": r.read or None}
             for r in records
         ],
         **({} if card is None else {"card": {"name": card.name, "sha256": card.sha256, "path": card.path or None}}),
-        "effect_files": [
-            {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in files
-        ],
-        "versions": {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES},
+        "effect_files": [{"name": path.name, "sha256": sha256_of(path)} for path in files],
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cores": os.cpu_count()},
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
-def _version(name: str) -> str:
+def sha256_of(path: Path) -> str:
+    """Of a file."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def version(name: str) -> str:
+    """Of an installed package."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -95,13 +84,28 @@ def as_json(content: dict[str, Any]) -> str:
     return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
 
 
+def picked(found: Any, *names: str) -> dict[str, Any]:
+    """What `found` has under these names, as a part of a JSON document; a rename is written "key=name"."""
+    rows = {key: getattr(found, name or key) for key, _, name in (name.partition("=") for name in names)}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in rows.items()}
+
+
+def named_pairs(pairs: Mapping[str, tuple[float, float]], *keys: str) -> dict[str, dict[str, float]]:
+    """Two numbers a name, each under its key: mean and standard error, a gain and its standard error."""
+    return {name: dict(zip(keys, pair, strict=True)) for name, pair in pairs.items()}
+
+
 def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, Enum):
         return value.value
+    if isinstance(value, Path):
+        return str(value)
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
@@ -122,12 +126,15 @@ def environment() -> dict[str, Any]:
         name = distribution.metadata["Name"]
         if name and name.lower().replace("_", "-") != OWN:
             packages[name] = distribution.version
+    root, digest = Path(bayes_aero.__file__).parent, hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return {
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
         "platform": platform.platform(),
         "machine": platform.machine(),
-        "bayes_aero": {"version": bayes_aero.__version__, "source_sha256": _source()},
+        "bayes_aero": {"version": bayes_aero.__version__, "source_sha256": digest.hexdigest()},
         "packages": dict(sorted(packages.items(), key=lambda item: item[0].lower())),
     }
 
@@ -142,17 +149,12 @@ def write_environment(out: Path) -> Path:
 
     Returns the folder that describes the present environment.
     """
-    first = out / "environment"
-    known = first / "environment.json"
-    own = environment_id()
-    folder = first
-    if known.is_file():
-        try:
-            same = json.loads(known.read_text(encoding="utf-8"))["id"] == own
-        except (ValueError, KeyError, TypeError, RecursionError):
-            same = False
-        if not same:
-            folder = out / f"environment-{own}"
+    folder, own = out / "environment", environment_id()
+    if (folder / "environment.json").is_file():
+        same = False
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            same = json.loads((folder / "environment.json").read_text(encoding="utf-8"))["id"] == own
+        folder = folder if same else out / f"environment-{own}"
     if not (folder / "environment.json").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         here = environment()
@@ -165,11 +167,3 @@ def write_environment(out: Path) -> Path:
         write_whole("\n".join(lines) + "\n", folder / "requirements.txt")
         write_json(here | {"id": own}, folder / "environment.json")
     return folder
-
-
-def _source() -> str:
-    root = Path(bayes_aero.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()

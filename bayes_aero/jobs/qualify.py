@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.likelihood.output_error import fit_output_error
 from bayes_aero.jobs.fitted import (
-    MOST_DRAWS,
     Finished,
     IdentifiedLinear,
     card_of,
@@ -34,10 +33,10 @@ from bayes_aero.jobs.fitted import (
     read_finished,
     with_process_noise,
 )
-from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
-from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.result_file import result_file
-from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.result_file import result_file, writable
+from bayes_aero.jobs.options import QualifyOptions
+from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.progress import Progress
@@ -51,51 +50,17 @@ from bayes_aero.qualification.flights import (
     next_parameters,
 )
 from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
-from bayes_aero.qualification.result import (
-    FAILS_TO,
-    PASSES_FROM,
-    FlightKind,
-    Further,
-    Outside,
-    Qualification,
-    Strip,
-    Test,
-)
+from bayes_aero.qualification.result import FAILS_TO, PASSES_FROM, FlightKind, Further, Outside, Qualification, Strip
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.qualification import qualification_page, test_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.phrases import several
 
-DRAWS = 400
-FEWEST = 100  # draws: with fewer no probability is decided
-MOST_GUSTS = 20.0  # m/s
 UNSCATTERED = (
     "The errors of every manoeuvre by the fit to the others, which hold the scatter between manoeuvres. The scatter of "
     "their own fits is not used: it would make flights differ by more than those left out did, so it is mostly its "
     "prior."
 )
-
-
-@dataclass(frozen=True)
-class QualifyOptions:
-    """What a qualification may be told.
-
-    `card`: of the result, where it is not found by itself; `fitted`: files of its records, likewise. `draws` of every
-    flight. `gusts`: a stated intensity, m/s.
-    """
-
-    card: str | None = None
-    fitted: tuple[Path, ...] = ()
-    draws: int = DRAWS
-    seed: int = 0
-    gusts: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that decide nothing."""
-        if not FEWEST <= self.draws <= MOST_DRAWS:
-            raise InputError(f"--draws is {self.draws}; give a number from {FEWEST} to {MOST_DRAWS}")
-        if self.gusts is not None and not 0.0 <= self.gusts <= MOST_GUSTS:
-            raise InputError(f"--gusts is {self.gusts:g} m/s; give a number from 0 to {MOST_GUSTS:g}")
 
 
 def qualify_result(
@@ -106,20 +71,9 @@ def qualify_result(
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[Qualification, tuple[str, ...]]:
-    """Qualify the model of a finished result of identify, fly or diagnose.
+    """Qualify the model of a finished result of identify, fly or diagnose, also by `tests` that were not fitted.
 
-    Args:
-        given: folder or file of the result.
-        tests: records that were not fitted, as further tests.
-        options: the settings.
-        out: folder for qualification.json, qualification.csv and qualification.html.
-        progress: called with a stage and the share of it that is done.
-
-    Returns:
-        The qualification, and a sentence on each part that could not be made.
-
-    Raises:
-        InputError: there is no result, no tolerance, or a record is missing or cannot be flown.
+    Returns the qualification, and a sentence on each part that could not be made.
     """
     file = result_file(given)
     if file is None:
@@ -128,9 +82,8 @@ def qualify_result(
     assert folder is not None
     card = card_of(told["provenance"], file, options.card)
     records = fitted_records(told["provenance"], file, card, remedy="give it with --fitted", files=options.fitted)
-    new = _new_records(tests, records, card)
     source = Source(found, folder, told)
-    _flyable(source, new, options.gusts)
+    new = new_records(tests, records, card, source, options.gusts)
     if out is not None:
         writable(out)
     if progress:
@@ -139,10 +92,11 @@ def qualify_result(
     with checks.behind():
         flown, bands = _segments(source, card, records)
         tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})
-        unknown, origins = uncertain(source, flown, options.draws, options.seed, options.gusts, progress)
+        unknown, origins = uncertain(source, flown, options, progress)
         results = qualify(flown, tested, unknown, bands, seed=options.seed, progress=progress)
-    further = _further(source, card, flown, results.undecided, unknown)
-    outside, region = _outside(flown, tested, results.strips)
+    outside, region = outside_region(flown, tested, results.strips)
+    if results.scattered not in (None, True) and unknown.following is not None:
+        origins["next flight"] = UNSCATTERED
     qualification = Qualification(
         tests=results.tests,
         outside=outside,
@@ -151,23 +105,29 @@ def qualify_result(
         strips=results.strips,
         tolerances={name: (x, card.tolerances[name].source) for name, x in bands.items()},
         draws=options.draws,
-        origins=origins
-        if results.scattered in (None, True) or unknown.following is None
-        else origins | {"next flight": UNSCATTERED},
-        notes=(*found.sources, *_unjudged(card, bands), *_reach(region)),
-        further=further,
+        origins=origins,
+        notes=(*found.sources, *limits_of(card, bands, region)),
+        further=deciding_flights(source, card, flown, results.undecided, unknown),
         health=checks.health,
         consistency=checks.consistency,
     )
     if out is None:
         return qualification, checks.failures
-    settings: dict[str, object] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
-    source = provenance(card, [*records, *new], options.seed, settings, options)
-    return qualification, _put(qualification, card, source, checks.failures, out)
+    settings: dict[str, Any] = {"result": file.name, "draws": options.draws, "gusts": options.gusts}
+    made = provenance(card, [*records, *new], options.seed, settings, options)
+    write_csv(test_table(qualification), out / "qualification.csv")  # numbers first, then the page
+    write_json(qualification_results(qualification, card, made, checks.failures), out / RESULTS)
+    unmade = put_page(lambda: qualification_page(qualification, card, made), out, "qualification.html")
+    failures = (*checks.failures, *unmade)
+    if unmade:
+        write_json(qualification_results(qualification, card, made, failures), out / RESULTS)
+    return qualification, failures
 
 
-def _new_records(tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card) -> list[FlightRecord]:
-    """Records that were not fitted, read as those were; refused where they repeat samples of one that was."""
+def new_records(
+    tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Card, source: Source, gusts: float | None
+) -> list[FlightRecord]:
+    """Records that were not fitted, read as those were; refused where they were, or the model cannot fly them."""
     how = fitted[0].read
     new = read_records(tests, card.channels, resample=how["resample"], segments=card.segments, split=how["split"])
     for record in new:
@@ -177,25 +137,19 @@ def _new_records(tests: Sequence[Path], fitted: Sequence[FlightRecord], card: Ca
                     f"{record.name} {shared[0]}; {one.name} was fitted, so it is tested anyway: give records that were "
                     "not fitted"
                 )
-    return new
-
-
-def _flyable(source: Source, new: Sequence[FlightRecord], gusts: float | None) -> None:
-    """Refuse what a linear system cannot fly."""
-    if source.linear is None:
-        return
-    if gusts:
+    if source.linear is not None and gusts:
         raise InputError(
             f"card {source.found.name} states a linear system, which does not fly through moving air; leave --gusts out"
         )
-    if new and (own := source.linear.rows.by_manoeuvre):
+    if source.linear is not None and new and (own := source.linear.rows.by_manoeuvre):
         raise InputError(
             f"card {source.found.name} states {several(own)} for each manoeuvre, so there is no value for record "
             f"{new[0].name}, which was not fitted; leave it out, or fit a card with one value for all manoeuvres"
         )
+    return new
 
 
-def _further(
+def deciding_flights(
     source: Source, card: Card, flown: SegmentTrajectories, undecided: Sequence[OpenTest], unknown: Uncertain
 ) -> Further | None:
     """Flights that would decide the undecided tests."""
@@ -241,7 +195,7 @@ def _segments(
     return segments(flights, dynamics, outputs=chosen, substeps=dynamics.substeps(theta, flights)), bands
 
 
-def _outside(
+def outside_region(
     flown: SegmentTrajectories, tested: SegmentTrajectories | None, strips: Sequence[Strip]
 ) -> tuple[tuple[Outside, ...], Region]:
     """Where recorded and simulated motions leave the flown region; it has no channels where none was recorded."""
@@ -252,52 +206,30 @@ def _outside(
     for strip in strips:
         if strip.kind is FlightKind.NEXT or not region.channels:
             continue
-        source = tested if strip.kind is FlightKind.TEST and tested is not None else flown
-        own = source.flights.manoeuvre == source.flights.names.index(strip.manoeuvre)
-        recorded = {n: np.asarray(x)[own] for n, x in source.flights.channels.items() if n in region.channels}
+        flights = (tested if strip.kind is FlightKind.TEST and tested is not None else flown).flights
+        own = flights.manoeuvre == flights.names.index(strip.manoeuvre)
+        recorded = {n: np.asarray(x)[own] for n, x in flights.channels.items() if n in region.channels}
+        simulated = recorded | {n: x for n, x in strip.simulated.items() if n in recorded}
+        if "mach" in recorded and "airspeed" in strip.simulated:  # it goes with the airspeed
+            simulated["mach"] = recorded["mach"] * strip.simulated["airspeed"] / strip.measured["airspeed"]
         if strip.kind is FlightKind.TEST:
             found.append(region.outside(strip.manoeuvre, "recorded", strip.time, recorded))
-        found.append(region.outside(strip.manoeuvre, "simulated", strip.time, recorded | _simulated(strip, recorded)))
+        found.append(region.outside(strip.manoeuvre, "simulated", strip.time, simulated))
     return tuple(one for one in found if one is not None), region
 
 
-def _simulated(strip: Strip, recorded: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The simulated channels of a region; the Mach number goes with the airspeed."""
-    found = {n: x for n, x in strip.simulated.items() if n in recorded}
-    if "mach" in recorded and "airspeed" in strip.simulated:
-        found["mach"] = recorded["mach"] * strip.simulated["airspeed"] / strip.measured["airspeed"]
-    return found
-
-
-def _unjudged(card: Card, bands: Mapping[str, float]) -> tuple[str, ...]:
-    """The tolerances that the card states and the model cannot be asked for."""
-    names = [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
-    if not names:
-        return ()
-    return (f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.",)
-
-
-def _reach(region: Region) -> tuple[str, ...]:
-    """The largest flown angle of attack, which the rule on stall training asks for."""
-    if "alpha" not in region.channels:
-        return ()
-    alpha = np.degrees(region.points[:, region.channels.index("alpha")].max())
-    return (
-        f"The largest recorded angle of attack is {alpha:.1f} deg. Attachment 7 asks for a valid model up to 10 deg "
-        "beyond the stall identification angle of attack, which the program does not know.",
-    )
-
-
-def _put(
-    found: Qualification, card: Card, source: dict[str, Any], failures: tuple[str, ...], out: Path
-) -> tuple[str, ...]:
-    """Numbers first, then the page; what could not be made."""
-    write_csv(test_table(found), out / "qualification.csv")
-    write_json(qualification_results(found, card, source, failures), out / RESULTS)
-    unmade = put_page(lambda: qualification_page(found, card, source), out, "qualification.html")
-    if unmade:
-        write_json(qualification_results(found, card, source, (*failures, *unmade)), out / RESULTS)
-    return (*failures, *unmade)
+def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[str]:
+    """Tolerances that the model cannot be asked for, and the largest flown angle of attack, of the rule on stalls."""
+    said, names = [], [n for n, t in card.tolerances.items() if n not in bands and t != TOLERANCES.get(n)]
+    if names:
+        said.append(f"The tolerance of {several(names)} is not judged: not recorded, or not an output of the model.")
+    if "alpha" in region.channels:
+        alpha = np.degrees(region.points[:, region.channels.index("alpha")].max())
+        said.append(
+            f"The largest recorded angle of attack is {alpha:.1f} deg. Attachment 7 asks for a valid model up to 10 "
+            "deg beyond the stall identification angle of attack, which the program does not know."
+        )
+    return said
 
 
 # --- qualification.json.
@@ -310,9 +242,13 @@ def qualification_results(
     found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Plain numbers and text, SI and radians (schemas/qualification.schema.json)."""
+    points = []
+    for p in found.further.points if found.further else ():
+        rows = [f.name for f in fields(p) if f.name not in ("expected", "rate")]
+        points.append(picked(p, *rows, "probabilities=expected", "nats_per_second=rate"))
     return {
         "schema": SCHEMA,
-        "card": {"name": card.name, "title": card.title},
+        "card": picked(card, "name", "title"),
         "verdict": found.whole.value,
         "thresholds": {"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
         "draws": found.draws,
@@ -325,42 +261,27 @@ def qualification_results(
             }
             for name, (value, text) in found.tolerances.items()
         },
-        "tests": [_test(one) for one in found.tests],
+        "tests": [
+            {
+                **picked(one, "kind", "manoeuvre", "output", "tolerance"),
+                **picked(one.chance, "probability=value", "standard_error=error"),
+                "counted": one.chances,
+                "verdict": one.chance.verdict.value,
+                "within": one.within,
+                "record": one.recorded and asdict(one.recorded) | {"passed": one.recorded.passed},
+            }
+            for one in found.tests
+        ],
         "flown_region": {"channels": list(found.channels), "not_recorded": list(found.unjudged)},
-        "outside": [asdict(one) for one in found.outside],
-        "further": None if found.further is None else _further_flights(found.further),
-        "origins": dict(found.origins),
-        "health": health_results(found.health),
-        "consistency": {} if found.consistency is None else consistency_results(found.consistency),
+        "outside": list(found.outside),
+        "further": found.further
+        and picked(found.further, "tests") | {"points": points} | picked(found.further, "refused", "why_not"),
+        "origins": found.origins,
+        "health": found.health,
+        "consistency": consistency_results(found.consistency),
         "notes": list(found.notes),
         "failures": list(failures),
         "provenance": source,
-    }
-
-
-def _further_flights(found: Further) -> dict[str, Any]:
-    points = [asdict(p) for p in found.points]
-    return {
-        "tests": [asdict(t) | {"kind": t.kind.value} for t in found.tests],
-        "points": [{**p, "probabilities": p.pop("expected"), "nats_per_second": p.pop("rate")} for p in points],
-        "refused": dict(found.refused),
-        "why_not": found.why_not,
-    }
-
-
-def _test(one: Test) -> dict[str, Any]:
-    beside = one.recorded
-    return {
-        "kind": one.kind.value,
-        "manoeuvre": one.manoeuvre,
-        "output": one.output,
-        "tolerance": one.tolerance,
-        "probability": one.chance.value,
-        "standard_error": one.chance.error,
-        "counted": {name: asdict(chance) for name, chance in one.chances.items()},
-        "verdict": one.chance.verdict.value,
-        "within": one.within,
-        "record": None if beside is None else asdict(beside) | {"passed": beside.passed},
     }
 
 
@@ -391,37 +312,36 @@ class Source:
 
 
 def uncertain(
-    source: Source,
-    flown: SegmentTrajectories,
-    draws: int,
-    seed: int,
-    gusts: float | None,
-    progress: Progress | None = None,
+    source: Source, flown: SegmentTrajectories, options: QualifyOptions, progress: Progress | None = None
 ) -> tuple[Uncertain, dict[str, str]]:
-    """What is not known of the model, and a sentence on where each part comes from.
-
-    Args:
-        source: the result.
-        flown: its records, with the outputs that have a band.
-        draws: how many.
-        seed: of all draws.
-        gusts: a stated intensity, m/s; None: what the result has estimated.
-        progress: called with a stage and the share of it that is done.
-    """
-    names = flown.dynamics.names
+    """What is not known of the model, and a sentence on where each part comes from; `flown`: its records."""
+    names, told, draws = flown.dynamics.names, source.told, options.draws
     estimate = np.array([source.found.values[name] for name in names])
-    values, said = _draws(source, flown, estimate, draws, seed)
+    if "causes" in told:
+        fit = fit_output_error(flown, start=estimate, max_iterations=0)
+        inflation = trajectory_variance_inflation(fit)
+        values = posterior_draws(fit, inflation, options.seed, draws)
+        said = (
+            "Normal distribution about the estimates; the covariance is that of the trajectories at these values, for "
+            f"coloured residuals (variances times {inflation:.3g})."
+        )
+    else:  # what the result does not determine stays at its estimate
+        found = drawn(source.found, source.folder, told, names, draws, options.seed)
+        values = np.tile(estimate, (draws, 1))
+        for column, name in enumerate(found.names):
+            values[:, names.index(name)] = found.values[:, column]
+        said = f"{found.origin[0].upper()}{found.origin[1:]}."
     model = Uncertain(estimate, values, fitted=source.by_trajectories)
     origins = {"parameters": said}
     if source.by_trajectories:
-        model, more = _refitted(source, model, flown, seed, progress)
+        model, more = between_manoeuvres(source, model, flown, options.seed, progress)
         origins |= more
     else:
         origins["structure"] = (
             "The errors of the simulated records, less what the parameters explain: the parameters were not fitted to "
             "these trajectories."
         )
-        following = _of_identify(source, names, estimate, draws, seed)
+        following = drawn_by_identify(source, names, estimate, draws, options.seed)
         model = replace(model, following=following)
         origins["next flight"] = (
             f"Partial pooling of the manoeuvres by identify ({NEXT_FLIGHT})."
@@ -429,35 +349,16 @@ def uncertain(
             else "Not counted by itself: the result has no scatter between manoeuvres (identify --next-flight has). "
             "The errors of the records hold it."
         )
-    found, stated, said = _gusts(source, gusts)
-    return replace(model, gusts=found, met=not stated), origins | {"gusts": said}
+    gusts, stated, said = gusts_of(source, options.gusts)
+    return replace(model, gusts=gusts, met=not stated), origins | {"gusts": said}
 
 
-def _draws(
-    source: Source, flown: SegmentTrajectories, estimate: Float[np.ndarray, " k"], count: int, seed: int
-) -> tuple[Float[np.ndarray, "m k"], str]:
-    """Of the parameters; those that the result does not determine stay at their estimate."""
-    names = flown.dynamics.names
-    if "causes" in source.told:
-        fit = fit_output_error(flown, start=estimate, max_iterations=0)
-        inflation = trajectory_variance_inflation(fit)
-        return posterior_draws(fit, inflation, seed, count), (
-            "Normal distribution about the estimates; the covariance is that of the trajectories at these values, for "
-            f"coloured residuals (variances times {inflation:.3g})."
-        )
-    found = drawn(source.found, source.folder, source.told, names, count, seed)
-    values = np.tile(estimate, (count, 1))
-    for column, name in enumerate(found.names):
-        values[:, names.index(name)] = found.values[:, column]
-    return values, f"{found.origin[0].upper()}{found.origin[1:]}."
-
-
-def _refitted(
+def between_manoeuvres(
     source: Source, model: Uncertain, flown: SegmentTrajectories, seed: int, progress: Progress | None
 ) -> tuple[Uncertain, dict[str, str]]:
     """Hold-out errors and the scatter between manoeuvres, where there are at least two."""
-    count = len(flown.index)
-    own = source.linear.rows.by_manoeuvre if source.linear is not None else ()
+    count, linear = len(flown.index), source.linear
+    own, flat = (linear.rows.by_manoeuvre, linear.fitted.flat) if linear is not None else ((), ())
     alone = "The errors of the fitted records, which are smaller than those of a flight that was not fitted"
     if not 1 < count <= MAX_SEPARATE_FITS:
         return model, {
@@ -476,16 +377,14 @@ def _refitted(
     outputs = tuple(source.told["fitted_outputs"])
     steady = np.ones((*flown.index.shape, len(outputs)))
     fit = joint_fit(replace(flown, outputs=outputs, noise_growth=steady), model.estimate, inflation)
-    noise = FlightNoise(inflation, FlightNoise.of(fit).parts)
-    without = fits_without(fit, noise)
+    without = fits_without(fit, FlightNoise(inflation, FlightNoise.of(fit).parts))
     held = hold_out(flown, without, inflation, seed)
-    flat = source.linear.fitted.flat if source.linear is not None else ()
-    following, said = None, ""
+    following, why_not = None, "Not counted: fewer than two manoeuvres have a usable fit of their own."
     if flat:
-        said = (
+        why_not = (
             f"Not counted by itself: the card states no prior of {several(flat)}, and the scatter between manoeuvres "
+            "is sought in units of the priors. The errors of manoeuvres left out hold it."
         )
-        said += "is sought in units of the priors. The errors of manoeuvres left out hold it."
     else:
         if progress:
             progress("scatter between manoeuvres", 0.5)
@@ -497,12 +396,12 @@ def _refitted(
         else f"{alone}; a fit without one manoeuvre cannot fly it.",
         "next flight": f"Partial pooling of the fits to each of the {count} manoeuvres by trajectories."
         if following is not None
-        else said or "Not counted: fewer than two manoeuvres have a usable fit of their own.",
+        else why_not,
     }
     return replace(model, hold_out=held, following=following), origins
 
 
-def _of_identify(
+def drawn_by_identify(
     source: Source, names: Sequence[str], estimate: Float[np.ndarray, " k"], count: int, seed: int
 ) -> Float[np.ndarray, "m k"] | None:
     """The next flight's parameters that identify has drawn, where it was asked to."""
@@ -511,16 +410,15 @@ def _of_identify(
         return None
     with xr.open_datatree(file, engine="h5netcdf") as tree:
         one = tree["posterior"].to_dataset()["next_flight"]
-        known, drawn = [str(n) for n in one["parameter"].values], np.asarray(one).reshape(-1, one.shape[-1])
-    kept = np.random.default_rng([seed, 11]).choice(len(drawn), count, replace=len(drawn) < count)
-    bounds = source.found.bounds
+        known, draws = [str(n) for n in one["parameter"].values], np.asarray(one).reshape(-1, one.shape[-1])
+    kept = np.random.default_rng([seed, 11]).choice(len(draws), count, replace=len(draws) < count)
     values = np.tile(estimate, (count, 1))
     for column, name in enumerate(known):
-        values[:, list(names).index(name)] = np.clip(drawn[kept, column], *bounds[name])
+        values[:, list(names).index(name)] = np.clip(draws[kept, column], *source.found.bounds[name])
     return values
 
 
-def _gusts(source: Source, stated: float | None) -> tuple[dict[str, float], bool, str]:
+def gusts_of(source: Source, stated: float | None) -> tuple[dict[str, float], bool, str]:
     """Intensities and lengths, whether they were stated, and a sentence on them."""
     if stated == 0.0:
         return {}, True, "Not counted: calm air was stated."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import sys
@@ -18,9 +17,9 @@ from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.card.toml_tables import is_file
-from bayes_aero.jobs.provenance import environment_id, provenance, write_json
+from bayes_aero.jobs.provenance import environment_id, provenance, sha256_of, write_json
 from bayes_aero.progress import Progress
-from bayes_aero.study.study import Unit, card_of
+from bayes_aero.study.study import TASKS, Unit, card_of
 
 SCHEMA = "bayes_aero/unit/1"
 MANIFEST = "unit.json"
@@ -63,7 +62,14 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
     here = fingerprint(unit)
     changed = [key for key in here if here[key] != made_from.get(key)]
     if changed:
-        return CaseState("changed", _what_changed(changed, here, made_from))
+        words = []
+        for key in changed:
+            own, before = here[key], made_from.get(key)
+            names: list[str] = []
+            if isinstance(own, dict) and isinstance(before, dict):
+                names = sorted(n for n in {*own, *before} if own.get(n) != before.get(n))
+            words.append(f"{key} {', '.join(names)}".strip().replace("_", " "))
+        return CaseState("changed", "; ".join(words))
     for name, sha256 in files.items():
         path = folder / name
         inside = ".." not in Path(name).parts and not Path(name).is_absolute()
@@ -72,31 +78,28 @@ def state_of(unit: Unit, folder: Path) -> CaseState:
     return CaseState("done")
 
 
-def _what_changed(changed: list[str], here: Mapping[str, Any], before: Mapping[str, Any]) -> str:
-    words = []
-    for key in changed:
-        if isinstance(here[key], dict) and isinstance(before.get(key), dict):
-            names = sorted(n for n in {*here[key], *before[key]} if here[key].get(n) != before[key].get(n))
-            words.append(f"{key} {', '.join(names)}".replace("_", " "))
-        else:
-            words.append(key.replace("_", " "))
-    return "; ".join(words)
-
-
 def run_unit(
     given: Mapping[str, Any], folder: str, *, task: Task | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Run a unit (`Unit.as_json`) into `folder`, which appears when it is complete, with results or with error.txt.
 
     A pure function of its description and of the files that it names, so that another process can run it. Returns name,
-    state, seconds and error.
-
-    Raises:
-        InputError: the disk cannot be written to; this is no failure of the unit, and no file remains.
+    state, seconds and error. A disk that cannot be written to is an `InputError` and no failure of the unit.
     """
-    found = _write_unit(
-        Unit.of_json(given), Path(folder), lambda unit, out: _attempt(unit, out, task or run_task, progress)
-    )
+
+    def attempt(unit: Unit, out: Path) -> str:
+        """Empty, or why the task failed: a sentence for bad input, a traceback for a defect in the unit's folder."""
+        try:
+            (task or run_task)(unit, out, progress)
+        except Exception as reason:  # the study continues
+            if no_space(reason):
+                raise
+            bad = isinstance(reason, InputError)
+            write_whole(f"{reason}\n" if bad else traceback.format_exc(), out / ERROR)
+            return str(reason) if bad else f"{type(reason).__name__}: {reason}"
+        return ""
+
+    found = _write_unit(Unit.of_json(given), Path(folder), attempt)
     if "jax" in sys.modules:
         from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
 
@@ -125,7 +128,19 @@ def _write_unit(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) 
         made_from = fingerprint(unit)
         error = attempt(unit, partial)
         seconds = round(time.perf_counter() - began, 2)
-        _write_manifest(partial, unit, made_from, error, seconds)
+        state = "failed" if error else "done"
+        files = sorted(p for p in partial.rglob("*") if p.is_file())
+        content = {
+            "schema": SCHEMA,
+            "state": state,
+            "error": error,
+            "name": unit.name,
+            "made_from": made_from,
+            "environment": environment_id(),
+            "seconds": seconds,
+            "files": {p.relative_to(partial).as_posix(): _sha256(p) for p in files},
+        }
+        write_json(content, partial / MANIFEST)  # last
         put_folder(partial, target)
     except Exception as reason:
         if no_space(reason):
@@ -137,7 +152,7 @@ def _write_unit(unit: Unit, target: Path, attempt: Callable[[Unit, Path], str]) 
         raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return {"name": unit.name, "state": "failed" if error else "done", "seconds": seconds, "error": error}
+    return {"name": unit.name, "state": state, "seconds": seconds, "error": error}
 
 
 def _disk_full(target: Path) -> str:
@@ -151,69 +166,25 @@ def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """Run the task of a unit; all its files are in `out`."""
     from bayes_aero.flight.reading.read_record import read_records
     from bayes_aero.jobs.diagnose import diagnose_records
-    from bayes_aero.jobs.fly import fly_records
-    from bayes_aero.jobs.identify import identify
-    from bayes_aero.jobs.options import DiagnoseOptions, FlyOptions, IdentifyOptions
-    from bayes_aero.model.noise import (  # imported here, because a driver of a cluster needs none of these
-        DEFAULT,
-        Colour,
-    )
+    from bayes_aero.jobs.fly import fly
+    from bayes_aero.jobs.identify import identify  # imported here, because a driver of a cluster needs none of these
 
     card = card_of(unit)
-    options = dict(unit.options)
+    options: dict[str, Any] = {**unit.options, "seed": unit.seed}
     reading = {"resample": options.pop("resample", None), "split": options.pop("split", False)}
     if "frequency" in options:
         options["frequency"] = tuple(map(float, options["frequency"]))
     records = read_records([Path(p) for p in unit.records], card.channels, segments=card.segments, **reading)
     settings = unit.settings | {"environment": environment_id()}
     write_json(provenance(card, records, unit.seed, settings), out / "provenance.json")
-    job: Any
     if unit.task == "identify":
-        noise: Any = {"noise": Colour(unit.noise or DEFAULT), "split": unit.split or "random"}
-        job, asked = identify, IdentifyOptions(seed=unit.seed, **noise, **options)
-    elif unit.task == "diagnose":
-        job, asked = diagnose_records, DiagnoseOptions(seed=unit.seed, **options)
-    else:
-        job, asked = fly_records, FlyOptions(seed=unit.seed, **options)
-    job(records, card, asked, out=out, progress=progress)
-
-
-def _attempt(unit: Unit, out: Path, task: Task, progress: Progress | None) -> str:
-    """Run the task; return an empty text, or why it failed: a sentence for bad input, a traceback for a defect."""
-    try:
-        task(unit, out, progress)
-    except InputError as reason:
-        if no_space(reason):
-            raise
-        write_whole(f"{reason}\n", out / ERROR)
-        return str(reason)
-    except Exception as reason:  # the study continues; the unit's folder has the traceback
-        if no_space(reason):
-            raise
-        write_whole(traceback.format_exc(), out / ERROR)
-        return f"{type(reason).__name__}: {reason}"
-    return ""
-
-
-def _write_manifest(partial: Path, unit: Unit, made_from: Mapping[str, Any], error: str, seconds: float) -> None:
-    """The manifest, written last."""
-    files = sorted(p for p in partial.rglob("*") if p.is_file())
-    content = {
-        "schema": SCHEMA,
-        "state": "failed" if error else "done",
-        "error": error,
-        "name": unit.name,
-        "made_from": dict(made_from),
-        "environment": environment_id(),
-        "seconds": seconds,
-        "files": {p.relative_to(partial).as_posix(): _sha256(p) for p in files},
-    }
-    write_json(content, partial / MANIFEST)
+        options |= {"noise": unit.noise or "buffet-ar1", "split": unit.split or "random"}
+    jobs: dict[str, Any] = {"identify": identify, "diagnose": diagnose_records, "fly": fly}
+    jobs[unit.task](records, card, TASKS[unit.task](**options), out=out, progress=progress)
 
 
 def _sha256(path: Path) -> str:
     try:
-        with path.open("rb") as handle:
-            return hashlib.file_digest(handle, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError as reason:
         raise InputError(f"{path} cannot be read ({reason.strerror}); check the path and its permissions") from None

@@ -65,31 +65,26 @@ def local(workers: int, memory: int, units: Path, report: Report) -> Iterator[Un
         stack.enter_context(_logs_silenced())
         stack.enter_context(dask.config.set(OWN_CLUSTER))
         try:
-            client = _start_cluster(stack, workers, memory)
+            with interrupts_blocked():
+                cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=memory,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",  # any port that is free; its pages are left out
+                    scheduler_kwargs={"dashboard": False},
+                    silence_logs=logging.CRITICAL,
+                    env=variables(),
+                )
+                stack.callback(_close, cluster)
+                client = Client(cluster, set_as_default=False)
+                stack.callback(_close, client)
         except (OSError, RuntimeError) as reason:
             raise InputError(
                 f"{workers} workers cannot be started here ({_short(reason)}); mend that, or leave --workers out"
             ) from None
         yield _runner(client, units, report, f"give each worker more than --memory {format_bytes(memory)}")
-
-
-def _start_cluster(stack: ExitStack, workers: int, memory: int) -> Client:
-    with _interrupts_blocked():
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=memory,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # any port that is free; its pages are left out
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,
-            env=variables(),
-        )
-        stack.callback(_close, cluster)
-        client = Client(cluster, set_as_default=False)
-        stack.callback(_close, client)
-    return client
 
 
 @contextmanager
@@ -111,10 +106,39 @@ def remote(address: str, units: Path, report: Report) -> Iterator[UnitRunner]:
 
 
 def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRunner:
+    """Yields results of `run_unit` in the order in which the units end."""
+    address = str(client.scheduler.addr) if client.scheduler else "the scheduler"
+
+    def work_off(driver: Driver, waiting: deque[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
+        running: dict[Future, tuple[Mapping[str, Any], str]] = {}
+        total, finished, workers, counted = len(waiting), 0, 0, -COUNT_SECONDS
+        while waiting or running:
+            try:
+                if time.monotonic() - counted > COUNT_SECONDS:
+                    workers, counted = len(cast("dict[str, int]", client.nthreads())), time.monotonic()
+                # One unit for each worker: one that waited at a worker that dies would count as a cause of its death.
+                while waiting and len(running) < workers:
+                    given, folder = waiting[0]
+                    what = (json.dumps(given), str(Path(folder).resolve()), driver)
+                    key = f"{given['name']}-{uuid.uuid4().hex}"
+                    running[client.submit(on_worker, *what, key=key, pure=False)] = waiting[0]
+                    waiting.popleft()
+            except Exception as reason:  # whatever a client without its scheduler raises
+                raise StoppedError(f"the scheduler at {address} is lost") from reason
+            ended = [future for future in running if future.done()]
+            for future in ended:
+                unit = running.pop(future)
+                finished += 1
+                yield outcome_of(future, unit, address, remedy)
+            what = f"{len(running)} in work on {workers} workers"
+            report(finished, total, what if workers else f"waiting for workers at {address}")
+            if not ended:
+                time.sleep(POLL_SECONDS)
+
     def run_units(given: Iterable[tuple[Mapping[str, Any], str]]) -> Iterator[Mapping[str, Any]]:
         driver = Driver.of(units)
         try:
-            yield from _outcomes(client, driver, given, report, remedy)
+            yield from work_off(driver, deque(given))
         finally:
             Path(driver.token).unlink(missing_ok=True)
             sweep(units)
@@ -122,41 +146,8 @@ def _runner(client: Client, units: Path, report: Report, remedy: str) -> UnitRun
     return run_units
 
 
-def _outcomes(
-    client: Client, driver: Driver, given: Iterable[tuple[Mapping[str, Any], str]], report: Report, remedy: str
-) -> Iterator[Mapping[str, Any]]:
-    """Results of `run_unit` in the order in which the units end."""
-    address = str(client.scheduler.addr) if client.scheduler else "the scheduler"
-    waiting = deque(given)
-    running: dict[Future, tuple[Mapping[str, Any], str]] = {}
-    total, finished, workers, counted = len(waiting), 0, 0, -COUNT_SECONDS
-    while waiting or running:
-        try:
-            if time.monotonic() - counted > COUNT_SECONDS:
-                workers, counted = len(cast("dict[str, int]", client.nthreads())), time.monotonic()
-            # One unit for each worker: a unit that waited at a worker that dies would count as a cause of its death.
-            while waiting and len(running) < workers:
-                running[_submit(client, driver, *waiting[0])] = waiting[0]
-                waiting.popleft()
-        except Exception as reason:  # whatever a client without its scheduler raises
-            raise StoppedError(f"the scheduler at {address} is lost") from reason
-        ended = [future for future in running if future.done()]
-        for future in ended:
-            unit = running.pop(future)
-            finished += 1
-            yield _outcome(future, unit, address, remedy)
-        what = f"{len(running)} in work on {workers} workers"
-        report(finished, total, what if workers else f"waiting for workers at {address}")
-        if not ended:
-            time.sleep(POLL_SECONDS)
-
-
-def _submit(client: Client, driver: Driver, given: Mapping[str, Any], folder: str) -> Future:
-    text, place = json.dumps(given), str(Path(folder).resolve())
-    return client.submit(_work, text, place, driver, key=f"{given['name']}-{uuid.uuid4().hex}", pure=False)
-
-
-def _outcome(future: Future, unit: tuple[Mapping[str, Any], str], address: str, remedy: str) -> Mapping[str, Any]:
+def outcome_of(future: Future, unit: tuple[Mapping[str, Any], str], address: str, remedy: str) -> Mapping[str, Any]:
+    """What `run_unit` returned on a worker, or the failure of a unit that ended its process."""
     if future.status == "finished":
         return cast("dict[str, Any]", future.result())
     if future.cancelled():  # Dask does so with all that runs when the connection is lost
@@ -173,7 +164,7 @@ def _outcome(future: Future, unit: tuple[Mapping[str, Any], str], address: str, 
     )
 
 
-def _work(given: str, folder: str, driver: Driver) -> dict[str, Any]:
+def on_worker(given: str, folder: str, driver: Driver) -> dict[str, Any]:
     """The function that a worker runs."""
     limit = getattr(get_worker().memory_manager, "memory_limit", None)
     return work(json.loads(given), folder, driver, limit)
@@ -186,7 +177,7 @@ def _close(what: Client | LocalCluster) -> None:
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Threads and processes that start in this context do not receive Ctrl-C, which this program handles."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield

@@ -20,13 +20,19 @@ SECONDS = "0.2"  # s of compilation: half of a command's, in a tenth of the file
 def cache_folder() -> Path:
     """Folder of compiled programs: JAX's variable, else BAYES_AERO_CACHE, else the user's cache folder.
 
-    The latter two have a folder for each kind of processor, because a program compiled for one may not run on another.
+    The latter two have a folder for each kind of processor, its model and features, because a program compiled for one
+    may not run on another.
     """
     given = os.environ.get(FOLDER)
     if given:
         return Path(given)
     root = Path(os.environ.get(CACHE) or platformdirs.user_cache_path("bayes_aero"))
-    return root / "compiled" / _processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        described = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+    except OSError:
+        described = platform.processor()
+    return root / "compiled" / f"{platform.machine()}-{hashlib.sha256(described.encode()).hexdigest()[:8]}"
 
 
 def enable_cache() -> None:
@@ -49,13 +55,3 @@ def ignore_cache_errors() -> None:
     Another process may be writing the entry or may have died while writing; the program is then compiled again.
     """
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache", UserWarning)
-
-
-def _processor() -> str:
-    """A name for this kind of processor, by its model and features."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        described = "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
-    except OSError:
-        described = platform.processor()
-    return f"{platform.machine()}-{hashlib.sha256(described.encode()).hexdigest()[:8]}"

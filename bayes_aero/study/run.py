@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bayes_aero.atomic_write import sweep, write_whole
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.io.output_folder import writable
+from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import write_environment
 from bayes_aero.study.case import CaseState, run_unit, state_of
 from bayes_aero.study.study import Study, Unit
@@ -67,8 +66,19 @@ def run_study(
     due = [p for p in planned if p.state.word != "done"]
     said: dict[str, Mapping[str, Any]] = {}
     work = [(p.unit.as_json(), str(p.folder)) for p in due]
+
+    def one_by_one() -> Iterator[Mapping[str, Any]]:
+        for number, p in enumerate(due):
+
+            def progress(text: str, _: float, number: int = number, unit: Unit = p.unit) -> None:
+                if report:
+                    report(number, len(due), unit, text)
+
+            progress("reading", 0.0)
+            yield run_unit(p.unit.as_json(), str(p.folder), progress=progress)
+
     try:
-        for outcome in (runner or partial(_one_by_one, report=report))(work):
+        for outcome in runner(work) if runner else one_by_one():
             said[str(outcome["name"])] = outcome
     except BaseException:
         with suppress(OSError):  # the reason why the study stopped is reported instead
@@ -97,16 +107,3 @@ def prepare(study: Study, out: Path) -> None:
         write_environment(out)
     except OSError as error:
         raise InputError(f"cannot write to {out} ({error.strerror}); give another folder with --out") from None
-
-
-def _one_by_one(work: Iterable[tuple[Mapping[str, Any], str]], report: Report | None) -> Iterator[Mapping[str, Any]]:
-    units = list(work)
-    for number, (given, folder) in enumerate(units):
-        unit = Unit.of_json(given)
-
-        def progress(text: str, _: float, number: int = number, unit: Unit = unit) -> None:
-            if report:
-                report(number, len(units), unit, text)
-
-        progress("reading", 0.0)
-        yield run_unit(given, folder, progress=progress)

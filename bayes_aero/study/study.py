@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import os
 import re
 from collections import Counter
@@ -12,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card, shipped_cards
@@ -20,35 +22,29 @@ from bayes_aero.flight.card.toml_tables import is_file, read_table
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.reading.segments import segment_of
 from bayes_aero.jobs.catalogue import effect_named, known_effects
-from bayes_aero.jobs.io.output_folder import safe_name
+from bayes_aero.jobs.io.result_file import safe_name
+from bayes_aero.jobs.options import (
+    MAX_SEED,
+    DiagnoseOptions,
+    FlyOptions,
+    IdentifyOptions,
+    NoiseName,
+    Options,
+    ReadingOptions,
+    SplitName,
+)
 from bayes_aero.model.model import Model
 
 KEYS = (
     "title", "task", "records", "one_by_one", "cards", "seeds", "splits", "noise", "effects", "options",
 )  # fmt: skip
-NOISES = ("white", "ar1", "buffet-ar1")
-SPLITS = ("random", "block", "manoeuvre")
-OPTIONS: dict[str, dict[str, type]] = {
-    "identify": {
-        "sample": bool, "gp": bool, "figures": bool, "page": bool, "resample": float,
-        "split": bool, "coefficients": str, "frequency": list, "next_flight": bool,
-    },
-    "diagnose": {
-        "max_effects": int, "test_points": bool, "trajectories": bool, "figures": bool,
-        "process_noise": bool, "resample": float, "split": bool,
-    },
-    "fly": {
-        "windows": float, "initial_state": str, "priors": bool, "outputs": str, "inputs": str, "figures": bool,
-        "process_noise": bool, "posterior": bool, "resample": float, "split": bool, "frequency": list,
-    },
-}  # fmt: skip
-CHOICES = {
-    "coefficients": ("matched", "published"),
-    "initial_state": ("free", "fixed"),
-    "inputs": ("linear", "held"),
+TASKS: dict[str, type[Options]] = {"identify": IdentifyOptions, "diagnose": DiagnoseOptions, "fly": FlyOptions}
+OPTIONS: dict[str, dict[str, Any]] = {
+    task: {n: kind for of in (options, ReadingOptions) for n, kind in of.kinds().items() if n not in of.APART}
+    for task, options in TASKS.items()
 }
+"""Kind of each option of a task; seeds, and of identify noise and split, are lists of the study instead."""
 MAX_UNITS = 100_000
-MAX_SEED = 2**32 - 1  # that every generator takes
 MAX_NAME_LENGTH = 90  # characters of a unit's name before its hash
 
 
@@ -74,8 +70,7 @@ class Unit:
 
     def as_json(self) -> dict[str, Any]:
         """A dictionary that `of_json` reads back."""
-        found = asdict(self)
-        return json.loads(json.dumps(found))
+        return json.loads(json.dumps(asdict(self)))
 
     @classmethod
     def of_json(cls, given: Mapping[str, Any]) -> Unit:
@@ -107,9 +102,6 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
 
     A card that names effect files is refused unless `trust_effects`: they are code, and the user has named only the
     study.
-
-    Raises:
-        InputError: the study is wrong.
     """
     raw, table = read_table(path, "study")
     where = f"study {path}"
@@ -120,23 +112,26 @@ def read_study(path: Path, *, trust_effects: bool = False) -> Study:
     for key in ("splits", "noise"):
         if key in table and task != "identify":
             raise InputError(f"{where}: {key} is of no use to the task {task}; take it out")
-    options = _options(table.get("options", {}), task, where)
-    sets = _record_sets(table, path.parent, where)
-    cards = _cards(table.get("cards", ["attas"]), path.parent, where, trust_effects)
+    options = checked_options(table.get("options", {}), task, where)
+    sets = record_sets(table, path.parent, where)
+    cards = study_cards(table.get("cards", ["attas"]), path.parent, where, trust_effects)
     axes: list[list[Any]] = [
         sets,
         list(cards),
-        _variants(table.get("effects", [[]]), cards, task, where),
-        _chosen(table.get("noise", ["buffet-ar1"]), NOISES, where, "noise") if task == "identify" else [None],
-        _chosen(table.get("splits", ["random"]), SPLITS, where, "splits") if task == "identify" else [None],
-        _seeds(table.get("seeds", [0]), where),
+        variants(table.get("effects", [[]]), cards, task, where),
+        _chosen(table.get("noise", ["buffet-ar1"]), get_args(NoiseName), where, "noise"),
+        _chosen(table.get("splits", ["random"]), get_args(SplitName), where, "splits"),
+        _list(table.get("seeds", [0]), int, where, "seeds"),
     ]
-    count = 1
-    for axis in axes:
-        count *= len(axis)
+    if task != "identify":
+        axes[3:5] = [None], [None]
+    for seed in axes[-1]:
+        if not 0 <= seed <= MAX_SEED:
+            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {MAX_SEED}")
+    count = math.prod(map(len, axes))
     if count > MAX_UNITS:
         raise InputError(f"{where}: it makes {count} units, more than {MAX_UNITS}; split it into several studies")
-    units = tuple(_unit(task, path.parent, options, choice) for choice in itertools.product(*axes))
+    units = tuple(unit_of(task, path.parent, options, choice) for choice in itertools.product(*axes))
     return Study(path, hashlib.sha256(raw).hexdigest(), str(table.get("title", path.stem)), task, units)
 
 
@@ -146,12 +141,7 @@ def card_of(unit: Unit) -> Card:
     return replace(card, effects=(*card.effects, *unit.effects)) if unit.effects else card
 
 
-def _unit(
-    task: str,
-    folder: Path,
-    options: Mapping[str, Any],
-    choice: Any,
-) -> Unit:
+def unit_of(task: str, folder: Path, options: Mapping[str, Any], choice: Any) -> Unit:
     """The unit of one (records, card, effects, noise, split, seed)."""
     records, card, effects, noise, split, seed = choice
     shown = tuple(Path(os.path.relpath(path, folder)).as_posix() for path in records)
@@ -182,7 +172,8 @@ def _list(given: Any, kind: type, where: str, key: str) -> list[Any]:
     return given
 
 
-def _record_sets(table: Mapping[str, Any], folder: Path, where: str) -> list[tuple[Path, ...]]:
+def record_sets(table: Mapping[str, Any], folder: Path, where: str) -> list[tuple[Path, ...]]:
+    """The records of each unit: those of a pattern together, or one by one, in the order of their names."""
     if "records" not in table:
         raise InputError(f'{where}: records are missing; list files or patterns, e.g. records = ["flights/*.csv"]')
     one_by_one = table.get("one_by_one", False)
@@ -190,32 +181,28 @@ def _record_sets(table: Mapping[str, Any], folder: Path, where: str) -> list[tup
         raise InputError(f"{where}: one_by_one is {one_by_one!r}; write true or false")
     sets: list[tuple[Path, ...]] = []
     for pattern in _list(table["records"], str, where, "records"):
-        found = _matching(pattern, folder, where)
+        if any(c in pattern for c in "*?["):
+            start = Path(pattern).anchor
+            try:
+                relative = str(Path(pattern).relative_to(start)) if start else pattern
+                there = (Path(start) if start else folder).glob(relative)
+                found = sorted(p.resolve() for p in there if p.is_file() and p.suffix.lower() in READERS)
+            except (ValueError, OSError) as reason:
+                raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
+            if not found:
+                what = f"no record matches {pattern!r} in {folder.resolve()}"
+                raise InputError(f"{where}: {what}; records end in {', '.join(READERS)}")
+        else:
+            file = segment_of(folder / pattern).file
+            if not is_file(file):
+                looked = f"it is looked for in {folder.resolve()}"
+                raise InputError(f"{where}: record {pattern!r} does not exist; {looked}")
+            found = [Path(str(file.resolve()) + str(folder / pattern).removeprefix(str(file)))]
         sets += [(path,) for path in found] if one_by_one else [tuple(found)]
     return list(dict.fromkeys(sets))
 
 
-def _matching(pattern: str, folder: Path, where: str) -> list[Path]:
-    """Files of a pattern, relative to the study's folder, in the order of their names."""
-    if not any(c in pattern for c in "*?["):
-        segment = segment_of(folder / pattern)
-        if not is_file(segment.file):
-            raise InputError(f"{where}: record {pattern!r} does not exist; it is looked for in {folder.resolve()}")
-        return [Path(str(segment.file.resolve()) + str(folder / pattern).removeprefix(str(segment.file)))]
-    start = Path(pattern).anchor
-    try:
-        found = (Path(start) if start else folder).glob(str(Path(pattern).relative_to(start)) if start else pattern)
-        files = sorted(p.resolve() for p in found if p.is_file() and p.suffix.lower() in READERS)
-    except (ValueError, OSError) as reason:
-        raise InputError(f"{where}: records {pattern!r} is no pattern of files ({reason})") from None
-    if not files:
-        raise InputError(
-            f"{where}: no record matches {pattern!r} in {folder.resolve()}; records end in {', '.join(READERS)}"
-        )
-    return files
-
-
-def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tuple[str, str], Card]:
+def study_cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tuple[str, str], Card]:
     """Cards by (name as given, absolute path), read once so that a bad one stops the study before it starts."""
     cards = {}
     for name in _list(given, str, where, "cards"):
@@ -234,7 +221,7 @@ def _cards(given: Any, folder: Path, where: str, trust_effects: bool) -> dict[tu
     return cards
 
 
-def _variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> list[tuple[str, ...]]:
+def variants(given: Any, cards: Mapping[Any, Card], task: str, where: str) -> list[tuple[str, ...]]:
     """Effects added to the cards' models; each variant must make a model with each card, or fly its linear system."""
     found = []
     for names in _list(given, list, where, "effects"):
@@ -263,35 +250,30 @@ def _chosen(given: Any, known: Sequence[str], where: str, key: str) -> list[str]
     return given
 
 
-def _seeds(given: Any, where: str) -> list[int]:
-    for seed in _list(given, int, where, "seeds"):
-        if not 0 <= seed <= MAX_SEED:
-            raise InputError(f"{where}: seeds lists {seed}; a seed lies between 0 and {MAX_SEED}")
-    return given
-
-
-def _options(given: Any, task: str, where: str) -> dict[str, Any]:
+def checked_options(given: Any, task: str, where: str) -> dict[str, Any]:
+    """The section [options], each of the kind that the task's options have."""
     if not isinstance(given, dict):
         raise InputError(f"{where}: options must be a section, [options]")
     _known(given, tuple(OPTIONS[task]), where, f"option of the task {task}")
     for key, value in given.items():
         kind = OPTIONS[task][key]
-        if kind is str:
-            known = CHOICES.get(key)
-            if known is not None and value not in known:
-                raise InputError(f"{where}: option {key} is {value!r}; use one of {', '.join(known)}")
-            if not isinstance(value, str):
-                raise InputError(f'{where}: option {key} is {value!r}; write names in quotes, e.g. "alpha,q"')
-            continue
-        if kind is list:
-            if not (isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)):
-                raise InputError(f"{where}: option {key} is {value!r}; write two frequencies in Hz, e.g. [0.1, 1.5]")
-            continue
+        kind = get_args(kind)[0] if get_origin(kind) is UnionType else kind  # what may be left out is optional
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (isinstance(value, bool) if kind is bool else number and (kind is float or isinstance(value, int))):
-            raise InputError(
-                f"{where}: option {key} is {value!r}; write a {'true or false' if kind is bool else 'number'}"
-            )
-        if number and not value > 0:
-            raise InputError(f"{where}: option {key} is {value!r}; it must be positive")
+        positive = isinstance(value, int | float) and value > 0
+        pair = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
+        bad = ""
+        if get_origin(kind) is Literal:
+            bad = "" if value in get_args(kind) else f"use one of {', '.join(get_args(kind))}"
+        elif kind is str:
+            bad = "" if isinstance(value, str) else 'write names in quotes, e.g. "alpha,q"'
+        elif kind is bool:
+            bad = "" if isinstance(value, bool) else "write a true or false"
+        elif get_origin(kind) is tuple:
+            bad = "" if pair else "write two frequencies in Hz, e.g. [0.1, 1.5]"
+        elif not (number and (kind is float or isinstance(value, int))):
+            bad = "write a number"
+        elif not positive:
+            bad = "it must be positive"
+        if bad:
+            raise InputError(f"{where}: option {key} is {value!r}; {bad}")
     return dict(given)

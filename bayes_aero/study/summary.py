@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +35,17 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
     for unit in units:
         manifest = _json(folder / unit.name / MANIFEST)
         found = _json(folder / unit.name / RESULTS[unit.task])
-        about = _axes(unit)
+        about = {
+            "records": " + ".join(unit.shown),
+            "card": unit.card_name,
+            "effects": " + ".join(unit.effects),
+            "noise": unit.noise,
+            "split": unit.split,
+            "seed": unit.seed,
+        }
         state = manifest.get("state", "missing")
+        status = found.get("mle", {}) if unit.task == "identify" else found
+        verdict = status.get("verdict" if unit.task == "diagnose" else "status", "")
         rows.append(
             {
                 "unit": unit.name,
@@ -45,29 +53,20 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
                 "task": unit.task,
                 **about,
                 "seconds": manifest.get("seconds"),
-                "verdict": _verdict(unit, found),
+                "verdict": str(verdict),
                 "doubts": "; ".join(doubts_of(unit, folder)),
                 "error": manifest.get("error", ""),
             }
         )
         if state == "done":
-            results += [{"unit": unit.name, **about, **row} for row in _results(unit, found)]
+            results += [{"unit": unit.name, **about, **row} for row in ROWS[unit.task](found)]
     tables = (pd.DataFrame(rows, columns=list(UNIT_COLUMNS)), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
     for table, name in zip(tables, ("units", "summary"), strict=True):
-        _write(table, out / f"{name}.csv")
-        _write(table, out / f"{name}.parquet")
+        text = [c for c in table.columns if c not in NUMBERS]
+        parquet = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
+        write_whole(table.to_csv(index=False, lineterminator="\n"), out / f"{name}.csv", flush=True)
+        write_whole(parquet, out / f"{name}.parquet", flush=True)
     return tables
-
-
-def _axes(unit: Unit) -> dict[str, Any]:
-    return {
-        "records": " + ".join(unit.shown),
-        "card": unit.card_name,
-        "effects": " + ".join(unit.effects),
-        "noise": unit.noise,
-        "split": unit.split,
-        "seed": unit.seed,
-    }
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -87,91 +86,50 @@ def doubts_of(unit: Unit, folder: Path) -> list[str]:
     return said + (["the sensors disagree along the flight path (see the unit's report)"] if disagree else [])
 
 
-def _verdict(unit: Unit, found: dict[str, Any]) -> str:
-    if unit.task == "diagnose":
-        return str(found.get("verdict", ""))
-    return str((found if unit.task == "fly" else found.get("mle", {})).get("status", ""))
+def row_of(method: str, parameter: str, unit: str, estimate: Sequence[Any], status: Any, **more: Any) -> dict[str, Any]:
+    """A result: `estimate` is value, standard deviation and, where it is not symmetric, the interval of 95 %."""
+    value, sd, *interval = estimate
+    low, high = interval or ((None, None) if sd is None else (value - 1.96 * sd, value + 1.96 * sd))
+    row = {"method": method, "parameter": parameter, "unit_of_value": unit, "value": value, "sd": sd}
+    return row | {"low95": low, "high95": high, "status": status} | more
 
 
-def _results(unit: Unit, found: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    if unit.task == "fly":
-        return chain(
-            _estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"}),
-            _estimates(_filtered(found), {"process_noise": "sd"}),
-        )
-    return _causes(found) if unit.task == "diagnose" else _parameters(found)
-
-
-def _estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[str, Any]]:
-    """A row for each parameter and method, which is named after the deviation taken; bounds are symmetric."""
+def rows_of_estimates(found: dict[str, Any], methods: dict[str, str]) -> Iterator[dict[str, Any]]:
+    """A row for each parameter and method, which is named after the deviation taken."""
     for name, p in found.get("parameters", {}).items():
         for method, key in methods.items():
-            value, sd = p["estimate"], p[key]
-            known = sd is not None
-            yield {
-                "method": method,
-                "parameter": name,
-                "unit_of_value": p["unit"],
-                "value": value,
-                "sd": sd,
-                "low95": value - 1.96 * sd if known else None,
-                "high95": value + 1.96 * sd if known else None,
-                "status": found.get("status"),
-            }
+            yield row_of(method, name, p["unit"], (p["estimate"], p[key]), found.get("status"))
 
 
-def _filtered(found: dict[str, Any]) -> dict[str, Any]:
-    """The estimates with process noise in the form of the others; nothing where they were not asked for."""
+def rows_of_fly(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Output error, then the estimates with process noise where these were asked for."""
+    yield from rows_of_estimates(found, {"output_error": "crb", "output_error_corrected": "sd_corrected"})
     filtered = found.get("process_noise") or {}
-    units = {name: p["unit"] for name, p in found.get("parameters", {}).items()}
-    rows = {n: {"unit": units[n], "estimate": x, "sd": sd} for n, (x, sd) in filtered.get("estimates", {}).items()}
-    return {"parameters": rows, "status": filtered.get("status")}
+    for name, estimate in filtered.get("estimates", {}).items():
+        unit = found["parameters"][name]["unit"]
+        yield row_of("process_noise", name, unit, estimate, filtered.get("status"))
 
 
-def _parameters(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def rows_of_identify(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Maximum likelihood, then a row for each parameter and posterior."""
-    mle = found.get("mle", {})
-    yield from _estimates(mle, {"mle": "crb", "mle_corrected": "crb_corrected"})
+    mle, posterior = found.get("mle", {}), found.get("posterior", {})
+    yield from rows_of_estimates(mle, {"mle": "crb", "mle_corrected": "crb_corrected"})
     units = {name: p["unit"] for name, p in mle.get("parameters", {}).items()}
-    posterior = found.get("posterior", {})
     for engine, status in posterior.get("status", {}).items():
         for name, m in posterior.get(engine, {}).items():
-            yield {
-                "method": engine,
-                "parameter": name,
-                "unit_of_value": units.get(name, "1"),
-                "value": m["mean"],
-                "sd": m["sd"],
-                "low95": m["ci95"][0],
-                "high95": m["ci95"][1],
-                "status": status["status"],
-            }
+            estimate = (m["mean"], m["sd"], *m["ci95"])
+            yield row_of(engine, name, units.get(name, "1"), estimate, status["status"])
 
 
-def _causes(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def rows_of_diagnose(found: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each parameter of each named cause."""
     for cause in found.get("causes", []):
         for name, size in cause["parameters"].items():
-            yield {
-                "method": cause["stage"],
-                "cause": cause["name"],
-                "parameter": name,
-                "unit_of_value": size["unit"],
-                "value": size["mean"],
-                "sd": size["sd"],
-                "low95": size["ci95"][0],
-                "high95": size["ci95"][1],
-                "status": found.get("verdict"),
-            }
+            estimate = (size["mean"], size["sd"], *size["ci95"])
+            yield row_of(cause["stage"], name, size["unit"], estimate, found.get("verdict"), cause=cause["name"])
 
 
-def _write(table: pd.DataFrame, path: Path) -> None:
-    if path.suffix == ".csv":
-        content: str | bytes = table.to_csv(index=False, lineterminator="\n")
-    else:
-        text = [c for c in table.columns if c not in NUMBERS]
-        content = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
-    write_whole(content, path, flush=True)
+ROWS = {"identify": rows_of_identify, "diagnose": rows_of_diagnose, "fly": rows_of_fly}
 
 
 # --- report.html of a study, from the tables that its units have left.
@@ -179,11 +137,6 @@ def _write(table: pd.DataFrame, path: Path) -> None:
 
 def put_report(study: Study, out: Path) -> tuple[str, tuple[str, ...]]:
     """Write the page into the results folder; return its verdict, and sentences on parts that could not be made."""
-    context = _context(study, out)
-    return study_headline(context), put_page(lambda: study_page(context), out)
-
-
-def _context(study: Study, out: Path) -> StudyContext:
     here = environment()
     facts = {
         "Study": f"{study.path.name}, SHA-256 {study.sha256}",
@@ -192,7 +145,8 @@ def _context(study: Study, out: Path) -> StudyContext:
         "Each unit": "provenance.json in its folder has its inputs, versions, seed and command",
         "To restore": "environment/requirements.txt has every version",
     }
-    return StudyContext(study.title, study.task, _table(out, "units"), _table(out, "summary"), out, facts)
+    context = StudyContext(study.title, study.task, _table(out, "units"), _table(out, "summary"), out, facts)
+    return study_headline(context), put_page(lambda: study_page(context), out)
 
 
 def _table(out: Path, name: str) -> pd.DataFrame:

@@ -10,6 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -91,7 +92,7 @@ def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | No
 
 
 @cache
-def _configure() -> None:
+def configure() -> None:
     """Configure this process once: the cache of compiled programs, and one core where JAX is not yet loaded."""
     for name, value in variables().items():
         os.environ.setdefault(name, value)
@@ -117,23 +118,17 @@ def _check_driver(driver: Driver) -> None:
             f"a worker on {host()} has {', '.join(other)}, and its numbers would differ; install there what "
             "environment/requirements.txt beside the results names"
         )
-    _wait_for_token(Path(driver.token), driver.key)
-    sweep(Path(driver.token).parent)
-    _configure()
-    _CHECKED.add(driver.key)
-
-
-def _wait_for_token(token: Path, key: str) -> None:
-    until = time.monotonic() + FILE_TIMEOUT
+    token, until = Path(driver.token), time.monotonic() + FILE_TIMEOUT
     while True:
-        try:
-            if token.read_text(encoding="utf-8") == key:
-                return
-        except OSError:
-            pass
+        with suppress(OSError):
+            if token.read_text(encoding="utf-8") == driver.key:
+                break
         if time.monotonic() > until:
             raise InputError(
                 f"a worker on {host()} does not see {token.parent}; give --out, and keep study and records, where "
                 "all machines see them under the same path"
             )
         time.sleep(0.25)
+    sweep(token.parent)
+    configure()
+    _CHECKED.add(driver.key)

@@ -1,12 +1,14 @@
 """The program in this process, and one simulated record for all of its tests."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from calling import called, recorded, succeeded
 
 from bayes_aero.cli import main
+from bayes_aero.jobs import diagnose as job
 
 
 @pytest.fixture
@@ -45,3 +47,13 @@ def identified(tmp_path_factory, clean_records, card):
         recorded(record.window(25.0, 65.0), folder / f"{name}.csv", card)
     succeeded(called(folder, "identify", "stall.csv", "--out", "results", "--no-sample", "--no-gp", "--no-figures"))
     return folder
+
+
+@pytest.fixture
+def told_diagnosis(program, diagnosed, card, monkeypatch):
+    """What `diagnose` says here of a diagnosis that is already made: test_every_stage.py has the command make one."""
+    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
+    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
+    recorded(diagnosed.records[0], Path("a.csv"), card)
+    left_out = ("--no-figures", "--no-trajectories", "--no-test-points")
+    return succeeded(program("diagnose", "a.csv", "--max-effects", "2", *left_out))

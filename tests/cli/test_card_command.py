@@ -264,7 +264,7 @@ def test_every_starter_card_is_a_card(data):
 
 
 def test_a_card_that_cannot_be_read_back_is_never_written(program, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayes_aero.jobs.card_template._sums", lambda *_: iter(['a = "b" = "c"']))
+    monkeypatch.setattr("bayes_aero.jobs.card_template.sums_block", lambda *_: iter(['a = "b" = "c"']))
     (tmp_path / "one.csv").write_text("t,V\n" + "\n".join(f"{0.1 * i},80" for i in range(60)))
     done = program("card", "one.csv")
     assert done.code == 1

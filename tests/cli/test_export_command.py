@@ -5,20 +5,21 @@ import json
 import shutil
 from importlib import resources
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 import xarray as xr
-from calling import answer, recorded, refused, succeeded
+from calling import answer, refused, succeeded
 
-import bayes_aero.jobs.diagnose as job
-from bayes_aero.cli.terminal import ExportForm
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.export.jsbsim import jsbsim_files
-from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.jobs.fitted import read_identified
+from bayes_aero.jobs.options import ExportForm
+from bayes_aero.model.model import Model
 
 
 @pytest.fixture
@@ -60,7 +61,7 @@ def change(path, **changes):
 
 
 def test_the_choices_are_the_forms_and_help_names_them(program):
-    assert [form.value for form in ExportForm] == list(FORMS) == ["jsbsim", "fmu", "tables"]
+    assert list(get_args(ExportForm)) == list(FORMS) == ["jsbsim", "fmu", "tables"]
     text = program("export", "--help").out
     assert all(word in text for word in (*FORMS, "--draws", "--seed", "--out", "--model", "--json", "MODEL"))
 
@@ -131,16 +132,19 @@ def test_a_diagnosis_gives_the_extended_model(here):
     refused(here("export", "diagnosis", "--to", "jsbsim", "--draws", 3, "--out", "no"), "covariance", gone=["no"])
 
 
-VALUES = "\n[parameters.%s]\nstart = %r\n"
+def stating(name, path, value):
+    """A shipped card that states a value of its k-th free parameter, as a file; these values."""
+    names = [p.name for p in Model.from_card(read_card(name)).free]
+    values = [value(k) for k in range(len(names))]
+    rows = (f"\n[parameters.{own}]\nstart = {x!r}\n" for own, x in zip(names, values, strict=True))
+    Path(path).write_text(shipped_cards()[name].read_text().split("[parameters")[0] + "".join(rows))
+    return values
 
 
 def test_a_card_that_states_all_values_is_a_model(program):
-    text = shipped_cards()["full_six"].read_text()
-    names = [p.name for p in _parameters("full_six")]
-    body = text.split("[parameters.")[0] + "".join(VALUES % (name, 0.1 * (k + 1)) for k, name in enumerate(names))
-    Path("mine.toml").write_text(body)
+    values = stating("full_six", "mine.toml", lambda k: 0.1 * (k + 1))
     facts = answer(program("export", "mine.toml", "--to", "jsbsim", "--json"))
-    assert {p["value"] for p in facts["parameters"].values()} <= {0.1 * (k + 1) for k in range(len(names))}
+    assert {p["value"] for p in facts["parameters"].values()} <= set(values)
     assert set(facts["outputs"]) == {"CL", "CD", "Cm", "CY", "Cl", "Cn"}
     assert "not stated" in facts["validity"][0]
     refused(program("export", "mine.toml", "--to", "tables", "--out", "t"), "flown range of", gone=["t"])
@@ -148,19 +152,10 @@ def test_a_card_that_states_all_values_is_a_model(program):
 
 @pytest.mark.parametrize(("card", "name"), [("my aircraft 2", "my_aircraft_2"), ("737", "_737")])
 def test_the_aircraft_is_named_as_xml_and_every_system_allow(program, card, name):
-    text = shipped_cards()["attas"].read_text()
-    names = [p.name for p in _parameters("attas")]
-    Path(f"{card}.toml").write_text(text.split("[parameters")[0] + "".join(VALUES % (n, 1.0) for n in names))
+    stating("attas", f"{card}.toml", lambda _: 1.0)
     facts = answer(program("export", f"{card}.toml", "--to", "jsbsim", "--out", "out", "--json"))
     assert facts["name"] == name
     assert facts["parameters"]["CLa"]["value"] == 1.0
-
-
-def _parameters(name):
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.model.model import Model
-
-    return Model.from_card(read_card(name)).free
 
 
 def test_a_result_of_another_card_is_refused(here):
@@ -228,14 +223,9 @@ def test_axes_that_were_not_recorded_are_not_exported():
 
 
 @pytest.fixture
-def diagnosis_told(program, diagnosed, card, monkeypatch):
-    """diagnosis.json of a diagnosis already made: test_every_stage.py has the command make one."""
-    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
-    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
-    (record,) = diagnosed.records
-    recorded(record, Path("a.csv"), card)
-    succeeded(program("diagnose", "a.csv", "--no-figures", "--no-trajectories", "--no-test-points"))
-    return json.loads(Path("diagnosis/diagnosis.json").read_text())
+def diagnosis_told(told_diagnosis):
+    assert told_diagnosis.code == 0
+    return told(Path("diagnosis/diagnosis.json"))
 
 
 def test_the_covariance_is_as_wide_as_the_reported_errors(diagnosis_told):

@@ -255,18 +255,15 @@ NOT_REQUIRED = SHORT_PERIOD.replace('"de", unit = "deg"', '"de", unit = "deg", r
 @pytest.mark.parametrize(
     ("text", "without", "options", "words"),
     [
-        (SHORT_PERIOD, "elevator", "", ("flight", "'de'")),
-        (NOT_REQUIRED, "elevator", "", ("flight", "elevator")),
+        (SHORT_PERIOD, "elevator", "", ("flight", "'de'")), (NOT_REQUIRED, "elevator", "", ("flight", "elevator")),
         (SHORT_PERIOD + '\n[output_biases]\nelevator = "1 deg"\n', "", "", ("elevator cannot have a bias",)),
         (SHORT_PERIOD, "", "--windows 0.2", ("at least 1 s",)),
-        (SHORT_PERIOD, "", "--windows nan", ("at least 1 s",)),
-        (SHORT_PERIOD, "", "--posterior", ("a posterior",)),
+        (SHORT_PERIOD, "", "--windows nan", ("at least 1 s",)), (SHORT_PERIOD, "", "--posterior", ("a posterior",)),
         (SHORT_PERIOD, "", "--posterior --process-noise --no-priors", ("a posterior",)),
-        (SHORT_PERIOD, "", "--frequency 2 1", ("2 to 1 Hz",)),
-        (SHORT_PERIOD, "", "--frequency 1 20", ("12.5 Hz",)),
+        (SHORT_PERIOD, "", "--frequency 2 1", ("2 to 1 Hz",)), (SHORT_PERIOD, "", "--frequency 1 20", ("12.5 Hz",)),
     ],
     ids=lambda given: "card" if "[channels]" in given else None,
-)
+)  # fmt: skip
 def test_what_cannot_be_flown_is_one_sentence_and_nothing_is_written(program, tmp_path, text, without, options, words):
     channels = short_period_flight(SHORT_PERIOD_TRUTH, n=100)
     channels.pop(without, None)

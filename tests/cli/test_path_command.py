@@ -17,9 +17,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs import path as job
+from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.io.fly_json import Flight
-from bayes_aero.jobs.options import FlyOptions
 
 CARD = """
 title = "Invented aircraft"
@@ -187,18 +186,17 @@ def test_what_a_flight_path_lacks_is_one_sentence(program, flight, tmp_path, cha
 
 @pytest.fixture
 def corrected(monkeypatch):
-    """`path_records` of records that need no correction: what is left of it writes files."""
+    """`flight_path` of records that need no correction: what is left of it writes files."""
     fit = Mock(spec=Flight, flown=Mock(spec=TrajectoryFit, converged=True, worse=False))
     monkeypatch.setattr(job, "the_fit", fit, raising=False)
-    monkeypatch.setattr(job, "fly_records", lambda *_, **__: fit)
+    monkeypatch.setattr(job, "fly", lambda *_, **__: fit)
     monkeypatch.setattr(job, "corrected_records", lambda records, _: list(records))
 
     def run(out, *names):
         record = FlightRecord.from_arrays("flight", 0.02 * np.arange(60), {"q": np.zeros(60)})
         card = replace(read_card("attas"), channels=(Channel("time", "s"), Channel("q", "rad/s")))
-        options = FlyOptions(flight_path=True)
         out.mkdir(exist_ok=True)
-        job.path_records([replace(record, name=name) for name in names], card, options, out=out)
+        job.flight_path([replace(record, name=name) for name in names], card, out=out)
         return sorted(p.name for p in (out / "corrected").iterdir())
 
     return run

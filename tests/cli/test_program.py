@@ -15,13 +15,14 @@ from calling import answer, holds, page_of, refused, succeeded
 
 from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
+from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
-from bayes_aero.jobs.options import INITIAL_STATES, INPUTS
+from bayes_aero.jobs import options
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.simulate import demo
@@ -42,13 +43,12 @@ EFFECT = Effect(
 
 
 def test_choices_are_those_of_the_libraries():
-    assert {x.value for x in terminal.Coefficients} == {x.value for x in Forming} == set(study.CHOICES["coefficients"])
-    assert {x.value for x in terminal.NoiseModel} == {x.value for x in Colour} == set(study.NOISES)
-    assert {x.value for x in terminal.InitialState} == set(INITIAL_STATES) == set(study.CHOICES["initial_state"])
-    assert {x.value for x in terminal.Inputs} == set(INPUTS) == set(study.CHOICES["inputs"])
-    assert {x.value for x in terminal.Split} == set(get_args(SplitKind)) == set(study.SPLITS)
-    assert [x.value for x in terminal.Manoeuvre] == list(demo.MANOEUVRES)
-    assert [x.value for x in terminal.SimulatedNoise] == list(demo.NOISES)
+    assert get_args(options.FormingName) == tuple(x.value for x in Forming)
+    assert get_args(options.NoiseName) == tuple(x.value for x in Colour)
+    assert get_args(options.SplitName) == get_args(SplitKind)
+    assert get_args(options.Manoeuvre) == demo.MANOEUVRES
+    assert get_args(options.SimulatedNoise) == demo.NOISES
+    assert options.FlyOptions().windows == WINDOW
 
 
 @pytest.mark.parametrize("command", COMMANDS)

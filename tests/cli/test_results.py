@@ -8,7 +8,6 @@ import pytest
 from calling import called, holds, page_of, recorded, refused, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs import identify as identification
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
@@ -86,18 +85,11 @@ def test_bad_input_is_one_sentence(tmp_path, program, arguments, told):
     assert not any((tmp_path / name).exists() for name in ("results", "diagnosis"))
 
 
-def test_diagnose_writes_and_tells_what_it_found(tmp_path, program, diagnosed, card, monkeypatch):
-    """With the diagnosis already made: test_every_stage.py has the command make one."""
-    monkeypatch.setattr(job, "diagnose", lambda *_, **__: diagnosed.view.diagnosis)
-    monkeypatch.setattr(job, "view_of", lambda _: diagnosed.view)
-    (record,) = diagnosed.records
-    recorded(record, tmp_path / "a.csv", card)
-    left_out = ("--no-figures", "--no-trajectories", "--no-test-points")
-    done = succeeded(program("diagnose", "a.csv", "--max-effects", "2", *left_out))
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, told_diagnosis):
     found = validated(tmp_path / "diagnosis" / "diagnosis.json", "diagnosis")
     assert found["provenance"]["settings"] == {"max_effects": 2}
     for cause in found["causes"]:
-        assert cause["name"] in done.out
+        assert cause["name"] in told_diagnosis.out
     assert (tmp_path / "diagnosis" / "screen.csv").is_file()
     assert not (tmp_path / "diagnosis" / "figures").exists()
     page = page_of(tmp_path / "diagnosis")

@@ -15,7 +15,7 @@ from calling import answer, holds, refused, succeeded
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 import bayes_aero
-from bayes_aero.cli.fly import fly
+from bayes_aero.cli.fits import fly
 from bayes_aero.errors import InputError
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs import identify as job
@@ -183,7 +183,7 @@ def test_the_summary_and_the_environment(program, folder):
 
 def test_units_are_real_work(program, folder, monkeypatch):
     """The runner around `identify`, maximum likelihood alone, so that it is quick."""
-    monkeypatch.setattr(job, "_plan", lambda _: [])
+    monkeypatch.setattr(job, "posterior_plan", lambda _: [])
     (folder / "study.toml").write_text(STUDY.replace("flights/*.csv", "flights/sound.csv"))
     succeeded(program("run", "study.toml", "--json"))
     (unit,) = (folder / "study_results" / "units").iterdir()

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,6 @@ import six_axes as six
 import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
-from bayes_aero.cli.terminal import Manoeuvre
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
 from bayes_aero.dynamics.modes import Steady, modes
 from bayes_aero.dynamics.simulated.manoeuvres import commands, lateral_commands
@@ -19,6 +19,7 @@ from bayes_aero.dynamics.simulated.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.jobs.options import Manoeuvre
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.simulate import demo
@@ -69,7 +70,7 @@ def test_every_standard_manoeuvre_can_be_chosen():
     trim = Trim(0.1, 2e4, 0.0)
     longitudinal = commands(time, trim, 0.1, 0.0)
     known = {*longitudinal, *lateral_commands(time, trim, longitudinal["slow_stall"]), demo.RANDOM_STALL}
-    assert known == set(demo.MANOEUVRES) == set(Manoeuvre)
+    assert known == set(demo.MANOEUVRES) == set(get_args(Manoeuvre))
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ def test_a_fit_to_trajectories_has_process_noise_in_gusts(hfb320, monkeypatch, g
     filtered = []
 
     def instead(_, options, *__):
-        filtered.append(options.filtered)
+        filtered.append(options.process_noise)
         return (None, None), ()
 
     monkeypatch.setattr(job, "process_noise", instead)

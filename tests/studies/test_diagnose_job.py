@@ -22,12 +22,10 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.scores import score
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-from bayes_aero.jobs.io import result_store as kept
 from bayes_aero.jobs.io import time_histories as histories
 from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.jobs.steps import post_processing
 from bayes_aero.report.figures import diagnosis
 from bayes_aero.simulate.injection import hidden_records
 
@@ -49,7 +47,7 @@ def flight_of(group: xr.Dataset, manoeuvre: str) -> dict[str, np.ndarray]:
 def run(records, card, *, out, hidden=None, points=None, fly=None, **options):
     """The job with these in place of what chooses test points and simulates trajectories; without one, not done."""
     stages = {"test_points": points is not None, "trajectories": fly is not None}
-    with patch.object(post_processing, "proposed_points", points), patch.object(job, "simulations", fly):
+    with patch.object(job, "proposed_points", points), patch.object(job, "simulations", fly):
         return diagnose_records(records, card, DiagnoseOptions(**stages, **options), out=out, hidden=hidden)
 
 
@@ -98,26 +96,26 @@ FIGURES = {"bad": bad, "colour": diagnosis.residual_colour}
 
 
 @pytest.mark.parametrize(
-    ("place", "name", "broken", "told"),
+    ("name", "broken", "told"),
     [
-        (job, "DIAGNOSIS_FIGURES", FIGURES, "Figure bad"),
-        (kept, "diagnosis_page", bad, "report.html"),
-        (post_processing, "with_stalls", bad, "Stall"),
+        ("DIAGNOSIS_FIGURES", FIGURES, "Figure bad"),
+        ("diagnosis_page", bad, "report.html"),
+        ("with_stalls", bad, "Stall"),
     ],
 )
 def test_a_figure_a_page_or_a_stall_that_fails_loses_nothing_else(
-    repeated, card, tmp_path, monkeypatch, place, name, broken, told
+    repeated, card, tmp_path, monkeypatch, name, broken, told
 ):
-    monkeypatch.setattr(place, name, broken)
-    found = run(repeated.records, card, out=tmp_path, figures=place is job)
+    monkeypatch.setattr(job, name, broken)
+    found = run(repeated.records, card, out=tmp_path, figures=broken is FIGURES)
     (said,) = found.failures
     assert said.startswith(told)
     assert "ValueError: no such luck" in said
     assert validated(tmp_path / "diagnosis.json", "diagnosis")["failures"] == [said]
-    assert (tmp_path / "report.html").exists() == (place is not kept)
-    if place is job:
+    assert (tmp_path / "report.html").exists() == (told != "report.html")
+    if broken is FIGURES:
         assert (tmp_path / "figures" / "colour.png").stat().st_size > 10_000
-    if place is post_processing:
+    if told == "Stall":
         assert "Stall left out: ValueError: no such luck." in page_of(tmp_path)
 
 
@@ -159,7 +157,7 @@ def test_what_a_killed_run_left_is_overwritten(repeated, card, tmp_path, monkeyp
 
     flown = halves(repeated.records[0])
     with monkeypatch.context() as patched:
-        patched.setattr(kept.ResultStore, "put_page", killed)
+        patched.setattr(job.ResultStore, "put_page", killed)
         with pytest.raises(KeyboardInterrupt):
             run(repeated.records, card, out=tmp_path, figures=False, points=decided, fly=lambda *_: flown)
     left = validated(tmp_path / "diagnosis.json", "diagnosis")
@@ -195,14 +193,14 @@ def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatc
     def refused(*_, **__):
         raise InputError("level flight needs no angle of attack in range")
 
-    monkeypatch.setattr(post_processing, "next_test_points", refused)
+    monkeypatch.setattr(job, "next_test_points", refused)
     found = diagnosed.view.diagnosis
     known = found.aerodynamics.state.full.candidates
     rival = next(e.name for e in known if e.name != found.causes[0].name and e.parameters)
     cause = replace(found.causes[0], ambiguous_with=(rival,), stage="coefficients")
     with pytest.raises(InputError, match="level flight needs"):  # which the job notes
-        post_processing.proposed_points(replace(found, causes=(cause,)))
-    assert post_processing.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
+        job.proposed_points(replace(found, causes=(cause,)))
+    assert job.proposed_points(replace(found, causes=(), together=(), absorbed=())) == {}
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(card, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from bayes_aero import atomic_write as durable
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.inference.compiled_programs import cores
-from bayes_aero.jobs.steps.post_processing import in_background
+from bayes_aero.jobs.diagnose import in_background
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study import worker
@@ -88,7 +88,7 @@ def test_a_block_that_fails_ends_it():
 @pytest.fixture
 def driver(tmp_path, monkeypatch):
     """One whose folder is seen, and a worker that does nothing but tell what it was asked for."""
-    monkeypatch.setattr(worker, "_configure", lambda: None)
+    monkeypatch.setattr(worker, "configure", lambda: None)
     monkeypatch.setattr(worker, "FILE_TIMEOUT", 0.1)
     monkeypatch.setattr(worker, "run_unit", lambda given, _: {"name": given["name"], "argv": list(sys.argv)})
     return Driver.of(tmp_path)
@@ -143,7 +143,7 @@ def test_a_worker_keeps_to_its_cores_and_the_cache_lies_where_the_user_says(monk
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-WORKER = "from bayes_aero.study import worker; worker._configure()\n"
+WORKER = "from bayes_aero.study import worker; worker.configure()\n"
 COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
 try: main()
 except SystemExit: pass

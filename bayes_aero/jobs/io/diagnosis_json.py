@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,20 +14,18 @@ from bayes_aero.diagnosis.result import (
     CausesInBand,
     Diagnosis,
     FoundTerm,
-    Gain,
     ParameterChange,
     Tested,
-    UnexplainedStructure,
 )
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
+from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre, Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
-from bayes_aero.jobs.io.trajectories_json import trajectory_results
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.provenance import named_pairs, picked
 from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.tables.diagnosis_tables import screen_table
@@ -69,82 +67,56 @@ def diagnosis_results(
 ) -> dict[str, Any]:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
+    seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
+    models = {} if seen is None else {"before": seen.card, "after": seen.extended}
+    rows = ("labels", "lag1", "sd=deviation", "noise_growth", "outliers")
+    unknown = ("coefficient", "channel", "share_of_variance=share", "p_value", "rivals")
     found: dict[str, Any] = {
         "schema": SCHEMA,
-        "card": {"name": card.name, "title": card.title},
+        "card": picked(card, "name", "title"),
         "records": record_results(records, card),
-        "consistency": {} if outcome.consistency is None else consistency_results(outcome.consistency),
+        "consistency": consistency_results(outcome.consistency),
         "verdict": d.verdict.value,
         "tested": tested_results(d.tested, d.compared),
         "sentences": list(sentences(view)),
         "causes": [cause_results(cause) for cause in d.causes],
         "minor": list(d.minor),
-        "unexplained": unknown_results(d.unknown),
+        "unexplained": [picked(u, *unknown) | {"offsets": named_pairs(u.offsets, *SIZE)} for u in d.unknown],
         "terms": [term_results(one) for one in d.terms],
         "changes": [change_results(one) for one in d.changes],
-        "cancelling": cancelling_results(d),
+        "cancelling": list(d.together),
         "absorbed": absorbed_results(d),
-        "noise": noise_results(d.noise),
-        "not_testable": dict(d.not_testable),
-        "screening": screen(d, view.rankings),
+        "noise": picked(d.noise, *rows),
+        "not_testable": d.not_testable,
+        "screening": screening_results(d, view.rankings),
         "split": d.split,
-        "base_parameters": {name: asdict(move) for name, move in view.moves.items()},
-        "covariance": _covariance(view),
-        "residuals": _residuals(view),
+        "base_parameters": view.moves,
+        "covariance": None
+        if view.covariance is None
+        else picked(view.covariance, "parameters=names", "matrix") | {"residuals": "coloured"},
+        "residuals": {when: model.composition for when, model in models.items()},
         "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
-        "stall": {n: stall.numbers() for n, stall in view.stalls.items()} if isinstance(view, View) else {},
-        "test_points": dict(outcome.test_points),
-        "in_band": None if outcome.in_band is None else asdict(outcome.in_band),
-        "health": health_results(outcome.health),
+        "stall": {} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
+        **picked(outcome, "test_points", "in_band", "health"),
         "notes": [*d.notes, *outcome.notes],
         "failures": list(outcome.failures),
-        "provenance": dict(provenance),
+        "provenance": provenance,
     }
     if outcome.hidden is not None:
         found["hidden"] = {"effects": outcome.hidden, "named": outcome.named}
     return found
 
 
-def _covariance(view: DiagnosisView) -> dict[str, Any] | None:
-    """Of the extended model's estimates, with the assumption on which it rests."""
-    found = view.covariance
-    if found is None:
-        return None
-    return {"parameters": list(found.names), "matrix": found.matrix, "residuals": "coloured"}
-
-
-def _residuals(view: DiagnosisView) -> dict[str, Any]:
-    """Of the coefficients by either model; empty where only trajectories were compared."""
-    models = {"before": view.card, "after": view.extended} if isinstance(view, View) else {}
-    return {when: dict(model.composition) for when, model in models.items()}
-
-
-def unknown_results(unknown: Sequence[UnexplainedStructure]) -> list[dict[str, Any]]:
-    """Structure without a name, and that of which the record cannot choose a name."""
-    return [
-        {
-            "coefficient": u.coefficient,
-            "channel": u.channel,
-            "share_of_variance": u.share,
-            "p_value": u.p_value,
-            "rivals": list(u.rivals),
-            "offsets": {name: {"mean": mean, "sd": sd} for name, (mean, sd) in u.offsets.items()},
-        }
-        for u in unknown
-    ]
+SIZE, GAIN = ("mean", "sd"), ("elpd", "elpd_se")
 
 
 def term_results(found: FoundTerm) -> dict[str, Any]:
     """A form of unexplained structure."""
     return {
         "coefficient": found.coefficient,
-        "term": found.term.name,
-        "code": found.term.code,
-        "unit": found.term.unit,
-        "size": {"mean": found.size[0], "sd": found.size[1]},
-        "share_of_variance": found.share,
-        "elpd": found.gain,
-        "probability": found.weight,
+        **picked(found.term, "term=name", "code", "unit"),
+        **named_pairs({"size": found.size}, *SIZE),
+        **picked(found, "share_of_variance=share", "elpd=gain", "probability=weight"),
         "ambiguous_with": {term.name: weight for term, weight in found.others},
     }
 
@@ -152,19 +124,9 @@ def term_results(found: FoundTerm) -> dict[str, Any]:
 def change_results(found: ParameterChange) -> dict[str, Any]:
     """A parameter that takes another value during the records."""
     return {
-        "parameter": found.parameter,
-        "unit": found.unit,
-        "manoeuvre": found.manoeuvre,
-        "at": found.at,
-        "ci95": list(found.interval),
-        "lasts": found.lasts,
-        "before": {"mean": found.before[0], "sd": found.before[1]},
-        "after": {"mean": found.after[0], "sd": found.after[1]},
-        "size": {"mean": found.size[0], "sd": found.size[1]},
-        "share_of_variance": found.share,
-        "p_value": found.p_value,
-        "elpd": found.gain,
-        "ambiguous_with": list(found.ambiguous_with),
+        **picked(found, "parameter", "unit", "manoeuvre", "at", "ci95=interval", "lasts"),
+        **named_pairs({"before": found.before, "after": found.after, "size": found.size}, *SIZE),
+        **picked(found, "share_of_variance=share", "p_value", "elpd=gain", "ambiguous_with"),
     }
 
 
@@ -172,21 +134,12 @@ def absorbed_results(d: Diagnosis) -> list[dict[str, Any]]:
     """Derivatives of controls at rest that may have taken up an effect."""
     return [
         {
-            "effect": one.effect,
-            "parameter": one.parameter,
-            "unit": one.unit,
-            "control": one.control,
-            "estimate": {"mean": one.estimate[0], "sd": one.estimate[1]},
-            "usual": {"mean": one.usual[0], "sd": one.usual[1]},
-            "sizes": {name: {"mean": x.mean, "sd": x.sd, "unit": x.unit} for name, x in one.sizes.items()},
+            **picked(one, "effect", "parameter", "unit", "control"),
+            **named_pairs({"estimate": one.estimate, "usual": one.usual}, *SIZE),
+            "sizes": {name: picked(x, "mean", "sd", "unit") for name, x in one.sizes.items()},
         }
         for one in d.absorbed
     ]
-
-
-def cancelling_results(d: Diagnosis) -> list[dict[str, Any]]:
-    """Pairs of causes that cancel, and the combination that the record knows."""
-    return [asdict(p) | {"effects": list(p.effects), "parameters": list(p.parameters)} for p in d.together]
 
 
 def tested_results(tested: Tested | None, compared: str) -> dict[str, Any]:
@@ -194,62 +147,30 @@ def tested_results(tested: Tested | None, compared: str) -> dict[str, Any]:
     if tested is None:
         sought = compared == COEFFICIENTS
         return {"rests_on": compared, "unnamed_structure": sought, "within_noise": None, "outputs": {}}
+    rows = ("noise", "fitted", "hold_out=unseen", "beyond_noise=beyond")
     return {
         "rests_on": "trajectories",
         "unnamed_structure": False,
         "within_noise": tested.within_noise if tested.outputs else None,
         "outputs": {
-            name: {
-                "unit": STANDARD_CHANNELS[name].unit,
-                "noise": one.noise,
-                "fitted": one.fitted,
-                "hold_out": one.unseen,
-                "beyond_noise": one.beyond,
-            }
-            for name, one in tested.outputs.items()
+            name: {"unit": STANDARD_CHANNELS[name].unit, **picked(one, *rows)} for name, one in tested.outputs.items()
         },
-    }
-
-
-def noise_results(noise: NoiseReport) -> dict[str, Any]:
-    """Colour, size, growth and outliers by output."""
-    return {
-        "labels": list(noise.labels),
-        "lag1": dict(noise.lag1),
-        "sd": dict(noise.deviation),
-        "noise_growth": dict(noise.noise_growth),
-        "outliers": dict(noise.outliers),
     }
 
 
 def record_results(records: Sequence[FlightRecord], card: Card) -> list[dict[str, Any]]:
     """The records at a glance, with the flown range of each channel (SI), a spike left out."""
-    return [
-        {
-            "name": r.name,
-            "samples": r.n,
-            "dt": r.dt,
-            "duration": float(r.time[-1] - r.time[0]),
-            "ranges": {name: list(map(float, np.quantile(x, FLOWN))) for name, x in _channels(r, card).items()},
-        }
-        for r in records
-    ]
+    told = []
+    for r in records:
+        channels = {name: np.asarray(x, dtype=float) for name, x in with_sums(r, card).items()}
+        if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
+            channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
+        ranges = {name: list(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
+        told.append({**picked(r, "name", "samples=n", "dt"), "duration": float(np.ptp(r.time)), "ranges": ranges})
+    return told
 
 
-def _channels(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
-    """Recorded and derived channels, and the rate of the angle of attack, which effects read."""
-    found = {name: np.asarray(x, dtype=float) for name, x in with_sums(record, card).items()}
-    if "alpha" in found and "alpha_dot" not in found:
-        found["alpha_dot"] = np.asarray(differentiate(smooth(found["alpha"]), record.dt))
-    return found
-
-
-# --- Causes of diagnosis.json, and the candidates of the first screening.
-
-SCORES = ("r2", "rmse", "r", "theil")
-
-
-def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
+def screening_results(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
     """Every candidate in the first election of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
     found = [(ranking, s) for ranking in rankings for s in ranking.candidate_scores]
@@ -257,7 +178,7 @@ def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
         row
         | {
             "threshold": ranking.threshold,
-            "parameters": {name: {"estimate": x, "sd": sd} for name, (x, sd) in s.estimate.items()},
+            "parameters": named_pairs(s.estimate, "estimate", "sd"),
             "cause": (ranking.stage, s.effect) in causes,
         }
         for row, (ranking, s) in zip(screen_table(rankings, d).records(), found, strict=True)
@@ -265,54 +186,87 @@ def screen(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
 
 
 def cause_results(cause: Cause) -> dict[str, Any]:
-    """One named cause."""
+    """One named cause, and what it gains on data that were not fitted."""
+    about = ("name", "kind", "claim", "stage", "probability", "p_value", "excited", "confirmed")
+    gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
+    scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
     return {
-        "name": cause.name,
-        "kind": cause.kind,
-        "claim": cause.claim,
-        "stage": cause.stage,
-        "probability": cause.probability,
-        "p_value": cause.p_value,
-        "excited": cause.excited,
-        "confirmed": cause.confirmed,
-        "loss_without": {"elpd": cause.missed[0], "elpd_se": cause.missed[1]},
-        "sure": cause.sure,
-        "implausible": dict(cause.implausible),
-        "own_share": cause.own_share,
-        "ambiguous_with": list(cause.ambiguous_with),
-        "rival_gains": _gains(cause.rival_gains),
-        "joint": dict(cause.joint),
+        **picked(cause, *about),
+        **named_pairs({"loss_without": cause.missed}, *GAIN),
+        **picked(cause, "sure", "implausible", "own_share", "ambiguous_with"),
+        "rival_gains": named_pairs(cause.rival_gains, *GAIN),
+        "joint": cause.joint,
+        "parameters": {n: picked(size, *SIZE, "ci95", "unit", "at_bound") for n, size in cause.parameters.items()},
+        "gain": {
+            **picked(gain, *GAIN, "split"),
+            "degraded": named_pairs(gain.degraded, *GAIN),
+            "by_coefficient": {
+                name: {f"{key}_{word}": getattr(by[name], key) for key, word, by in scores}
+                for name in gain.before
+                if name in gain.after
+            },
+        },
+    }
+
+
+# --- Simulated trajectories.
+
+
+def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
+    """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
+    before, after, lag = flown.card, flown.extended, flown.lag
+    return {
+        "fitted_outputs": list(flown.fitted),
+        "status": {"card": before.status.name, "extended": after.status.name},
+        "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
+        **picked(flown, "variance_inflation", "noise_growth"),
+        "lag": None
+        if lag is None
+        else {
+            **picked(lag, "effect", "gain"),
+            "hold_out": dict(zip(("elpd", "elpd_se"), lag.unseen, strict=True)),
+            **picked(lag, "kept", "instead_of=instead", "slight"),
+        },
+        "causes": {
+            name: {"elpd": elpd, "elpd_se": elpd_se, "kept": name in flown.asked.kept}
+            for name, (elpd, elpd_se) in flown.asked.missed.items()
+        },
+        "tolerances": tolerance_results(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
+        "paths": [path_results(path) for path in flown.paths],
+        "held_without": flown.held,
         "parameters": {
             name: {
-                "mean": size.mean,
-                "sd": size.sd,
-                "ci95": list(size.ci95),
-                "unit": size.unit,
-                "at_bound": size.at_bound,
+                "card": before.values.get(name),
+                "extended": value,
+                "sd": flown.deviation[name],
+                "unit": after.units[name],
+                "held_by_prior": name in after.held,
+                "at_bound": name in after.at_bound,
             }
-            for name, size in cause.parameters.items()
-        },
-        "gain": _gain(cause.gain),
-    }
-
-
-def _gains(gains: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
-    return {name: {"elpd": elpd, "elpd_se": se} for name, (elpd, se) in gains.items()}
-
-
-def _gain(gain: Gain) -> dict[str, Any]:
-    return {
-        "elpd": gain.elpd,
-        "elpd_se": gain.elpd_se,
-        "split": gain.split,
-        "degraded": _gains(gain.degraded),
-        "by_coefficient": {
-            name: {
-                f"{key}_{when}": getattr(scores[name], key)
-                for key in SCORES
-                for when, scores in (("before", gain.before), ("after", gain.after))
-            }
-            for name in gain.before
-            if name in gain.after
+            for name, value in after.values.items()
         },
     }
+
+
+def tolerance_results(card: Card, units: Mapping[str, str]) -> dict[str, Any]:
+    """The card's tolerances of these outputs."""
+    stated = {name: t for name, t in card.tolerances.items() if name in units}
+    return {name: {"value": t.value, "unit": units[name], "source": t.source} for name, t in stated.items()}
+
+
+def path_results(path: SimulatedManoeuvre, units: Mapping[str, str] | None = None, *, alone: bool = False) -> Any:
+    """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name.
+
+    `alone`: no other flight is beside it, so it has neither a split nor a chance to stay inside.
+    """
+    outputs = {}
+    for name, error in path.errors.items():
+        parts = [f"theil_{part}={part}" for part in ("bias", "variance", "covariance")]
+        outputs[name] = {
+            "unit": STANDARD_CHANNELS[name].unit if units is None else units[name],
+            **picked(error, "rms", "largest"),
+            **picked(error.theil, "theil", *parts),
+            **picked(error, "within_tolerance=within", *([] if alone else ["probability_within=probability"])),
+        }
+    about = ("manoeuvre", "model", *(() if alone else ("split",)), "inside_envelope=inside")
+    return picked(path, *about) | {"outputs": outputs}

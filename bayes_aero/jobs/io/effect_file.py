@@ -44,11 +44,7 @@ LARGEST = 5.0  # times what was found, the largest plausible factor; our choice
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse a path that something is at.
-
-    Raises:
-        InputError: there is something.
-    """
+    """Raise `InputError` for a path that something is at, or that is no Python file."""
     if path.exists():
         raise InputError(f"{path} exists; give another name to --write-effect")
     if path.suffix != ".py":
@@ -56,16 +52,7 @@ def refuse_existing(path: Path) -> None:
 
 
 def write_effects(terms: Sequence[FoundTerm], records: Sequence[str], path: Path) -> str:
-    """Write the terms that an effect file can state, and say what was written in a sentence.
-
-    Args:
-        terms: of a diagnosis.
-        records: names of the records that show them.
-        path: of the file, which must not exist.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the terms of a diagnosis that an effect file can state, and say what was written in a sentence."""
     stated = [one for one in terms if one.term.code is not None]
     if not stated:
         return f"No term was found that an effect file can state, so {path} was not written."
@@ -82,8 +69,9 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
     code = " ".join(one.term.code or "" for one in terms)
     parts = [HEAD.format(records=told, imports="".join(line for used, line in IMPORTED.items() if used in code))]
     for one in terms:
-        slug = _slug(one.term.name)
-        largest = LARGEST * max(abs(one.size[0]), one.least)
+        plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
+        slug = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
+        largest = _digits(LARGEST * max(abs(one.size[0]), one.least))
         parts.append(
             TERM.format(
                 name=f"{one.coefficient.lower()}_{slug}",
@@ -98,17 +86,11 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
                 size=one.size[0],
                 sd=one.size[1],
                 least=_digits(one.least),
-                largest=_digits(largest),
-                wide=_digits(largest),
+                largest=largest,
+                wide=largest,
             )
         )
     return "".join(parts)
-
-
-def _slug(name: str) -> str:
-    """A term as part of an identifier."""
-    plain = name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
-    return re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
 
 
 def _digits(x: float) -> float:

@@ -11,18 +11,16 @@ import xarray as xr
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre as Flown
 from bayes_aero.inference.frequency_result import FrequencyFit
-from bayes_aero.inference.identification import GPReport, Identification, Validation
+from bayes_aero.inference.identification import GPReport, Identification
 from bayes_aero.inference.likelihood.mle_result import Inseparable, MleResult
 from bayes_aero.inference.pooled_result import NextFlight
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.scores import Scores
-from bayes_aero.jobs.io.consistency_json import consistency_results, health_results
-from bayes_aero.jobs.io.diagnosis_json import record_results
-from bayes_aero.jobs.io.output_folder import writable
-from bayes_aero.jobs.io.trajectories_json import open_loop
-from bayes_aero.jobs.provenance import write_json
+from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.diagnosis_json import path_results, record_results
+from bayes_aero.jobs.io.result_file import writable
+from bayes_aero.jobs.provenance import named_pairs, picked, write_json
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables.comparison import flown
@@ -43,39 +41,29 @@ def results(
 
     `simulated` are the manoeuvres flown with the fitted coefficients.
     """
-    found: dict[str, Any] = {
-        "schema": SCHEMA,
-        "card": {"name": identification.card.name, "title": identification.card.title},
-        "records": record_results(identification.records, identification.card),
-        "coefficients": identification.forming.value,
-        "mle": _mle(identification.mle)
-        | {
-            "covariance": identification.mle.corrected,
-            "alone": {k: _mle(v) for k, v in identification.alone.items()},
-        },
+    run = identification
+    alone = {name: _mle(fit) for name, fit in run.alone.items()}
+    parts: dict[str, Any] = {
+        "consistency": run.consistency and consistency_results(run.consistency),
+        "frequency": run.frequency and frequency_results(run.frequency),
+        "posterior": {"noise": run.noise.value} | posterior_results(run.posteriors) if run.posteriors else None,
+        "next_flight": run.next_flight and next_flight_results(run.next_flight),
+        "stall": run.stall and run.stall.numbers(),
+        "gpr": run.gp and gpr_results(run.gp),
+        "simulated": [path_results(path, alone=True) for path in simulated] or None,
+        "truth": None if run.truth is None else {name: run.truth[name] for name in flown(run)},
     }
-    if identification.consistency is not None:
-        found["consistency"] = consistency_results(identification.consistency)
-    if identification.frequency is not None:
-        found["frequency"] = frequency_results(identification.frequency)
-    if identification.posteriors:
-        found["posterior"] = {"noise": identification.noise.value} | posterior_results(identification.posteriors)
-    if identification.next_flight is not None:
-        found["next_flight"] = _next_flight(identification.next_flight)
-    if identification.stall is not None:
-        found["stall"] = identification.stall.numbers()
-    if identification.gp is not None:
-        found["gpr"] = _gpr(identification.gp)
-    if simulated:
-        found["simulated"] = [open_loop(path) for path in simulated]
-    if identification.truth is not None:
-        found["truth"] = {name: identification.truth[name] for name in flown(identification)}
-    found["verdict"] = verdict
-    found["health"] = health_results(identification.health)
-    found["notes"] = list(identification.notes)
-    found["failures"] = list(identification.failures)
-    found["provenance"] = provenance | {"seconds": {k: round(v, 2) for k, v in identification.seconds.items()}}
-    return found
+    return {
+        "schema": SCHEMA,
+        "card": picked(run.card, "name", "title"),
+        "records": record_results(run.records, run.card),
+        "coefficients": run.forming.value,
+        "mle": _mle(run.mle) | {"covariance": run.mle.corrected, "alone": alone},
+        **{key: part for key, part in parts.items() if part is not None},
+        "verdict": verdict,
+        **picked(run, "health", "notes", "failures"),
+        "provenance": provenance | {"seconds": {k: round(v, 2) for k, v in run.seconds.items()}},
+    }
 
 
 def _scores(scores: Scores) -> dict[str, float]:
@@ -83,17 +71,11 @@ def _scores(scores: Scores) -> dict[str, float]:
 
 
 def _mle(result: MleResult) -> dict[str, Any]:
-    bias = [None] * len(result.names) if result.bias is None else result.bias
-    columns = zip(result.names, result.units, result.estimate, result.crb, result.crb_corrected, bias, strict=True)
     return {
         "status": result.status.name.lower(),
         "advice": result.status.value,
-        "det_R": result.det_R,
-        "iterations": result.iterations,
-        "parameters": {
-            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "noise_bias": moved, "unit": unit}
-            for name, unit, x, crb, corrected, moved in columns
-        },
+        **picked(result, "det_R", "iterations"),
+        "parameters": _estimates(result),
         "fit": {name: _scores(scores) for name, scores in result.fit.items()},
         "lag1": result.lag1,
         "separation": {"minimum": result.separation[0], "maximum": result.separation[1]},
@@ -105,23 +87,20 @@ def _mle(result: MleResult) -> dict[str, Any]:
     }
 
 
+def _estimates(fit: MleResult | FrequencyFit) -> dict[str, dict[str, Any]]:
+    """Estimates with their bounds, and by how much the bias of sensor noise was moved."""
+    bias = [None] * len(fit.names) if fit.bias is None else fit.bias
+    keys = ("estimate", "crb", "crb_corrected", "noise_bias", "unit")
+    columns = zip(fit.estimate, fit.crb, fit.crb_corrected, bias, fit.units, strict=True)
+    return {name: dict(zip(keys, row, strict=True)) for name, row in zip(fit.names, columns, strict=True)}
+
+
 def frequency_results(fit: FrequencyFit) -> dict[str, Any]:
     """A fit in a band."""
-    bias = [None] * len(fit.names) if fit.bias is None else fit.bias
-    columns = zip(fit.names, fit.units, fit.estimate, fit.crb, fit.crb_corrected, bias, strict=True)
-    return {
-        "method": fit.method,
-        "band": list(fit.band),
-        "frequencies": fit.lines,
-        "converged": fit.converged,
-        "parameters": {
-            name: {"estimate": x, "crb": crb, "crb_corrected": corrected, "noise_bias": moved, "unit": unit}
-            | ({"difference": fit.apart[name]} if name in fit.apart else {})
-            for name, unit, x, crb, corrected, moved in columns
-        },
-        "unseen": list(fit.unseen),
-        "at_bound": list(fit.at_bound),
-    }
+    differences = {name: {"difference": x} for name, x in fit.apart.items()}
+    rows = {name: row | differences.get(name, {}) for name, row in _estimates(fit).items()}
+    about = picked(fit, "method", "band", "frequencies=lines", "converged")
+    return about | {"parameters": rows} | picked(fit, "unseen", "at_bound")
 
 
 def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
@@ -131,35 +110,30 @@ def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
 
 def posterior_results(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
     """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
-    marginals = {key: {n: asdict(m) for n, m in posterior.marginals.items()} for key, posterior in posteriors.items()}
-    return marginals | {"status": {key: _status(posterior) for key, posterior in posteriors.items()}}
-
-
-def _status(posterior: Posterior) -> dict[str, str]:
-    return {
-        "noise": posterior.noise,
-        "status": posterior.status.name.lower(),
-        "advice": posterior.status.value,
+    status = {
+        key: {"noise": p.noise, "status": p.status.name.lower(), "advice": p.status.value}
+        for key, p in posteriors.items()
     }
+    return {key: dict(posterior.marginals) for key, posterior in posteriors.items()} | {"status": status}
 
 
-def _next_flight(found: NextFlight) -> dict[str, Any]:
+def next_flight_results(found: NextFlight) -> dict[str, Any]:
+    """Aircraft, scatter, next flight and manoeuvres, pooled and alone, by parameter."""
     return {
         "likelihood": found.tree.attrs["likelihood"],
-        "manoeuvres": list(found.manoeuvres),
-        "left_out": found.left_out,
+        **picked(found, "manoeuvres", "left_out"),
         "parameters": {
             p.name: {
                 "unit": p.unit,
-                "aircraft": asdict(found.aircraft[p.name]),
+                "aircraft": found.aircraft[p.name],
                 "scatter": asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
-                "next_flight": asdict(found.following[p.name]),
-                "pooled": {m: asdict(found.pooled[m][p.name]) for m in found.manoeuvres},
-                "alone": {
-                    m: dict(zip(("estimate", "crb_corrected"), found.alone[m][p.name], strict=True))
-                    for m in found.manoeuvres
-                    if p.name in found.alone[m]
-                },
+                "next_flight": found.following[p.name],
+                "pooled": {m: found.pooled[m][p.name] for m in found.manoeuvres},
+                "alone": named_pairs(
+                    {m: found.alone[m][p.name] for m in found.manoeuvres if p.name in found.alone[m]},
+                    "estimate",
+                    "crb_corrected",
+                ),
                 "undetermined": list(found.undetermined.get(p.name, ())),
             }
             for p in found.parameters
@@ -169,24 +143,22 @@ def _next_flight(found: NextFlight) -> dict[str, Any]:
     }
 
 
-def _gpr(report: GPReport) -> dict[str, Any]:
+def gpr_results(report: GPReport) -> dict[str, Any]:
+    """By split and coefficient: scores over the test points of all folds together, and each fold's own."""
     found: dict[str, Any] = {"sampled_split": report.chosen}
     for split, folds in report.splits.items():
-        found[split] = {name: _pooled([fold[name] for fold in folds]) for name in folds[0]}
+        found[split] = {}
+        for name in folds[0]:
+            own = [fold[name] for fold in folds]
+            pooled = PooledScores.of(own)
+            found[split][name] = {
+                **_scores(pooled.gp),
+                **{f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()},
+                **picked(pooled, "k_hat", "status"),
+                "mle": _scores(pooled.mle),
+                "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in own],
+            }
     return found
-
-
-def _pooled(folds: list[Validation]) -> dict[str, Any]:
-    """Scores over the test points of all folds together, and each fold's own."""
-    all_folds = PooledScores.of(folds)
-    return {
-        **_scores(all_folds.gp),
-        **{f"coverage{round(100 * level)}": share for level, share in all_folds.coverage.items()},
-        "k_hat": all_folds.k_hat,
-        "status": all_folds.status,
-        "mle": _scores(all_folds.mle),
-        "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in folds],
-    }
 
 
 # --- What an identification writes: a file for each finished stage, and results.json with all of them.
@@ -197,7 +169,7 @@ class IdentificationFiles:
 
     def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
         self.out, self.source = out, source
-        self.flown: tuple[Flown, ...] = ()
+        self.flown: tuple[SimulatedManoeuvre, ...] = ()
         if out is not None:
             writable(out)
 

@@ -54,14 +54,8 @@ def record_checks(
 ) -> RecordChecks:
     """Check records, whichever command reads them; should the comparison of sensors fail, the job goes on without.
 
-    Args:
-        records: all that the command reads, in SI.
-        card: what the channels are said to be.
-        seed: of the records of noise.
-        out: folder of the results.
-        known: errors of sensors that a search has found.
-        seek: whether to look for errors that explain why sensors disagree.
-        left_out: why the sensors are not compared; empty: they are.
+    `known`: errors of sensors that a search has found; `seek`: whether to look for errors that explain why sensors
+    disagree; `left_out`: why the sensors are not compared, empty where they are.
     """
     agreement, failures = attempted(
         "Whether the sensors agree was not checked",

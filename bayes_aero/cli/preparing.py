@@ -1,0 +1,317 @@
+"""bayes-aero check, card, effects and simulate: what comes before a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from bayes_aero.atomic_write import write_whole
+from bayes_aero.cli import terminal
+from bayes_aero.errors import InputError
+from bayes_aero.jobs.options import Manoeuvre, ReadingOptions, SimulatedNoise
+
+if TYPE_CHECKING:
+    from bayes_aero.diagnosis.result import CheckReport
+
+EFFECTS = "bayes_aero/effects/1"
+
+
+@terminal.with_options
+def check(
+    records: Annotated[list[Path], typer.Argument(help=f"{terminal.RECORDS}.")],
+    reading: ReadingOptions,
+    sensors: Annotated[bool, typer.Option(help="Check the sensors against each other along the flight path.")] = True,
+    seed: terminal.SeedOption = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report.html and check.json; none: nothing is written.")
+    ] = None,
+    json: terminal.JsonOption = False,
+) -> None:
+    """Check records against a card: channels, units, gaps, what they can test, agreement of the sensors.
+
+    Nothing aerodynamic is fitted. Exit code 0: usable; 1: not, with the reasons; 3: usable, but in doubt.
+
+    Example: bayes-aero check qst01.asc qst02.asc --model attas
+    """
+    with terminal.loading():
+        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.jobs.check import check_records, check_results, write_check
+
+    card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
+    with (
+        terminal.interruptible(lambda: "nothing was written; give the same command again"),
+        terminal.bar("reading") as tell,
+    ):
+        report = check_records(records, card, sensors=sensors, seed=seed, progress=tell, **how)
+        failures = report.failures + (() if out is None else write_check(report, out, seed))
+    if json:
+        terminal.print_json(check_results(report))
+    else:
+        print_report(terminal.teller(), report)
+        terminal.print_failures(terminal.teller(), failures)
+        if out is not None:
+            terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+    if not report.usable:
+        raise typer.Exit(terminal.FAILED)
+    terminal.exit_if_failed(failures)
+    terminal.exit_in_doubt(report.consistency, report.health, corrects=False)
+
+
+def print_report(console: Console, report: CheckReport) -> None:
+    """Cautions, each record, what the records can be used for, whether the sensors agree."""
+    from bayes_aero.report.tables.table import channel_table, sampling
+    from bayes_aero.report.text import check as text
+
+    doubt, told = report.consistency.disagrees, text.sensor_sentences(report)
+    for caution in (*report.cautions, *told[:doubt]):
+        console.print(f"! {caution}", style="yellow")
+    for r, unused in zip(report.records, text.unused_columns(report), strict=True):
+        console.print(r.path, style="bold", end="", soft_wrap=True)
+        console.print(f": {sampling(r)}", soft_wrap=True)
+        if r.gaps or r.uneven:
+            console.print(f"{r.gaps} gaps, {r.uneven} uneven steps")
+        console.print(channel_table(r).terminal())
+        if r.missing:
+            console.print(f"on the card, not in the file (not required): {', '.join(r.missing)}")
+        if unused:
+            console.print(f"in the file, not on the card: {', '.join(unused)}")
+        for sentence in (*r.remarks, *text.part_sentences(r)):
+            console.print(sentence, soft_wrap=True)
+        for problem in r.problems:
+            console.print(f"✗ {problem}", style="red")
+    for sentence in (*text.card_sentences(report), *text.use_sentences(report), *told[doubt:]):
+        console.print(sentence)
+    for name, error in report.sensors.errors.items():
+        faint = " (too small to be named)" if error["minor"] else ""
+        console.print(f"  {name}: {error['claim']} {text.sizes(error)}{faint}")
+    if not report.sensors.note:
+        console.print(f"  {text.left_over(report)}")
+    colour = "red" if not report.usable else "yellow" if report.cautions or doubt else "green"
+    console.print(text.headline(report), style=f"bold {colour}")
+
+
+def card(
+    record: Annotated[Path, typer.Argument(help=f"A flight record whose columns have names ({terminal.SUFFIXES}).")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; default: the record's name with .toml, here.")
+    ] = None,
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Write CARD.report.html, too.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a card that is there.")] = False,
+    json: terminal.JsonOption = False,
+) -> None:
+    """Write a commented starter card for a new aircraft from a record's columns.
+
+    Names, units and signs are guessed, each with its evidence.
+    What only you know is marked TODO; using the card before names the first.
+
+    Example: bayes-aero card flight7.csv --out mine.toml
+    """
+    from bayes_aero.flight.reading.segments import segment_of
+
+    record = segment_of(record).file
+    target = out or Path(f"{record.stem}.toml")
+    if target.exists() and not force:
+        raise InputError(f"{target} exists; give --force to overwrite it, or another name with --out")
+    with terminal.loading():
+        from bayes_aero.jobs.card_template import starter_card
+
+    starter = starter_card(record)
+    try:
+        write_whole(starter.text, target)
+    except OSError as reason:
+        raise InputError(f"{target} cannot be written ({reason.strerror}); give another name with --out") from None
+    report = None
+    failures: tuple[str, ...] = ()
+    if page:
+        from bayes_aero.jobs.card_template import put_starter_page
+
+        report, failures = put_starter_page(starter, record, target)
+    if json:
+        terminal.print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
+        terminal.exit_if_failed(failures)
+        return
+    console = terminal.teller()
+    console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
+    if starter.todo:
+        console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
+    if starter.blind:
+        which = "it" if len(starter.blind) == 1 else "them"
+        console.print(
+            f"Not found: {', '.join(starter.blind)}. identify needs {which}; diagnose works without {which}, with "
+            f"less information."
+        )
+    if report is not None:
+        console.print(f"The report is in {report}", soft_wrap=True)
+    split = " --split" if starter.parts > 1 else ""
+    if split:
+        console.print(f"Gaps in time divide the file into {starter.parts} parts: --split reads each as a manoeuvre.")
+    console.print(f"Then: bayes-aero check {record} --model {target}{split}", soft_wrap=True)
+    terminal.print_failures(console, failures)
+    terminal.exit_if_failed(failures)
+
+
+def effects(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="One effect to explain; none: all as a table.",
+            # The names are loaded only where one is completed.
+            autocompletion=lambda incomplete: [
+                n for n in import_module("bayes_aero.effects").CATALOGUE if n.startswith(incomplete)
+            ],
+        ),
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help="A card, for its own effect files and what its model has.", metavar="CARD")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report.html and effects.json; none: nothing is written.")
+    ] = None,
+    json: terminal.JsonOption = False,
+) -> None:
+    """List the catalogue of effects, or explain one: claim, formula, parameters, priors, worked example, source.
+
+    Example: bayes-aero effects pitch_rate_bias
+    """
+    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
+
+    card = None if model is None else read_card(model)
+    known = known_effects(card)
+    chosen = known.values() if name is None else [effect_named(name, known)]
+    found = [effect_facts(effect, card) for effect in chosen]
+    failures: tuple[str, ...] = ()
+    if out is not None:
+        from bayes_aero.jobs.catalogue import write_effects_page
+
+        failures = write_effects_page(found, EFFECTS, card, out)
+    if json:
+        terminal.print_json({"schema": EFFECTS, "effects": found})
+    elif name is None:
+        print_table(found)
+    else:
+        print_effect(found[0])
+    if out is not None and not json:
+        terminal.print_failures(terminal.teller(), failures)
+        terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+    terminal.exit_if_failed(failures)
+
+
+def print_table(found: Sequence[Mapping[str, Any]]) -> None:
+    """By kind; two lines an effect or more, so that 80 columns hold a row."""
+    console = terminal.teller(highlight=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("effect\n  parameters, unit", no_wrap=True)
+    table.add_column("claim\nwhat it needs")
+    for kind in sorted({effect["kind"] for effect in found}):
+        table.add_section()
+        table.add_row(Text(kind.upper(), "bold"), "")
+        for effect in found:
+            if effect["kind"] != kind:
+                continue
+            name = effect["name"] + (" *" if effect["model"] else "")
+            parameters = [
+                f"  {p['name']}" + ("" if p["unit"] == "1" else f", {p['unit']}") for p in effect["parameters"]
+            ]
+            needs = f"needs {', '.join(effect['needs'])}" if effect["needs"] else "needs nothing"
+            table.add_row(
+                Text.assemble(name, *(part for p in parameters for part in ("\n", (p, "dim")))),
+                Text.assemble(effect["claim"], "\n", (needs, "dim")),
+            )
+    console.print(table)
+    stars = "*: in the card's model. " if any(effect["model"] for effect in found) else ""
+    console.print(f"{len(found)} effects. {stars}bayes-aero effects NAME explains one.", highlight=False)
+
+
+def print_effect(effect: Mapping[str, Any]) -> None:
+    """Claim, formula, parameters with their priors, worked example, source."""
+    from bayes_aero.report.text.check import facts, parameter_facts, unit_behind, worked
+
+    console = terminal.teller(highlight=True)
+
+    def line(title: str, text: str) -> None:
+        console.print(f"{title:<12} ", end="", style="bold")
+        console.print(text, highlight=False, soft_wrap=True)
+
+    console.print(f"{effect['name']}: {effect['claim']}", style="bold", highlight=False)
+    for title, text in facts(effect):
+        line(title, text)
+    for p in effect["parameters"]:
+        unit = unit_behind(p)
+        console.print()
+        line(p["name"], f"{p['description']}{unit and ',' + unit}")
+        for title, text in parameter_facts(p):
+            line(f"  {title}", text)
+    console.print()
+    line("example", worked(effect))
+    line("source", effect["source"])
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="File to write: .csv .parquet .nc .mat or .asc.")],
+    effect: Annotated[
+        list[str] | None, typer.Option(help="NAME=VALUE, or NAME.PARAMETER=VALUE; in SI or with a unit.")
+    ] = None,
+    manoeuvre: Annotated[Manoeuvre, typer.Option(help="The manoeuvre.")] = "random_stall",
+    noise: Annotated[
+        SimulatedNoise,
+        typer.Option(help="white: sensors; ar1: also coloured disturbances; buffet: these grow with separation."),
+    ] = "ar1",
+    noise_scale: Annotated[float, typer.Option(min=0.0, help="Factor on all noise.")] = 1.0,
+    seed: terminal.SeedOption = 0,
+    duration: Annotated[float | None, typer.Option(help="Seconds; default 90 (random_stall) or 60.")] = None,
+    dt: Annotated[float, typer.Option(help="Sampling interval in s.")] = 0.04,
+    airspeed: Annotated[float | None, typer.Option(help="At the start, m/s; default: level flight at 6 deg.")] = None,
+    altitude: Annotated[float, typer.Option(help="At the start, m.")] = 5200.0,
+    amplitude: Annotated[float, typer.Option(help="Factor on the inputs of a standard manoeuvre.")] = 1.0,
+    model: Annotated[str, typer.Option(help="Card: a .toml file, or a shipped one by name.", metavar="CARD")] = "attas",
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Write FILE.report.html, too.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+    json: terminal.JsonOption = False,
+) -> None:
+    """Write a synthetic record and its true parameters (FILE.truth.json).
+
+    Geometry, sensors with the errors that it fixes, and channels are the card's, the aerodynamics those of the demo
+    aircraft and --effect.
+
+    Example: bayes-aero simulate --effect "pitch_rate_bias=0.3 deg/s" --effect thrust_lag=1 --seed 4 --out flight.csv
+    """
+    if out.exists() and not force:
+        raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
+    with terminal.loading():
+        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.jobs.catalogue import known_effects
+        from bayes_aero.jobs.simulate import parsed_effects, simulate_file
+        from bayes_aero.simulate.demo import Request
+
+    card = read_card(model)
+    known = known_effects(card)
+    asked = (manoeuvre, noise, noise_scale, seed, duration, dt, airspeed, altitude, amplitude)
+    request = Request(parsed_effects(effect or [], known), *asked)
+    with terminal.interruptible(lambda: "nothing was written; give the same command again"), terminal.bar("simulating"):
+        found, truth, failures = simulate_file(request, card, known, out, page=page)
+    if json:
+        terminal.print_json(truth)
+        terminal.exit_if_failed(failures)
+        return
+    console, record = terminal.teller(), found.record
+    console.print(
+        f"{manoeuvre}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
+        soft_wrap=True,
+    )
+    for name, values in request.effects.items():
+        console.print(f"hidden effect: {name}, {', '.join(f'{p} = {x:g}' for p, x in values.items())} (SI)")
+    for note in found.notes:
+        console.print(f"! {note}")
+    for what, ending in (("truth", "truth.json"), *([("report", "report.html")] if page else [])):
+        console.print(f"The {what} is in {out}.{ending}", soft_wrap=True)
+    terminal.print_failures(console, failures)
+    terminal.exit_if_failed(failures)
