@@ -68,22 +68,17 @@ class Observations(eqx.Module):
         return replace(self, names=())
 
     def subset(self, index: Int[np.ndarray, " m"]) -> Observations:
-        """The samples `index`, kept in time order.
-
-        A sample whose predecessor was left out starts a new stretch: `start` is set there, so that no lag and no
-        noise correlation is carried over the hole.
-        """
+        """The samples `index`, in time order; one whose predecessor was left out starts a new stretch."""
+        # No lag and no noise correlation is carried over a hole.
         index = np.sort(np.asarray(index))
         begins = np.asarray(self.start)[index] | np.concatenate([[True], np.diff(index) > 1])
-        return Observations(
+        return replace(
+            self,
             signals={k: v[index] for k, v in self.signals.items()} | {"start": jnp.asarray(begins)},
             measured=self.measured[index],
             start=jnp.asarray(begins),
             manoeuvre=self.manoeuvre[index],
             time=self.time[index],
-            aircraft=self.aircraft,
-            names=self.names,
-            coefficients=self.coefficients,
         )
 
     def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:
@@ -132,7 +127,14 @@ def observe(
     forming = Forming(forming)
     if forming is Forming.MATCHED:
         records = at_common_rate(records)
-    values = _fixed_values(model)
+    values = dict(model.fixed)
+    for effect in model.effects:
+        free = [p.name for p in effect.parameters if p.name not in values]
+        if effect.stage <= Stage.AIRCRAFT and free:
+            raise InputError(
+                f"effect {effect.name} changes the record or the aircraft itself, so {', '.join(free)} cannot be "
+                "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
+            )
     aircraft = model.actual_aircraft(values, card.aircraft)
     parts, offset = [], 0
     for record in records:
@@ -178,16 +180,3 @@ def _formed(
     else:
         signals = condition_joined(channels, *ends)
     return signals, stacked_coefficients(signals, aircraft, model.coefficients)
-
-
-def _fixed_values(model: Model) -> dict[str, Any]:
-    """The model's fixed values; effects before the coefficients must have no free parameter."""
-    fixed = dict(model.fixed)
-    for effect in model.effects:
-        free = [p.name for p in effect.parameters if p.name not in fixed]
-        if effect.stage <= Stage.AIRCRAFT and free:
-            raise InputError(
-                f"effect {effect.name} changes the record or the aircraft itself, so {', '.join(free)} cannot be "
-                "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
-            )
-    return fixed

@@ -7,7 +7,7 @@ nearly linear in the errors of its sensors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_records import Joined, Recorded
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
@@ -30,12 +30,12 @@ STEP = 1e-6  # of the differences: of a parameter's prior standard deviation, an
 RECORD_STAGES = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that change the flight path
 
 
-def flight_path(flights: Recorded) -> tuple[str, ...]:
+def flight_path(flights: Flights) -> tuple[str, ...]:
     """Flight-path outputs of these flights; none where they rolled and the bank angle is unknown."""
     return () if rolled_unseen(flights) else path_outputs(flights.channels)
 
 
-def rolled_unseen(flights: Recorded) -> bool:
+def rolled_unseen(flights: Flights) -> bool:
     """Whether a roll rate, less its mean, changes a bank angle that was not recorded."""
     if "phi" in flights.channels or "p" not in flights.channels:
         return False
@@ -74,7 +74,7 @@ def differences(
 class FlightPathError(Blockwise):
     """Residuals of the flight path of `flights` under `model`; only effects of `RECORD_STAGES` change them."""
 
-    flights: Joined
+    flights: Flights
     model: Model
     path: tuple[str, ...]
 
@@ -84,11 +84,10 @@ class FlightPathError(Blockwise):
         return self.path
 
     @classmethod
-    def of(cls, flights: Recorded, model: Model) -> FlightPathError:
+    def of(cls, flights: Flights, model: Model) -> FlightPathError:
         """`flights` under `model`; without outputs where there is no flight path."""
         channels = {name: np.asarray(x) for name, x in as_symmetric(flights.channels).items()}
-        plain = Joined(channels, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
-        return cls(plain, model, flight_path(flights))
+        return cls(replace(flights, channels=channels), model, flight_path(flights))
 
     def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
         """Residuals of blocks; there are no further signals."""

@@ -23,7 +23,7 @@ from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.joined_records import Flights
 
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
@@ -73,12 +73,12 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
     return bool(implausible(effect, {n: size for n, size in told.items() if math.isfinite(size.mean)}))
 
 
-def recording_noise(flights: Recorded) -> dict[str, float]:
+def recording_noise(flights: Flights) -> dict[str, float]:
     """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
     return {name: noise_of(*_parts(flights, name)) for name in flights.recorded}
 
 
-def filtered_channels(flights: Recorded) -> tuple[str, ...]:
+def filtered_channels(flights: Flights) -> tuple[str, ...]:
     """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off.
 
     Third differences of white noise have a lag-1 correlation of -0.75; what a filter has smoothed, or motion, has not.
@@ -93,7 +93,7 @@ def filtered_channels(flights: Recorded) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _parts(flights: Recorded, name: str) -> list[Float[np.ndarray, " _"]]:
+def _parts(flights: Flights, name: str) -> list[Float[np.ndarray, " _"]]:
     """A channel, manoeuvre by manoeuvre."""
     return np.split(np.asarray(flights.channels[name]), np.cumsum(flights.lengths)[:-1])
 
