@@ -53,12 +53,17 @@ MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference 
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
-class Step(NamedTuple):
+class BandStep(NamedTuple):
     """A linear solution: the step of the parameters (k,) and of the offsets, what is left (m, c), its mean squares."""
 
     step: np.ndarray
     left: np.ndarray
     R: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Minus the log likelihood but for a constant."""
+        return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
 
 
 def fit_in_band(
@@ -68,21 +73,16 @@ def fit_in_band(
     band: tuple[float, float],
     method: str = EQUATION_ERROR,
 ) -> FrequencyFit:
-    """Estimate the free parameters from residuals in a band.
+    """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`.
 
-    Parameters that the band does not show, such as constants, keep their start.
-
-    Args:
-        responses: a residual model of `residuals.frequency_error`.
-        parameters: the free parameters.
-        start: their first values, (k,), SI; those of a fit in the time domain.
-        band: lowest and highest frequency, Hz.
-        method: its name.
+    Parameters that the band does not show, such as constants, keep their start: (k,), SI, of a fit in the time domain.
     """
     theta, outputs = np.asarray(start, float).copy(), responses.outputs
     lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
     residual, S = responses.linearise(theta)
-    free = _shown(S, residual, parameters)
+    information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
+    prior = np.array([p.prior.normal[1] for p in parameters])
+    free = np.flatnonzero(information * np.square(prior) > UNSEEN)
     offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
     found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
@@ -93,8 +93,8 @@ def fit_in_band(
             free = free[~outward]
             found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
-        before = _cost(solve(residual, offsets).R, len(residual))
-        if before - _cost(found.R, len(residual)) < TOLERANCE:
+        before = solve(residual, offsets).cost
+        if before - found.cost < TOLERANCE:
             converged = True
             break
         responses = responses.moved(found.step[len(free) :])
@@ -103,7 +103,7 @@ def fit_in_band(
             trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
             changed, S_free = responses.linearise(trial, free)
             own = responses.offsets(trial, outputs)
-            if _cost(solve(changed, own).R, len(changed)) < before:
+            if solve(changed, own).cost < before:
                 break
         else:
             converged = True  # rounding: no step lowers the cost
@@ -112,23 +112,11 @@ def fit_in_band(
         found = solve(residual, np.concatenate([S_free, offsets], axis=2))
     fitted = _result(responses, parameters, theta, free, found, converged)
     held = tuple(parameters[i].name for i in at_bound)
-    unseen = tuple(name for name in fitted.unseen if name not in held)
+    unseen = tuple(p.name for i, p in enumerate(parameters) if i not in free and p.name not in held)
     return replace(fitted, band=(float(band[0]), float(band[1])), method=method, unseen=unseen, at_bound=held)
 
 
-def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
-    """Indices of the parameters that the band shows."""
-    R = np.maximum(np.mean(np.square(residual), axis=0), EXACT)
-    information = np.einsum("mck,mck,c->k", S, S, 1.0 / R)
-    prior = np.array([p.prior.normal[1] for p in parameters])
-    return np.flatnonzero(information * np.square(prior) > UNSEEN)
-
-
-def _cost(R: np.ndarray, m: int) -> float:
-    return 0.5 * m * float(np.sum(np.log(R)))
-
-
-def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> Step:
+def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> BandStep:
     """Least squares for all columns, with the variances of the outputs that it leaves."""
     _, _, k = S.shape
     left, step = residual, np.zeros(k)
@@ -139,7 +127,7 @@ def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> 
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step
     R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
-    return Step(step, left, R)
+    return BandStep(step, left, R)
 
 
 def cramer_rao(
@@ -162,7 +150,7 @@ def _result(
     parameters: Sequence[Parameter],
     theta: np.ndarray,
     free: np.ndarray,
-    found: Step,
+    found: BandStep,
     converged: bool,
 ) -> FrequencyFit:
     """Bounds at the optimum, with variances over degrees of freedom."""
@@ -173,19 +161,18 @@ def _result(
     if regular := bool(np.all(np.isfinite(D))):
         # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
         corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
-    names = [p.name for p in parameters]
     return FrequencyFit(
         method=EQUATION_ERROR,
         band=(0.0, 0.0),
         lines=m // 2,
-        names=tuple(names[i] for i in free),
+        names=tuple(parameters[i].name for i in free),
         units=tuple(parameters[i].unit for i in free),
         estimate=theta[free],
         covariance=D[:k, :k],
         corrected=corrected[:k, :k],
         inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(responses.outputs)},
         R=dict(zip(responses.outputs, map(float, R), strict=True)),
-        unseen=tuple(name for i, name in enumerate(names) if i not in free),
+        unseen=(),
         converged=converged and regular,
     )
 
@@ -193,13 +180,7 @@ def _result(
 def without_noise_bias_in_band(
     fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
 ) -> FrequencyFit:
-    """The estimate without the bias by noise of the recorded regressors, as `likelihood.noise_bias` has it.
-
-    Args:
-        fit: equation error of `responses`.
-        responses: its residual model.
-        parameters: the free parameters of the model.
-        seed: of the added noise.
+    """The estimate without the bias by noise of the recorded regressors, as `mle.without_noise_bias` has it.
 
     Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     """
@@ -249,18 +230,9 @@ def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
 def coefficients_in_band(
     records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
 ) -> FrequencyFit:
-    """Equation error of the coefficients in a band, beside their fit in the time domain.
+    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts.
 
-    Args:
-        records: one a manoeuvre, without spikes.
-        card: of the records.
-        model: the fitted model.
-        mle: its fit in the time domain, from which this one starts.
-        band: lowest and highest frequency, Hz.
-        seed: of the noise that shows the bias by noise.
-
-    Raises:
-        InputError: the band is empty or holds no frequency of a record.
+    The records are one a manoeuvre, without spikes. `InputError`: the band is empty or holds no frequency of a record.
     """
     flights = join(at_common_rate(records), card, required_of(model.axes))
     responses = FrequencyError.in_band(flights, model, band)
@@ -275,8 +247,7 @@ def linear_in_band(
 ) -> tuple[tuple[FrequencyFit, FrequencyFit], tuple[FrequencyResponse, ...]]:
     """Equation error of a linear card in a band, output error from there, and responses.
 
-    Raises:
-        InputError: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
+    `InputError`: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
     """
     dt = np.asarray(flights.channels["dt"], float)
     if np.ptp(dt) > 1e-6 * dt[0]:
@@ -311,7 +282,13 @@ def frequency_responses(
     Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
     `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
     """
-    inputs = _inputs(dynamics)
+    terms: dict[tuple[int, str], list[tuple[str, float]]] = {}  # what a parameter multiplies: no state, no constant
+    for i, (_, row) in enumerate(dynamics.rows.rows):
+        for term in row:
+            if term.channel != ONE and term.channel not in dynamics.states:
+                terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
+    whole = dict.fromkeys(tuple(sorted(one)) for one in terms.values())
+    inputs = list(dict.fromkeys(((one[0][0], 1.0),) if len(one) == 1 else one for one in whole))
     outputs = tuple(name for name in dynamics.outputs if name in flights.channels)
     if not inputs or not outputs:
         return ()
@@ -341,18 +318,6 @@ def frequency_responses(
         for i, one in enumerate(inputs)
         for o, output in enumerate(outputs)
     )
-
-
-def _inputs(dynamics: LinearDynamics) -> list[Combination]:
-    """What the parameters multiply beside states and constants."""
-    terms: dict[tuple[int, str], list[tuple[str, float]]] = {}
-    for i, (_, row) in enumerate(dynamics.rows.rows):
-        for term in row:
-            if term.channel != ONE and term.channel not in dynamics.states:
-                terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
-    whole = {tuple(sorted(one)): None for one in terms.values()}
-    single = {((one[0][0], 1.0),) if len(one) == 1 else one: None for one in whole}
-    return list(single)
 
 
 def _measured(

@@ -71,6 +71,12 @@ class Interval:
     low: float
     high: float
 
+    @classmethod
+    def of(cls, draws: Float[np.ndarray, " m"]) -> Interval:
+        """That of draws."""
+        low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
+        return cls(float(median), float(low), float(high))
+
 
 @dataclass(frozen=True)
 class Stall:

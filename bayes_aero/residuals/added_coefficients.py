@@ -55,6 +55,33 @@ def channel_of(coefficient: str) -> str:
     return f"added_{coefficient}"
 
 
+_states = eqx.filter_jit(lambda responses, theta: responses.states(theta))
+_by_input = eqx.filter_jit(derivatives_by_input)
+
+
+@eqx.filter_jit
+def _slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], directions: Mapping[str, Array]):
+    still = jnp.zeros(len(responses.windows.dynamics.start))
+
+    def residual(added):
+        channels = {**responses.flights.channels, **added}
+        return eqx.tree_at(lambda r: r.flights.channels, responses, channels).residual(theta, still)
+
+    return jax.vmap(lambda d: jax.jvp(residual, (zeros,), (d,))[1])(dict(directions))
+
+
+@eqx.filter_jit
+def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
+    prepared = prepare(responses.flown, theta)
+
+    def at_sample(x, u):
+        assert isinstance(prepared.system, EffectSystem)
+        signals = prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}
+        return {name: s for name, s in signals.items() if not isinstance(s, tuple) and jnp.ndim(s) == 0}
+
+    return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
+
+
 class AddedCoefficients:
     """Residuals of flights under inputs that are added to the coefficients, at fixed parameters `theta`."""
 
@@ -105,34 +132,6 @@ class AddedCoefficients:
         return np.concatenate(found)
 
 
-@eqx.filter_jit
-def _slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], directions: Mapping[str, Array]):
-    still = jnp.zeros(len(responses.windows.dynamics.start))
-
-    def residual(added):
-        channels = {**responses.flights.channels, **added}
-        return eqx.tree_at(lambda r: r.flights.channels, responses, channels).residual(theta, still)
-
-    return jax.vmap(lambda d: jax.jvp(residual, (zeros,), (d,))[1])(dict(directions))
-
-
-@eqx.filter_jit
-def _states(responses: OutputError, theta: Any) -> Array:
-    return responses.states(theta)
-
-
-@eqx.filter_jit
-def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
-    prepared = prepare(responses.flown, theta)
-
-    def at_sample(x, u):
-        assert isinstance(prepared.system, EffectSystem)
-        signals = prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}
-        return {name: s for name, s in signals.items() if not isinstance(s, tuple) and jnp.ndim(s) == 0}
-
-    return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
-
-
 # --- What a filter does not foresee of something added to a coefficient: to first order, its gains held.
 # A term theta phi(x) of a coefficient acts where the filter stands: on the outputs at the state before a sample's
 # correction, and on the motion from the state after it to the next sample, along which phi is taken as linear.
@@ -141,6 +140,15 @@ def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Arr
 # linearised filter).
 
 COLUMNS = 64  # at a time
+
+
+@eqx.filter_jit
+def _innovation_slopes(
+    responses: FilterError, theta: Any, known: StateDerivatives, own: InputDerivatives, series: Float[Array, "2 d n"]
+) -> Float[Array, "m c d"]:
+    flown = responses.flown
+    before, after = (jnp.moveaxis(x[:, flown.index], 0, -1) for x in series)  # w n d
+    return responses.whitened(theta, input_innovations(flown, theta, known, own, responses.by, before, after))
 
 
 class AddedToFilter(AddedCoefficients):
@@ -164,7 +172,7 @@ class AddedToFilter(AddedCoefficients):
         responses = self.responses
         assert isinstance(responses, FilterError)
         direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
-        own = _by_input(responses, self.theta, self.path.before, self.known, direction)
+        own = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
         series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
         found = []
         for begin in range(0, series.shape[1], COLUMNS):
@@ -174,17 +182,3 @@ class AddedToFilter(AddedCoefficients):
             slope = _innovation_slopes(responses, self.theta, self.known, own, jnp.asarray(wide))
             found.append(-np.moveaxis(np.asarray(slope), -1, 0)[: part.shape[1]])
         return np.concatenate(found)
-
-
-@eqx.filter_jit
-def _by_input(responses: FilterError, theta: Any, before: Array, known: StateDerivatives, direction: dict[str, Array]):
-    return derivatives_by_input(responses.flown, theta, before, known, direction)
-
-
-@eqx.filter_jit
-def _innovation_slopes(
-    responses: FilterError, theta: Any, known: StateDerivatives, own: InputDerivatives, series: Float[Array, "2 d n"]
-) -> Float[Array, "m c d"]:
-    flown = responses.flown
-    before, after = (jnp.moveaxis(x[:, flown.index], 0, -1) for x in series)  # w n d
-    return responses.whitened(theta, input_innovations(flown, theta, known, own, responses.by, before, after))

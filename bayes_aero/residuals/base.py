@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -32,6 +33,11 @@ class ResidualModel(ABC):
         """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def nameless(self) -> Self:
+        """The same without names of the flights, so that records of any name share compiled programs."""
+        return replace(self, flights=self.flights.nameless)  # pyright: ignore[reportArgumentType]
 
     @property
     @abstractmethod

@@ -53,15 +53,11 @@ class FilterError(OutputError):
         found: Filtered,
         dynamics: AircraftDynamics,
     ) -> FilterError:
-        """Innovations of a filtered record under extended dynamics.
+        """Innovations of a filtered record (`cut`) under extended dynamics, from the filter's parameters, noise and
+        result.
 
-        Args:
-            cut: the filtered segments.
-            theta: parameters of the filter.
-            R: variances of the measurement noise, (c,), SI.
-            found: the result of the filter.
-            dynamics: with more effects. They may lack states of the filter, such as gusts without intensity, and have
-                two separation points where the filter has one, with which both move while the effects are neutral.
+        `dynamics` with more effects may lack states of the filter, such as gusts without intensity, and have two
+        separation points where the filter has one, with which both move while the effects are neutral.
         """
         by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
         dynamics, states = dynamics.for_filter(), cut.dynamics.states
@@ -87,7 +83,6 @@ class FilterError(OutputError):
     @property
     def stretch(self) -> None:
         """None: innovations are stationary."""
-        return
 
     @property
     def averaged(self) -> int:
@@ -107,9 +102,8 @@ class FilterError(OutputError):
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
         """Whitened innovations at these parameters."""
-        flown = self.flown
-        e = run_observer(flown, theta, self.by).innovation
-        return self._whitened(e[..., None], prepare(flown, theta).scale)[..., 0]
+        e = run_observer(self.flown, theta, self.by).innovation
+        return self.whitened(theta, e[..., None])[..., 0]
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
         """Whitened, in units of the recorded channels."""
@@ -123,21 +117,17 @@ class FilterError(OutputError):
 
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
-        nameless, at = self.nameless, jnp.asarray(theta)
-        assert isinstance(nameless, FilterError)
         path, known = self.path_at(theta)
 
         def slopes(directions):
-            residual, slope = _slopes(nameless, at, path, known, jnp.asarray(directions))
+            residual, slope = _slopes(self.nameless, jnp.asarray(theta), path, known, jnp.asarray(directions))
             return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
 
         return slopes
 
     def path_at(self, theta: Float[np.ndarray, " k"]) -> tuple[Observed, StateDerivatives]:
         """The path of the observer at these parameters, and derivatives by the state along it."""
-        nameless = self.nameless
-        assert isinstance(nameless, FilterError)
-        return _path(nameless, jnp.asarray(theta))
+        return _path(self.nameless, jnp.asarray(theta))
 
     def whitened(self, theta: Any, e: Float[Array, "w n c d"]) -> Float[Array, "m c d"]:
         """Changes of the innovations as they change the residuals."""
@@ -148,9 +138,7 @@ class FilterError(OutputError):
         return np.zeros((len(self.place), len(outputs), 0))
 
 
-@eqx.filter_jit
-def _observer(flown, theta, R, found):
-    return observer_of(flown, theta, R, found)
+_observer = eqx.filter_jit(observer_of)
 
 
 @eqx.filter_jit

@@ -40,8 +40,7 @@ ROUNDING = 1e-9  # of the product of a frequency and a time
 def lines_in(band: Band, n: int, dt: float, name: str) -> Float[np.ndarray, " f"]:
     """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz.
 
-    Raises:
-        InputError: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
+    `InputError`: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
     """
     low, high, seconds = *band, n * dt
     if not (math.isfinite(high) and 0.0 < low < high):
@@ -124,6 +123,15 @@ class FrequencyError(InBand, EquationError):
         return cls(flights, model, whole.measuring, (), _rows(flights, band))
 
 
+_residual = eqx.filter_jit(lambda responses, theta: responses.residual(theta))
+
+
+@eqx.filter_jit
+def _slopes(responses: LinearFrequencyError, theta, directions):
+    residual, slope = jax.linearize(responses.residual, theta)
+    return residual, jax.vmap(slope)(directions)
+
+
 class LinearFrequencyError(InBand, eqx.Module):
     """Equation error of a linear card in a band: derivatives of recorded states, and further outputs.
 
@@ -161,14 +169,13 @@ class LinearFrequencyError(InBand, eqx.Module):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals at these parameters."""
-        return _evaluate(replace(self, flights=self.flights.nameless), jnp.asarray(theta)), {}
+        return _residual(self.nameless, jnp.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        nameless = replace(self, flights=self.flights.nameless)
-        residual, slope = _slopes(nameless, jnp.asarray(theta), jnp.asarray(directions))
+        residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
     def system_and_inputs(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
@@ -188,17 +195,6 @@ class LinearFrequencyError(InBand, eqx.Module):
         derivatives = jnp.stack([differentiate_joined(column, *ends) for column in x.T], axis=1)
         more = [(channels[name] - found[name])[:, None] for name in self.further]
         return self.block(jnp.concatenate([derivatives - rates, *more], axis=1))
-
-
-@eqx.filter_jit
-def _evaluate(responses: LinearFrequencyError, theta):
-    return responses.residual(theta)
-
-
-@eqx.filter_jit
-def _slopes(responses: LinearFrequencyError, theta, directions):
-    residual, slope = jax.linearize(responses.residual, theta)
-    return residual, jax.vmap(slope)(directions)
 
 
 # --- Output error of linear cards in the frequency domain, without integration.
@@ -281,7 +277,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         z = jnp.exp(1j * phase)[:, None, None]
         A, B = system.matrix[:s, :s], system.matrix[:s, s:]
         C, D = system.matrix[s:, :s], system.matrix[s:, s:]
-        P, G, H = _first_order_hold(A, B, dt)
+        i = B.shape[1]
+        big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
+        big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
+        step = expm(big)[:s]
+        P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
         end = np.sqrt(2.0 / n) * (change - H @ U[1])
         drive = U[0][..., None]
         X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ drive - z * end[:, None])[..., 0]
@@ -289,8 +289,8 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         values = self.dynamics.values(theta)
         late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
         found = {name: X[:, i] for i, name in enumerate(self.states)}
-        for i, name in enumerate(system.read):
-            found[name] = read[:, i] + found.get(name, 0.0)
+        for row, name in enumerate(system.read):
+            found[name] = read[:, row] + found.get(name, 0.0)
         delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
         return jnp.stack([found[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
 
@@ -299,15 +299,6 @@ def _complex(parts: Array | np.ndarray) -> Array:
     """Lines from their real parts, then imaginary parts."""
     parts, half = jnp.asarray(parts), len(parts) // 2
     return parts[:half] + 1j * parts[half:]
-
-
-def _first_order_hold(A: Float[Array, "s s"], B: Float[Array, "s i"], dt: Array) -> tuple[Array, Array, Array]:
-    """P, G and H of x_{i+1} = P x_i + G u_i + H u_{i+1} for x' = A x + B u with u linear between samples."""
-    s, i = B.shape
-    big = jnp.zeros((s + 2 * i, s + 2 * i))
-    big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
-    step = expm(big)[:s]
-    return step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
 
 
 @eqx.filter_jit

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -48,8 +48,8 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def nameless(self) -> OutputError:
-        """The same without names of the flights; see `Flights.nameless`."""
+    def nameless(self) -> Self:
+        """The same without names of the flights and of their windows."""
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property
@@ -84,7 +84,7 @@ class OutputError(ResidualModel, eqx.Module):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals of the windows from their measured initial states."""
-        return _evaluate(self.nameless, jnp.asarray(theta)), {}
+        return _residual(self.nameless, jnp.asarray(theta), jnp.zeros(len(self.windows.dynamics.start))), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
@@ -97,10 +97,11 @@ class OutputError(ResidualModel, eqx.Module):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        initial_directions = np.eye(len(self.windows.dynamics.start))
-        starts = range(0, len(initial_directions), DIRECTIONS_PER_CALL)
-        parts = [self._state_slopes(theta, initial_directions[i : i + DIRECTIONS_PER_CALL]) for i in starts]
-        slope = np.concatenate(parts)[:, :, keep]  # s m c
+        states, rest = len(self.windows.dynamics.start), np.zeros((DIRECTIONS_PER_CALL, len(theta)))
+        directions = np.eye(-(-states // DIRECTIONS_PER_CALL) * DIRECTIONS_PER_CALL, states)
+        parts = np.split(directions, len(directions) // DIRECTIONS_PER_CALL)  # by the program of `slopes`
+        found = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
+        slope = -np.concatenate(found)[:states][:, :, keep]  # s m c
         window = self.stretch
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))
@@ -108,15 +109,6 @@ class OutputError(ResidualModel, eqx.Module):
             mine = window == w
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
-
-    def _state_slopes(
-        self, theta: Float[np.ndarray, " k"], initial_directions: Float[np.ndarray, "d s"]
-    ) -> Float[np.ndarray, "d m c"]:
-        """Minus the derivatives in directions of the initial state, by the program of `slopes`."""
-        along = np.zeros((DIRECTIONS_PER_CALL, initial_directions.shape[1]))
-        along[: len(initial_directions)] = initial_directions
-        arguments = map(jnp.asarray, (theta, np.zeros((DIRECTIONS_PER_CALL, len(theta))), along))
-        return -np.asarray(_slopes(self.nameless, *arguments)[1])[: len(initial_directions)]
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
@@ -129,9 +121,7 @@ class OutputError(ResidualModel, eqx.Module):
         return simulate(self.flown, theta, departure).trajectory.states
 
 
-@eqx.filter_jit
-def _evaluate(responses: OutputError, theta):
-    return responses.residual(theta, jnp.zeros(len(responses.windows.dynamics.start)))
+_residual = eqx.filter_jit(lambda responses, theta, shared: responses.residual(theta, shared))
 
 
 @eqx.filter_jit

@@ -68,8 +68,17 @@ class Scaling:
     rms: float
 
     @classmethod
-    def of(cls, X: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"], names: tuple[str, ...]) -> "Scaling":
-        """Scaling of training inputs (n, d) and output (n,); a constant input or a zero output is refused."""
+    def of(cls, X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> "Scaling":
+        """Scaling of training inputs (n, d) and output (n,); data that cannot be fitted are refused."""
+        if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
+            raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
+        n, d = X.shape
+        if n < 2 * d + 4:
+            raise InputError(f"{n} samples cannot determine {2 * d + 3} hyperparameters; give more samples.")
+        for name, column in (*zip(names, X.T, strict=True), ("output", y)):
+            if not np.all(np.isfinite(column)):
+                at = int(np.flatnonzero(~np.isfinite(column))[0])
+                raise InputError(f"{name} is not finite at sample {at}; remove or repair that sample.")
         mean, sd, rms = X.mean(axis=0), X.std(axis=0), float(np.sqrt(np.mean(y**2)))
         flat = sd <= 1e-12 * (np.abs(mean) + np.max(np.abs(X), axis=0))
         if np.any(flat):
@@ -238,7 +247,7 @@ class Priors:
             self.constant.log_density(theta[0])
             + jnp.sum(self.linear.log_density(theta[1 : d + 1]))
             + self.signal.log_density(theta[d + 1])
-            + jnp.sum(self.length.log_density(theta[d + 2 : 2 * d + 2]))
+            + jnp.sum(self.length.log_density(theta[length_slice(d)]))
             + self.noise.log_density(theta[2 * d + 2])
         )
 

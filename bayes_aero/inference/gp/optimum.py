@@ -19,8 +19,6 @@ from scipy.optimize import minimize
 from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, ReducedStats, stats_and_gradient
 from bayes_aero.inference.gp.kernel import HyperPrior, Priors, length_slice, noise_to_signal
 
-__all__ = ["MapStatus", "Optimum", "curvature", "find_map", "maximise"]
-
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
@@ -63,7 +61,7 @@ class _NotPositiveDefiniteError(Exception):
     """R has no Cholesky factor at this u."""
 
 
-class Profile:
+class ProfilePosterior:
     """max over w of log q + log p(y | w, u), remembering the last w as the next start
     and every exact evaluation in `points`."""
 
@@ -107,7 +105,7 @@ def maximise(
 
     Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
     """
-    profile = Profile(data, priors, w)
+    profile = ProfilePosterior(data, priors, w)
     box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
     best: tuple[float, np.ndarray, np.ndarray] | None = None
 
@@ -194,22 +192,18 @@ def find_map(
         found = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in found]
         found = distinct(found, polish)
     tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
-    found = [_polish(o, middle, data, priors) for o in found[:polish]]
-    return distinct(found, polish)
-
-
-def _polish(optimum: Optimum, middle: ReducedData, data: ReducedData, priors: Priors) -> Optimum:
-    """The optimum of all points from that of the thinned ones, whose curvature grows with n."""
-    w = optimum.theta[: optimum.u.size + 1]
-    if data.n == middle.n or optimum.status is not MapStatus.converged:
-        return maximise(optimum.u, data, priors, w=w)
-    covariance, _ = curvature(optimum, middle, priors)
-    return maximise(optimum.u, data, priors, w=w, covariance=covariance * middle.n / data.n)
+    whole = []
+    for o in found[:polish]:
+        guess = None
+        if data.n > middle.n and o.status is MapStatus.converged:  # the curvature grows with n
+            guess = curvature(o, middle, priors)[0] * middle.n / data.n
+        whole.append(maximise(o.u, data, priors, w=o.theta[: d + 2], covariance=guess))
+    return distinct(whole, polish)
 
 
 def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Float[np.ndarray, "u u"], list[ExactPoint]]:
     """Laplace covariance of u (standard deviation at most 1.5 in undetermined directions), and its exact points."""
-    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+    profile = ProfilePosterior(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
     u = optimum.u
     _, base, _ = profile(u)
     rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
@@ -306,7 +300,10 @@ def best_sizes(
         promised, length = g @ step, np.max(np.abs(step))
         step *= min(1.0, radius / max(length, 1e-300))
         there = np.clip(w + step, low, high)
-        new = _slopes_or_none(there, u, stats, n, priors)
+        try:
+            new = slopes(there, u, stats, n, priors)
+        except np.linalg.LinAlgError:  # sds too far apart for double precision
+            new = None
         if new is not None and new.value >= at.value:
             w, at, radius = there, new, min(2.0 * radius, MAX_STEP)
         else:
@@ -314,10 +311,3 @@ def best_sizes(
         if promised < GAIN_TOLERANCE * max(1e3, abs(at.value)) or radius < MIN_STEP:
             break
     return w, at
-
-
-def _slopes_or_none(w, u, stats, n, priors) -> Slopes | None:
-    try:
-        return slopes(w, u, stats, n, priors)
-    except np.linalg.LinAlgError:  # sds too far apart for double precision
-        return None

@@ -14,8 +14,9 @@ from jaxtyping import Float, Int
 
 from bayes_aero.inference.gp.emulator import Emulator, ExactPoint, ReducedData, fit_emulator, stats_and_gradient
 from bayes_aero.inference.gp.kernel import Priors, Scaling, hyper_names, noise_to_signal
-from bayes_aero.inference.gp.optimum import Optimum, Profile, curvature
+from bayes_aero.inference.gp.optimum import Optimum, ProfilePosterior, curvature
 from bayes_aero.inference.gp.sampling import (
+    K_LIMIT,
     TEMPER,
     Chains,
     SampleStatus,
@@ -33,7 +34,6 @@ DESIGN_SPREAD = 1.4  # the design is drawn this many times wider than the Laplac
 # CD a scatter of 0.16 was refused after them.
 PILOT_ERROR = 0.1
 MAX_GAP = 30.0  # nats below the best point, beyond which a point no longer trains the stand-in
-RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 
 class Budget(NamedTuple):
@@ -58,19 +58,6 @@ class Sampled(NamedTuple):
     rounds: int
 
 
-def stand_in_errors(
-    theta: Float[np.ndarray, "draws p"],
-    stand_in: Float[np.ndarray, " draws"],
-    points: list[ExactPoint],
-    n: int,
-    priors: Priors,
-) -> Float[np.ndarray, " draws"]:
-    """Exact minus stand-in log density, from exact points at the draws' own u."""
-    value = compiled_posterior(priors)
-    exact = [value(t, p.stats.logdet, p.stats.gram, float(n))[0] for t, p in zip(theta, points, strict=True)]
-    return np.array(exact, float) - stand_in
-
-
 def sample_posterior(
     optimum: Optimum,
     data: ReducedData,
@@ -86,10 +73,14 @@ def sample_posterior(
     root = np.linalg.cholesky(covariance)
     while len(points) < budget.design:
         u = optimum.u + DESIGN_SPREAD * root @ rng.normal(size=optimum.u.size)
-        points.append(_exact_point(u, data))
+        points.append(ExactPoint(u, *stats_and_gradient(u, data)))
         tell(f"training the stand-in: {len(points)} of {budget.design}")
     for number in range(1, budget.rounds + 1):
-        emulator = _train(points, optimum, data, priors)
+        usable = [p for p in points if p.stats.ok]
+        profile = ProfilePosterior(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+        level = np.array([profile.inner(p.u, p.stats).value for p in usable])
+        kept = level > np.max(level) - MAX_GAP  # very improbable points would distort the stand-in
+        emulator = fit_emulator([p for p, k in zip(usable, kept, strict=True) if k], level[kept])
         run = partial(sample_emulated, optimum.theta, emulator, data.n, priors, budget.nuts)
         tell(f"NUTS, round {number}")
         chains = run(seed + 100 * number)
@@ -100,36 +91,19 @@ def sample_posterior(
         if not last and not error < PILOT_ERROR:
             continue
         for again in range(1, budget.extensions + 1):
-            if not _mixed(chains):
+            if not chains.mixed:
                 tell(f"NUTS, round {number}, extension {again}")
                 chains = join(chains, run(seed + 100 * number + again, chains.theta[:, -1]))
-        if not _mixed(chains):
+        if not chains.mixed:
             if not last:  # a rough stand-in holds chains up; the pilots smooth the next one
                 continue
             return Sampled(chains, None, emulator, SampleStatus.not_mixed, number)
         weighted = reweight(*thin(chains, budget.exact), data, priors, tell)
         if last or weighted.status is SampleStatus.accepted:
             return Sampled(chains, weighted, emulator, weighted.status, number)
-        points += _points(weighted)
+        flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])  # refused: values without derivatives train, too
+        points += [ExactPoint(noise_to_signal(t), s, None) for t, s in zip(flat, weighted.stats, strict=False)]
     raise AssertionError("the last round returns")
-
-
-def _mixed(chains: Chains) -> bool:
-    """Whether the chains agree and have enough independent draws (Vehtari et al. 2021)."""
-    return bool(np.max(chains.rhat) <= RHAT_LIMIT and np.min(chains.ess) >= ESS_LIMIT)
-
-
-def _train(points: list[ExactPoint], optimum: Optimum, data: ReducedData, priors: Priors) -> Emulator:
-    """Stand-in from the exact points, without very improbable ones, which would distort it."""
-    usable = [p for p in points if p.stats.ok]
-    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
-    level = np.array([profile.inner(p.u, p.stats).value for p in usable])
-    kept = level > np.max(level) - MAX_GAP
-    return fit_emulator([p for p, k in zip(usable, kept, strict=True) if k], level[kept])
-
-
-def _exact_point(u: Float[np.ndarray, " u"], data: ReducedData) -> ExactPoint:
-    return ExactPoint(u, *stats_and_gradient(u, data))
 
 
 def _pilot(
@@ -138,17 +112,14 @@ def _pilot(
     """A few exact points at random draws, and the scatter of the stand-in's error over them (inf if any failed)."""
     flat = chains.theta.reshape(-1, chains.theta.shape[-1])
     at = rng.choice(len(flat), count, replace=False)
-    points = [_exact_point(noise_to_signal(t), data) for t in flat[at]]
+    us = [noise_to_signal(t) for t in flat[at]]
+    points = [ExactPoint(u, *stats_and_gradient(u, data)) for u in us]
     if not all(p.stats.ok for p in points):
         return points, np.inf
-    errors = stand_in_errors(flat[at], chains.log_density.ravel()[at] / TEMPER, points, data.n, priors)
-    return points, float(np.std(errors))
-
-
-def _points(weighted: Weighted) -> list[ExactPoint]:
-    """The exact evaluations behind refused weights, values without derivatives, to train the next stand-in."""
-    flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
-    return [ExactPoint(noise_to_signal(t), s, None) for t, s in zip(flat, weighted.stats, strict=False)]
+    density = compiled_posterior(priors)
+    pairs = zip(flat[at], points, strict=True)
+    exact = np.array([density(t, p.stats.logdet, p.stats.gram, float(data.n))[0] for t, p in pairs], float)
+    return points, float(np.std(exact - chains.log_density.ravel()[at] / TEMPER))
 
 
 # --- The sampled hyperparameters as an ArviZ DataTree, in physical units.
@@ -210,7 +181,7 @@ def posterior_tree(
     )
     facts = {
         "k_hat": weighted.k_hat,
-        "k_limit": weighted.k_limit,
+        "k_limit": K_LIMIT,
         "weight_ess": weighted.ess,
         "rounds": sampled.rounds,
         "divergences": chains.divergences,

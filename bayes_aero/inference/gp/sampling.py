@@ -21,6 +21,7 @@ from bayes_aero.inference.gp.kernel import Priors, length_slice, noise_to_signal
 # The stand-in is sampled to this power: draws then reach a little further out than the posterior does, so the weights
 # that bring them back are bounded where a stand-in without would miss a tail. Costs 5 % of the draws in 11 dimensions.
 TEMPER = 0.9
+RHAT_LIMIT, ESS_LIMIT = 1.01, 400.0
 
 
 class Settings(NamedTuple):
@@ -40,6 +41,18 @@ class Chains(NamedTuple):
     rhat: Float[np.ndarray, " p"]
     ess: Float[np.ndarray, " p"]
 
+    @classmethod
+    def of(cls, theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
+        """With R-hat and bulk ESS by ArviZ."""
+        columns = np.moveaxis(theta, -1, 0)
+        rhat, ess = (np.array([f(c) for c in columns]) for f in (array_stats.rhat, array_stats.ess))
+        return cls(theta, density, divergences, rhat, ess)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether the chains agree and have enough independent draws (Vehtari et al. 2021)."""
+        return bool(np.max(self.rhat) <= RHAT_LIMIT and np.min(self.ess) >= ESS_LIMIT)
+
 
 def emulated_density(
     theta: Float[Array, " p"], emulator: Emulator, n: Float[Array, ""], priors: Priors
@@ -51,35 +64,28 @@ def emulated_density(
     return small_posterior(theta, logdet, gram, n, priors) + penalty
 
 
-@lru_cache(maxsize=8)
-def _hessian(priors: Priors):
-    return jax.jit(jax.hessian(partial(emulated_density, priors=priors)))
+_hessian = jax.jit(jax.hessian(emulated_density), static_argnums=3)
 
 
 def laplace_root(
     theta: Float[np.ndarray, " p"], emulator: Emulator, n: float, priors: Priors
 ) -> Float[np.ndarray, "p p"]:
     """Square root of the Laplace covariance at theta; directions that the data leave open get an sd of 1.5."""
-    hessian = np.asarray(_hessian(priors)(jnp.asarray(theta), emulator, jnp.asarray(n)))
+    hessian = np.asarray(_hessian(jnp.asarray(theta), emulator, jnp.asarray(n), priors))
     values, vectors = np.linalg.eigh(-0.5 * (hessian + hessian.T))
     return vectors / np.sqrt(np.maximum(values, 1.0 / 1.5**2))
-
-
-def _potential(priors: Priors):
-    """Of coordinates w, theta = optimum + root w: what differs between coefficients and rounds is an argument."""
-
-    def of(theta_map, root, n, emulator):
-        return lambda w: -TEMPER * emulated_density(theta_map + root @ w, emulator, n, priors)
-
-    return of
 
 
 @lru_cache(maxsize=8)
 def _sampler(priors: Priors, settings: Settings):
     """numpyro's functional NUTS, compiled once for every shape of data: MCMC would compile anew for every run."""
 
+    def potential(theta_map, root, n, emulator):
+        """Of w, theta = optimum + root w: what differs between coefficients and rounds is an argument."""
+        return lambda w: -TEMPER * emulated_density(theta_map + root @ w, emulator, n, priors)
+
     def chain(key, w, target):
-        begin, sample = hmc(potential_fn_gen=_potential(priors), algo="NUTS")
+        begin, sample = hmc(potential_fn_gen=potential, algo="NUTS")
         state = begin(
             w,
             settings.warmup,
@@ -100,19 +106,11 @@ def _sampler(priors: Priors, settings: Settings):
     return jax.jit(jax.vmap(chain, in_axes=(0, 0, None)))
 
 
-def _summary(theta: np.ndarray, density: np.ndarray, divergences: int) -> Chains:
-    """Chains with their R-hat and bulk ESS, by ArviZ."""
-    columns = np.moveaxis(theta, -1, 0)
-    rhat = np.array([array_stats.rhat(c) for c in columns])
-    ess = np.array([array_stats.ess(c) for c in columns])
-    return Chains(theta, density, divergences, rhat, ess)
-
-
 def join(first: Chains, then: Chains) -> Chains:
     """Two runs on one density, the second started where the first ended, as one."""
     theta = np.concatenate([first.theta, then.theta], axis=1)
     density = np.concatenate([first.log_density, then.log_density], axis=1)
-    return _summary(theta, density, first.divergences + then.divergences)
+    return Chains.of(theta, density, first.divergences + then.divergences)
 
 
 def sample_emulated(
@@ -133,7 +131,7 @@ def sample_emulated(
         w = jnp.asarray(np.linalg.solve(root, (start - theta).T).T)
     drawn = _sampler(priors, settings)(jax.random.split(keys[1], settings.chains), w, args)
     w, density, diverging = (np.asarray(x) for x in drawn)
-    return _summary(theta + w @ root.T, density, int(diverging.sum()))
+    return Chains.of(theta + w @ root.T, density, int(diverging.sum()))
 
 
 # --- From draws of the stand-in to draws of the exact posterior, with the stand-in's error measured and removed.
@@ -142,7 +140,7 @@ def sample_emulated(
 # says whether that works: above 0.7 the stand-in is refused.
 
 
-K_LIMIT = 0.7
+K_LIMIT = 0.7  # largest Pareto k that is accepted; its standard error is about 0.2 on this few draws
 ESS_SHARE = 0.3  # k judges the tail of the weights only; a stand-in beside the posterior shows in their ESS
 
 
@@ -190,16 +188,11 @@ class Weighted(NamedTuple):
     stats: tuple[ReducedStats, ...] = ()  # of every draw, flat: they can train the next stand-in
 
     @property
-    def k_limit(self) -> float:
-        """Largest Pareto k that is accepted; k has a standard error of about 0.2 on this few draws."""
-        return K_LIMIT
-
-    @property
     def status(self) -> SampleStatus:
         """Verdict on the stand-in."""
         if self.failures:
             return SampleStatus.not_positive_definite
-        if self.k_hat > self.k_limit:
+        if self.k_hat > K_LIMIT:
             return SampleStatus.pareto_k
         return SampleStatus.accepted if self.ess >= ESS_SHARE * self.exact.size else SampleStatus.few_effective
 
@@ -211,17 +204,13 @@ def thin(chains: Chains, draws: int) -> tuple[np.ndarray, np.ndarray]:
     return chains.theta[:, at], chains.log_density[:, at]
 
 
-def _log_sum(x: Float[np.ndarray, "*shape"]) -> float:
-    return float(np.asarray(logsumexp(x)))
-
-
 def pareto_smooth(log_ratio: Float[np.ndarray, "*shape"]) -> tuple[Float[np.ndarray, "*shape"], float]:
     """Normalised smoothed log weights and Pareto k. (ArviZ's psislw takes *minus* the log-ratio, as in LOO.)"""
     if np.ptp(log_ratio) < 1e-12:
         return np.full(log_ratio.shape, -np.log(log_ratio.size)), -np.inf  # no error, hence no tail to fit
     smoothed, k_hat = array_stats.psislw(-log_ratio.ravel())
     smoothed = np.asarray(smoothed)
-    return (smoothed - _log_sum(smoothed)).reshape(log_ratio.shape), float(k_hat)
+    return (smoothed - float(logsumexp(smoothed))).reshape(log_ratio.shape), float(k_hat)
 
 
 def reweight(
@@ -233,7 +222,7 @@ def reweight(
 ) -> Weighted:
     """Evaluate every theta exactly (one factorisation each) and weigh it."""
     flat = theta.reshape(-1, theta.shape[-1])
-    exact: list[LogDensity] = []
+    exact: list[ExactDensity] = []
     for i, t in enumerate(flat):
         exact.append(log_density(t, data, priors, gradient=False))
         tell(f"exact evaluation {i + 1} of {len(flat)}")
@@ -243,7 +232,7 @@ def reweight(
         nothing = np.full(value.shape, np.nan)
         return Weighted(theta, value, stand_in, nothing, np.inf, 0.0, failures)
     log_weight, k_hat = pareto_smooth(value - stand_in)
-    ess = float(np.exp(-_log_sum(2.0 * log_weight)))
+    ess = float(np.exp(-float(logsumexp(2.0 * log_weight))))
     return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(e.stats for e in exact))
 
 
@@ -281,7 +270,7 @@ def compiled_posterior(priors: Priors):
     return jax.jit(jax.value_and_grad(partial(small_posterior, priors=priors), argnums=(0, 1, 2)))
 
 
-class LogDensity(NamedTuple):
+class ExactDensity(NamedTuple):
     """Log posterior density, its gradient (p,), and whether K was positive definite (else both are NaN)."""
 
     value: float
@@ -292,7 +281,7 @@ class LogDensity(NamedTuple):
 
 def log_density(
     theta: Float[np.ndarray, " p"], data: ReducedData, priors: Priors, *, gradient: bool = True
-) -> LogDensity:
+) -> ExactDensity:
     """log q(theta) + log p(y | theta) at all n points, with the analytic gradient in theta (log, scaled units)."""
     d, u = data.x.shape[1], noise_to_signal(theta)
     if gradient:
@@ -300,7 +289,7 @@ def log_density(
     else:
         stats, du = reduced_stats(u, data), None
     if not stats.ok:
-        return LogDensity(np.nan, np.full(theta.size, np.nan), False, stats)
+        return ExactDensity(np.nan, np.full(theta.size, np.nan), False, stats)
     value, (by_theta, by_logdet, by_gram) = compiled_posterior(priors)(theta, stats.logdet, stats.gram, data.n)
     total = np.array(by_theta)
     if du is None:
@@ -310,4 +299,4 @@ def log_density(
         total[length_slice(d)] += by_u[:d]
         total[d + 1] -= 2.0 * by_u[d]
         total[-1] += 2.0 * by_u[d]
-    return LogDensity(float(value), total, bool(np.isfinite(value)), stats)
+    return ExactDensity(float(value), total, bool(np.isfinite(value)), stats)

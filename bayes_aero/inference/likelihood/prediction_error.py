@@ -157,8 +157,7 @@ def fit_prediction_error(
         F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
         R: variances of the measurement noise to start from, (c,), SI.
         start: parameters, (k,); default: the starting values of the model.
-        start_deviation: standard deviation of the measured initial state, (s,), SI; default: that of flight-test
-            sensors, 0 where the segments begin at a fixed state.
+        start_deviation: of the measured initial state, (s,), SI; default: of flight-test sensors, 0 of a fixed state.
         held: parameters that are not estimated, and their values.
         priors: whether the parameters' priors count.
         exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
@@ -180,8 +179,7 @@ def fit_prediction_error(
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
     if not math.isfinite(current.cost):
         status = PredictionErrorStatus.DIVERGED
-    k, s, moving = problem.k, problem.s, problem.moving
-    covariance = covariance_of(current.information, moving)
+    k, s = problem.k, problem.s
     return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
@@ -189,7 +187,7 @@ def fit_prediction_error(
         point[:k],
         np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         np.exp(point[k + s :]),
-        covariance,
+        covariance_of(current.information, problem.moving),
         problem.prior_cost(point) - current.cost,
         current.cost,
         problem.path(point)[1],
@@ -198,11 +196,20 @@ def fit_prediction_error(
     )
 
 
-def _resolutions(flown: SegmentTrajectories) -> list[float]:
-    """Resolution of each recorded output, SI; the finest of several manoeuvres."""
-    flights = flown.flights
-    own = [np.flatnonzero(flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-    return [min(quantum(np.asarray(flights.channels[name])[rows]) for rows in own) for name in flown.outputs]
+@runtime_checkable
+class Problem(Protocol):
+    """A cost to be minimised over j variables.
+
+    `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
+    """
+
+    moving: Bool[np.ndarray, " j"]
+    bounds: Float[np.ndarray, "j 2"]
+    step_limit: Float[np.ndarray, " j"]
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """The cost at a point."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -215,6 +222,7 @@ class _Problem:
     mean: Float[np.ndarray, " j"]
     precision: Float[np.ndarray, " j"]
     bounds: Float[np.ndarray, "j 2"]
+    step_limit: Float[np.ndarray, " j"]
     _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
 
     @classmethod
@@ -235,10 +243,13 @@ class _Problem:
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
-        rounding = [step**2 / ROUNDING_DIVISOR for step in _resolutions(flown)]
-        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, variance) for variance in rounding)]
+        channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
+        own = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        steps = [min(quantum(np.asarray(channels[name])[rows]) for rows in own) for name in flown.outputs]  # the finest
+        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
-        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds)
+        limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
+        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds, limit)
 
     @property
     def k(self) -> int:
@@ -249,11 +260,6 @@ class _Problem:
     def s(self) -> int:
         """Number of states."""
         return len(self.flown.dynamics.states)
-
-    @property
-    def step_limit(self) -> Float[np.ndarray, " j"]:
-        """Largest change of each variable in one step: `LOG_STEP_LIMIT` for logarithms, none for parameters."""
-        return np.where(np.arange(len(self.moving)) < self.k, np.inf, LOG_STEP_LIMIT)
 
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
         """Minus the log of the priors, but for a constant."""
@@ -312,30 +318,6 @@ class Evaluation(NamedTuple):
     information: Float[np.ndarray, "j j"]
 
 
-@runtime_checkable
-class Problem(Protocol):
-    """A cost to be minimised over j variables."""
-
-    @property
-    def moving(self) -> Bool[np.ndarray, " j"]:
-        """Which variables are estimated; the others are held."""
-        ...
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "j 2"]:
-        """Lower and upper bound of each variable."""
-        ...
-
-    @property
-    def step_limit(self) -> Float[np.ndarray, " j"]:
-        """Largest change of each variable in one step."""
-        ...
-
-    def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """The cost at a point."""
-        ...
-
-
 def minimise(
     problem: Problem,
     point: Float[np.ndarray, " j"],
@@ -346,19 +328,11 @@ def minimise(
 ) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
     """Minimise the cost until the expected gain of a step is below `tolerance`.
 
-    An approximate gradient cannot correct the curvature, and a step with an actual gain below `tolerance` ends the
-    search. Its Newton steps are truncated at their limits: a noise variance that falls together with all other
-    variables, far from the minimum, may end at zero, where the cost is flat.
+    An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
+    `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
+    with all other variables, far from the minimum, may end at zero, where the cost is flat.
 
-    Args:
-        problem: cost, bounds and step limits.
-        point: start, (j,).
-        evaluate: cost, gradient and information at a point.
-        tolerance: gain in cost.
-        approximate: whether the gradient of `evaluate` is approximate.
-
-    Returns:
-        The last point, its evaluation, whether the search converged, and the number of steps.
+    Returns the last point, its evaluation, whether the search converged, and the number of steps.
     """
     current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
     moving, converged, curvature = problem.moving, False, current.information
