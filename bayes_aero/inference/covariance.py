@@ -25,19 +25,16 @@ def robust_covariance(
     start: Bool[np.ndarray, " n"],
     dt: float,
 ) -> tuple[Float[np.ndarray, "k k"], int]:
-    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks.
-
-    Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
-    sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
-    covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also holds
-    where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor (HC3: each
-    is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by Student's t
-    with the number of blocks less the number of parameters as degrees of freedom.
-
-    Source: Morelli and Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953;
-    HC3 and the larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly
-    Harmless Econometrics*, 2009, ch. 8.
-    """
+    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks."""
+    # Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
+    # sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
+    # covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also
+    # holds where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor
+    # (HC3: each is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by
+    # Student's t with the number of blocks less the number of parameters as degrees of freedom. Source: Morelli and
+    # Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953; HC3 and the
+    # larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly Harmless
+    # Econometrics*, 2009, ch. 8.
     from scipy.signal import lfilter  # here, for commands that only read records do without it
     from scipy.stats import norm, t
 
@@ -85,12 +82,10 @@ DRAWS = 20  # of the modelled noise, for each mean
 
 
 def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.ndarray, "m c c"]:
-    """Autocovariance R(k) = (1/n) sum_i r_i r_(i-k)' for k = -lags .. lags, tapered by Parzen's window.
-
-    The biased estimate with a positive-definite window keeps the sequence positive semidefinite, so no corrected
-    variance can come out negative. The full untapered sequence would sum to nearly zero, because the fitted
-    residuals are orthogonal to the sensitivities; the window is what makes it consistent.
-    """
+    """Autocovariance R(k) = (1/n) sum_i r_i r_(i-k)' for k = -lags .. lags, tapered by Parzen's window."""
+    # The biased estimate with a positive-definite window keeps the sequence positive semidefinite, so no corrected
+    # variance can come out negative. The full untapered sequence would sum to nearly zero, because the fitted residuals
+    # are orthogonal to the sensitivities; the window is what makes it consistent.
     n, _ = residual.shape
     size = int(next_fast_len(2 * n) or 2 * n)
     spectrum = np.fft.rfft(residual, size, axis=0)
@@ -109,12 +104,10 @@ def corrected_covariance(
     manoeuvre: Int[np.ndarray, " n"],
     start: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "k k"]:
-    """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre.
-
-    Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
-    are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
-    neighbours, and the autocovariance is that of the longest stretch.
-    """
+    """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre."""
+    # Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
+    # are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
+    # neighbours, and the autocovariance is that of the longest stretch.
     W = S / R[:, None]
     total = np.zeros_like(D)
     for number in np.unique(manoeuvre):
@@ -198,18 +191,14 @@ def means(x: Shaped[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m
 
 
 def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float) -> Float[np.ndarray, " k"]:
-    """Variances of the estimates over those of `corrected_covariance`, (k,), for noise as the `residual` shows it.
-
-    A fit takes out of the residuals what is like its sensitivities, above all what disturbs the flight and adds up in
-    its motion; and the window, a fixed share of the record, leaves the variance uncertain. Both are calculated for a
-    model of the noise: of each sensor, white and of first order with the time constants `SENSOR_MEMORY`, and random
-    disturbances of each state, whose response is that to the initial state, later. The intensities are those with
-    which the residuals, filtered by each response, have the expected mean squares after the fit. `fit` and `residual`
-    are means over some samples, `dt` apart.
-
-    Source: Rao, J. Multivariate Analysis 1 (1971) 257 (intensities by expected squares); Beran, Biometrika 74 (1987)
-    457 (calibration by draws of the estimated noise).
-    """
+    """Variances of the estimates over those of `corrected_covariance`, (k,), for noise as the `residual` shows it."""
+    # A fit takes out of the residuals what is like its sensitivities, above all what disturbs the flight and adds up in
+    # its motion; and the window, a fixed share of the record, leaves the variance uncertain. Both are calculated for a
+    # model of the noise: of each sensor, white and of first order with the time constants `SENSOR_MEMORY`, and random
+    # disturbances of each state, whose response is that to the initial state, later. The intensities are those with
+    # which the residuals, filtered by each response, have the expected mean squares after the fit. `fit` and `residual`
+    # are means over some samples, `dt` apart. Source: Rao, J. Multivariate Analysis 1 (1971) 257 (intensities by
+    # expected squares); Beran, Biometrika 74 (1987) 457 (calibration by draws of the estimated noise).
     (w, n, c), rng = residual.shape, np.random.default_rng(0)
     size = int(next_fast_len(2 * n) or 2 * n)
     time = dt * np.arange(n)[:, None, None]
@@ -248,11 +237,9 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
 def cluster_covariance(
     contributions: Float[np.ndarray, "m k"], block: Int[np.ndarray, " m"]
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks.
-
-    `contributions` of each sample: residuals weighed by sensitivities give the score's. Source: Liang and Zeger,
-    Biometrika 73 (1986) 13.
-    """
+    """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks."""
+    # `contributions` of each sample: residuals weighed by sensitivities give the score's. Source: Liang and Zeger,
+    # Biometrika 73 (1986) 13.
     count = int(block.max()) + 1
     sums = np.zeros((count, contributions.shape[1]))
     np.add.at(sums, block, contributions)
@@ -260,12 +247,10 @@ def cluster_covariance(
 
 
 def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
-    """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'.
-
-    A block that alone determines a parameter has no residual in its direction; `cluster_covariance` takes this for
-    agreement. Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all blocks;
-    Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.
-    """
+    """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'."""
+    # A block that alone determines a parameter has no residual in its direction; `cluster_covariance` takes this for
+    # agreement. Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all
+    # blocks; Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.
     return moves.T @ moves * (len(moves) - 1.0) / len(moves)
 
 

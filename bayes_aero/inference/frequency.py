@@ -73,10 +73,9 @@ def fit_in_band(
     band: tuple[float, float],
     method: str = EQUATION_ERROR,
 ) -> FrequencyFit:
-    """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`.
-
-    Parameters that the band does not show, such as constants, keep their start: (k,), SI, of a fit in the time domain.
-    """
+    """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
+    # Parameters that the band does not show, such as constants, keep their start: (k,), SI, of a fit in the time
+    # domain.
     theta, outputs = np.asarray(start, float).copy(), responses.outputs
     lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
     residual, S = responses.linearise(theta)
@@ -180,10 +179,8 @@ def _result(
 def without_noise_bias_in_band(
     fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
 ) -> FrequencyFit:
-    """The estimate without the bias by noise of the recorded regressors, as `mle.without_noise_bias` has it.
-
-    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
-    """
+    """The estimate without the bias by noise of the recorded regressors, as `mle.without_noise_bias` has it."""
+    # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if not fit.converged:
         return fit
     flights, rng, moves = responses.flights, np.random.default_rng(seed), []
@@ -207,12 +204,10 @@ def without_noise_bias_in_band(
 
 
 def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
-    """The fit with its differences from that of the same coefficients in the time domain, in standard errors.
-
-    Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
-    from the other frequencies, which is independent of it; M is the share of the band in the information. So the
-    covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
-    """
+    """The fit with its differences from that of the same coefficients in the time domain, in standard errors."""
+    # Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
+    # from the other frequencies, which is independent of it; M is the share of the band in the information. So the
+    # covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
     place = [mle.names.index(name) for name in fit.names]
     V_t, V_f, D = mle.corrected[np.ix_(place, place)], fit.corrected, mle.covariance[np.ix_(place, place)]
     M = D @ sum(inner / mle.R[c] for c, inner in enumerate(fit.inner.values()))
@@ -230,10 +225,9 @@ def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
 def coefficients_in_band(
     records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
 ) -> FrequencyFit:
-    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts.
-
-    The records are one a manoeuvre, without spikes. `InputError`: the band is empty or holds no frequency of a record.
-    """
+    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts."""
+    # The records are one a manoeuvre, without spikes. `InputError`: the band is empty or holds no frequency of a
+    # record.
     flights = join(at_common_rate(records), card, required_of(model.axes))
     responses = FrequencyError.in_band(flights, model, band)
     fit = without_noise_bias_in_band(
@@ -245,10 +239,8 @@ def coefficients_in_band(
 def linear_in_band(
     flights: Flights, dynamics: Dynamics, band: Band
 ) -> tuple[tuple[FrequencyFit, FrequencyFit], tuple[FrequencyResponse, ...]]:
-    """Equation error of a linear card in a band, output error from there, and responses.
-
-    `InputError`: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
-    """
+    """Equation error of a linear card in a band, output error from there, and responses."""
+    # `InputError`: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
     dt = np.asarray(flights.channels["dt"], float)
     if np.ptp(dt) > 1e-6 * dt[0]:
         raise InputError("the manoeuvres have different sampling times; give --resample")
@@ -277,11 +269,9 @@ Combination = tuple[tuple[str, float], ...]
 def frequency_responses(
     flights: Flights, dynamics: LinearDynamics, fit: FrequencyFit, *, seed: int = 0
 ) -> tuple[FrequencyResponse, ...]:
-    """Responses of every recorded output to every input of the card, in the band of `fit`.
-
-    Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
-    `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
-    """
+    """Responses of every recorded output to every input of the card, in the band of `fit`."""
+    # Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
+    # `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
     terms: dict[tuple[int, str], list[tuple[str, float]]] = {}  # what a parameter multiplies: no state, no constant
     for i, (_, row) in enumerate(dynamics.rows.rows):
         for term in row:

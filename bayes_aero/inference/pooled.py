@@ -97,8 +97,8 @@ class PooledDraws(NamedTuple):
 
     aircraft: Float[np.ndarray, "chain draw k"]
     scatter: Float[np.ndarray, "chain draw k"]
-    next_flight: Float[np.ndarray, "chain draw k"]
-    manoeuvre: Float[np.ndarray, "chain draw m k"]
+    following: Float[np.ndarray, "chain draw k"]
+    manoeuvres: Float[np.ndarray, "chain draw m k"]
 
 
 def pool(
@@ -167,10 +167,8 @@ def next_flight(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> NextFlight:
-    """Pool the fits `alone` of manoeuvres: parameters scatter around the aircraft's, by an amount that is sampled.
-
-    In SI and radians. Raises `InputError` where fewer than two of the fits are usable.
-    """
+    """Pool the fits `alone` of manoeuvres: parameters scatter around the aircraft's, by an amount that is sampled."""
+    # In SI and radians. Raises `InputError` where fewer than two of the fits are usable.
     began = time.perf_counter()
     given = normal_estimates(model, observations, alone)
     if len(given.names) < 2:
@@ -183,7 +181,9 @@ def next_flight(
     units = {name: _each(model.free, prior_unit, alone[name].estimate) for name in given.names}
     stats = {name: np.asarray(x) for name, x in sampled.tree["sample_stats"].to_dataset().items()}
     coords = {"parameter": list(names), "flown": list(given.names)}
-    tree = azb.from_dict({"posterior": drawn._asdict(), "sample_stats": stats}, dims=SHAPES, coords=coords)
+    tree = azb.from_dict(
+        {"posterior": dict(zip(SHAPES, drawn, strict=True)), "sample_stats": stats}, dims=SHAPES, coords=coords
+    )
     tree.attrs |= {"engine": sampled.engine, "likelihood": sampled.noise}
     return NextFlight(
         parameters=model.free,
@@ -196,10 +196,10 @@ def next_flight(
             }
             for m, name in enumerate(given.names)
         },
-        pooled={name: diagnose(drawn.manoeuvre[:, :, m], names) for m, name in enumerate(given.names)},
+        pooled={name: diagnose(drawn.manoeuvres[:, :, m], names) for m, name in enumerate(given.names)},
         aircraft=diagnose(drawn.aircraft, names),
         scatter=diagnose(drawn.scatter, names),
-        following=diagnose(drawn.next_flight, names),
+        following=diagnose(drawn.following, names),
         narrowed={name: one.sd / HALF_NORMAL_SD for name, one in sampled.marginals.items()},
         undetermined={
             name: tuple(m for m, says in zip(given.names, given.determined[:, i], strict=True) if not says)
@@ -259,7 +259,7 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
     used = {name: fit for name, fit in alone.items() if fit.status in USABLE}
     y, information = [], []
     for name, fit in used.items():
-        full = _information(model, observations.only(observations.names.index(name)), fit)
+        full = _information(model, observations, name, fit)
         unit = _each(model.free, prior_unit, fit.estimate)
         y.append(_each(model.free, to_prior_units, fit.estimate))
         information.append(full * np.outer(unit, unit))
@@ -284,11 +284,9 @@ def _each(
     return np.stack([function(p.prior, x[..., i]) for i, p in enumerate(parameters)], axis=-1)
 
 
-def _information(model: Model, own: Observations, fit: MleResult) -> Float[np.ndarray, "k k"]:
-    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none.
-
-    Where the information matrix is singular: of the combinations of parameters that the record determines.
-    """
+def _information(model: Model, observations: Observations, name: str, fit: MleResult) -> Float[np.ndarray, "k k"]:
+    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none."""
+    # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
@@ -296,6 +294,7 @@ def _information(model: Model, own: Observations, fit: MleResult) -> Float[np.nd
         found = np.zeros_like(fit.corrected)
         found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
         return (found + found.T) / 2.0
+    own = observations.only(observations.names.index(name))
     data = data_of(model, own)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
     residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))

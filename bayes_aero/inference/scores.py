@@ -133,10 +133,9 @@ def log_density(error: Float[AnyArray, "*n"], variance: Float[AnyArray, "*#n"]) 
 def log_score_gain(
     before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
 ) -> tuple[float, float]:
-    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats.
-
-    Log densities of m samples, in independent stretches of these `lengths`; the gain is over the variance `inflation`.
-    """
+    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats."""
+    # Log densities of m samples, in independent stretches of these `lengths`; the gain is over the variance
+    # `inflation`.
     difference = (after - before) / inflation
     return float(difference.sum()), standard_error_of_sum(difference, lengths)
 

@@ -60,10 +60,8 @@ def validate(
     training: Training,
     progress: Progress | None = None,
 ) -> GPReport:
-    """Train on each split's training points and score on its test points, both models on the same ones.
-
-    A split that the records do not allow (`manoeuvre` with one record) is left out.
-    """
+    """Train on each split's training points and score on its test points, both models on the same ones."""
+    # A split that the records do not allow (`manoeuvre` with one record) is left out.
     began, names = time.perf_counter(), observations.coefficients
     chosen, left_out = training.chosen, ()
     kinds = KINDS
@@ -210,12 +208,10 @@ def make_splits(
     *,
     block_seconds: float = BLOCK_SECONDS,
 ) -> list[HoldoutSplit]:
-    """Splits of the samples whose manoeuvre is `manoeuvre_index` (n,), sampled every `dt` seconds.
-
-    `random` and `block` give one 70/30 split (ask again with another seed for more); `manoeuvre` gives one
-    fold for each manoeuvre (beyond ten for each of ten groups), held back while all the others train: for two, both
-    directions.
-    """
+    """Splits of the samples whose manoeuvre is `manoeuvre_index` (n,), sampled every `dt` seconds."""
+    # `random` and `block` give one 70/30 split (ask again with another seed for more); `manoeuvre` gives one fold for
+    # each manoeuvre (beyond ten for each of ten groups), held back while all the others train: for two, both
+    # directions.
     index = np.asarray(manoeuvre_index)
     if index.ndim != 1 or index.size < 10:
         raise InputError(f"A split needs a vector of at least 10 samples, got shape {index.shape}.")

@@ -98,13 +98,11 @@ class Density(LogDensity):
     def of(
         cls, observations: Observations, model: Model, noise: Noise, bias: Float[np.ndarray, " p"] | None = None
     ) -> Density:
-        """The density of a record under `noise`; coloured noise uses one sample in `FILTER_STEP`.
-
-        Cm is formed from a smoothed and differentiated rate. The smoothing correlates neighbouring samples in a way
-        that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
-        likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ. One
-        sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
-        """
+        """The density of a record under `noise`; coloured noise uses one sample in `FILTER_STEP`."""
+        # Cm is formed from a smoothed and differentiated rate. The smoothing correlates neighbouring samples in a way
+        # that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
+        # likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ.
+        # One sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
         known = None if bias is None else jnp.asarray(bias)
         own = replace(noise, coefficients=observations.coefficients)
         return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, own, known)

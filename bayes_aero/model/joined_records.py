@@ -171,15 +171,13 @@ SMALL_STEP = 0.1  # of the large steps
 def without_spikes(
     channels: Mapping[str, AnyArray], lengths: Sequence[int]
 ) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
-    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
-
-    A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations and
-    by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are kept:
-    the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no more than
-    the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at either end
-    are not repaired, because smoothing does not reach them and their neighbours are on one side. Source: Hampel's
-    identifier.
-    """
+    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel."""
+    # A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations
+    # and by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are
+    # kept: the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no
+    # more than the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at
+    # either end are not repaired, because smoothing does not reach them and their neighbours are on one side. Source:
+    # Hampel's identifier.
     repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
     for name in (name for name in SPIKED if name in repaired_channels):
         parts = np.split(repaired_channels[name], np.cumsum(lengths)[:-1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,7 +34,7 @@ class ResidualModel(ABC):
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
 
     @property
-    def nameless(self) -> Self:
+    def nameless(self):
         """The same without names of the flights, so that records of any name share compiled programs."""
         return replace(self, flights=self.flights.nameless)  # pyright: ignore[reportArgumentType]
 

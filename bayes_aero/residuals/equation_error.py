@@ -150,10 +150,8 @@ _evaluate = eqx.filter_jit(_residuals)
 
 @eqx.filter_jit
 def _linearise(responses: EquationError, theta, measuring, flowing):
-    """Slopes in directions that change the measured coefficients, plus those in directions that do not.
-
-    One program for both: most of it is the same, and directions of zeros cost nothing.
-    """
+    """Slopes in directions that change the measured coefficients, plus those in directions that do not."""
+    # One program for both: most of it is the same, and directions of zeros cost nothing.
     residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
     whole = _along(lambda d: -slope(d), measuring)
     f, model = responses.flights, responses.model

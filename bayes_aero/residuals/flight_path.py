@@ -50,13 +50,11 @@ def differences(
     scales: Mapping[str, AnyArray],
     sines: tuple[AnyArray, ...] | None = None,
 ) -> Float[AnyArray, "n c"]:
-    """Recorded minus integrated flight-path `outputs`, in units of the recorded channels.
-
-    Of corrected signals `s` (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`, and the corrected
-    constants of the aircraft. `scales`: derivatives of the corrected channels by the recorded ones; 1 where a channel
-    is not named. `sines`: see `path_rates`. Integrals begin at what was recorded first: times a scale that varies,
-    another begin would be no constant.
-    """
+    """Recorded minus integrated flight-path `outputs`, in units of the recorded channels."""
+    # Of corrected signals `s` (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`, and the corrected
+    # constants of the aircraft. `scales`: derivatives of the corrected channels by the recorded ones; 1 where a channel
+    # is not named. `sines`: see `path_rates`. Integrals begin at what was recorded first: times a scale that varies,
+    # another begin would be no constant.
     rates = path_rates(as_symmetric(s), aircraft, sines)
     grown = {name: s[name] - s[name][s["first"]] for name in outputs}
     residuals = [

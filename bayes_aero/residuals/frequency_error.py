@@ -38,10 +38,8 @@ ROUNDING = 1e-9  # of the product of a frequency and a time
 
 
 def lines_in(band: Band, n: int, dt: float, name: str) -> Float[np.ndarray, " f"]:
-    """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz.
-
-    `InputError`: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
-    """
+    """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz."""
+    # `InputError`: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
     low, high, seconds = *band, n * dt
     if not (math.isfinite(high) and 0.0 < low < high):
         raise InputError(f"the band {low:g} to {high:g} Hz is empty; give a low frequency above 0 and a higher one")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -48,7 +48,7 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def nameless(self) -> Self:
+    def nameless(self):
         """The same without names of the flights and of their windows."""
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 

@@ -106,10 +106,8 @@ def design(
 def fit_emulator(
     points: list[ExactPoint], log_posterior: Float[np.ndarray, " points"], degree: int = DEGREE
 ) -> Emulator:
-    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine.
-
-    The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
-    """
+    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine."""
+    # The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
     u, gap = np.array([p.u for p in points]), np.max(log_posterior) - log_posterior
     d = u.shape[1]
     near = gap <= max(SUPPORT_GAP, np.sort(gap)[min(3 * d, gap.size - 1)])

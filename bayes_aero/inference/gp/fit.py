@@ -24,8 +24,14 @@ from bayes_aero.inference.compiled_programs import blas_threads
 from bayes_aero.inference.gp.emulator import ReducedData, factorise
 from bayes_aero.inference.gp.kernel import Priors, Scaling, noise_to_signal, scaled_distance_kernel
 from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
-from bayes_aero.inference.gp.posterior import Budget, Sampled, posterior_tree, sample_posterior, systematic_resample
-from bayes_aero.inference.gp.sampling import SampleStatus
+from bayes_aero.inference.gp.posterior import (
+    Budget,
+    Sampled,
+    SampleStatus,
+    posterior_tree,
+    sample_posterior,
+    systematic_resample,
+)
 
 MAX_SAMPLES = 8000
 Matrix = Float[np.ndarray, "n d"] | Float[jax.Array, "n d"]
@@ -214,11 +220,9 @@ class Prediction(NamedTuple):
 def gaussian_parts(
     theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units.
-
-    With R, F, D of `emulator`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
-    Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
-    """
+    """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
+    # With R, F, D of `emulator`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
+    # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
     d, factor = data.x.shape[1], factorise(noise_to_signal(theta), data)
     if factor is None:
         raise np.linalg.LinAlgError("covariance not positive definite at an accepted draw")

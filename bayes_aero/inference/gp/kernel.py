@@ -46,10 +46,8 @@ def noise_to_signal(theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " u"]:
 
 
 def scaled_distance_kernel(a: Float[np.ndarray, "n d"], b: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
-    """exp(-1/2 |a - b|^2) for inputs already divided by their length scales; one n x m array, worked in place.
-
-    |a - b|^2 is expanded, a.b - a.a/2 - b.b/2; rounding can leave it barely positive, hence the clip at zero.
-    """
+    """exp(-1/2 |a - b|^2) for inputs already divided by their length scales; one n x m array, worked in place."""
+    # |a - b|^2 is expanded, a.b - a.a/2 - b.b/2; rounding can leave it barely positive, hence the clip at zero.
     e = a @ b.T
     e -= 0.5 * np.einsum("ij,ij->i", a, a)[:, None]
     e -= 0.5 * np.einsum("ij,ij->i", b, b)
@@ -93,11 +91,9 @@ class Scaling:
         return (X - self.mean) / self.sd
 
     def physical(self, theta: Float[np.ndarray, "*draws p"]) -> dict[str, np.ndarray]:
-        """Hyperparameters in physical units, from log scaled theta (..., 2d + 3).
-
-        `constant`, `signal`, `noise`: unit of the output. `linear` (..., d): sd of the slope about the training
-        mean, output unit per input unit. `length_scale` (..., d): unit of the input.
-        """
+        """Hyperparameters in physical units, from log scaled theta (..., 2d + 3)."""
+        # `constant`, `signal`, `noise`: unit of the output. `linear` (..., d): sd of the slope about the training mean,
+        # output unit per input unit. `length_scale` (..., d): unit of the input.
         d, x = self.sd.size, np.exp(theta)
         return {
             "constant": np.asarray(x[..., 0] * self.rms),
@@ -212,15 +208,13 @@ class Priors:
 
     @classmethod
     def quasi_steady(cls) -> "Priors":
-        """For quasi-steady coefficients of a manoeuvre: no feature much finer than the flown range of an input.
-
-        The likelihood takes its errors for white and everywhere alike. In flight they are neither: on the ATTAS
-        records the error of CD is 5 times larger in the stall than before it, nearly all of it buffet at 7.7 Hz,
-        which is no function of alpha, elevator, pitch rate or airspeed. With n in the thousands that likelihood
-        outbids any weak prior by hundreds of nats to explain buffet by short length scales, and the process then
-        swings between the samples of a steep passage. So the lower end has to be as steep as the data's push is:
-        a Frechet density charges (6/l)^10 nats for a length scale of l sd.
-        """
+        """For quasi-steady coefficients of a manoeuvre: no feature much finer than the flown range of an input."""
+        # The likelihood takes its errors for white and everywhere alike. In flight they are neither: on the ATTAS
+        # records the error of CD is 5 times larger in the stall than before it, nearly all of it buffet at 7.7 Hz,
+        # which is no function of alpha, elevator, pitch rate or airspeed. With n in the thousands that likelihood
+        # outbids any weak prior by hundreds of nats to explain buffet by short length scales, and the process then
+        # swings between the samples of a steep passage. So the lower end has to be as steep as the data's push is: a
+        # Frechet density charges (6/l)^10 nats for a length scale of l sd.
         length = HyperPrior(
             "frechet",
             6.0,

@@ -101,10 +101,8 @@ def maximise(
     max_iterations: int = 60,
     tolerance: float = 1e-9,
 ) -> Optimum:
-    """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior.
-
-    Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
-    """
+    """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior."""
+    # Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
     profile = ProfilePosterior(data, priors, w)
     box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
     best: tuple[float, np.ndarray, np.ndarray] | None = None
@@ -284,10 +282,8 @@ def slopes(
 def best_sizes(
     w: Float[np.ndarray, " k"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
 ) -> tuple[Float[np.ndarray, " k"], Slopes]:
-    """w at the top of the posterior at u, from a start `w`, within `SD_BOUNDS`; and the posterior there.
-
-    Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
-    """
+    """w at the top of the posterior at u, from a start `w`, within `SD_BOUNDS`; and the posterior there."""
+    # Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
     low, high = SD_BOUNDS
     w = np.clip(w, low, high)
     at, radius = slopes(w, u, stats, n, priors), FIRST_STEP

@@ -75,10 +75,8 @@ def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
 
 
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
-    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set.
-
-    Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
-    """
+    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
+    # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     data = data_of(model, observations)
     lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
     point = full_steps(data, np.clip(start, lower, upper), lower, upper, TOLERANCE, MAX_ITERATIONS)
@@ -115,11 +113,9 @@ def fit_mle(
     start: Float[np.ndarray, " k"] | None = None,
     seed: int = 0,
 ) -> MleResult:
-    """Maximum-likelihood estimate of the model's free parameters.
-
-    Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The result
-    is the optimum with the smallest det R among those in which the separation point varies.
-    """
+    """Maximum-likelihood estimate of the model's free parameters."""
+    # Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The
+    # result is the optimum with the smallest det R among those in which the separation point varies.
     rng, data = np.random.default_rng(seed), data_of(model, observations)
     starts = [np.array([p.start for p in model.free]) if start is None else np.asarray(start, float)]
     for _ in range(extra_starts):
@@ -197,15 +193,12 @@ PAIRS = 5  # of records with the same noise added and subtracted, so that the li
 def without_noise_bias(
     mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
 ) -> MleResult:
-    """The fit `mle` to the matched coefficients of `records` without the bias by recording noise.
-
-    White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
-    formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about the
-    bias that the recorded noise has caused. This holds to first order; the corrected covariance therefore includes the
-    squared bias. A fit that has not converged, with or without the added noise, is returned unchanged.
-
-    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
-    """
+    """The fit `mle` to the matched coefficients of `records` without the bias by recording noise."""
+    # White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
+    # formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about
+    # the bias that the recorded noise has caused. This holds to first order; the corrected covariance therefore
+    # includes the squared bias. A fit that has not converged, with or without the added noise, is returned unchanged.
+    # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if mle.status is not MleStatus.CONVERGED:
         return mle
     moves, rng = [], np.random.default_rng(seed)
@@ -263,11 +256,9 @@ class GaussNewtonPoint(NamedTuple):
 
 
 def _sensitivities(data: Data, theta: Float[Array, " k"]):
-    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,).
-
-    One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
-    compiled once. Parameters come before samples, so that matrix products are contiguous.
-    """
+    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,)."""
+    # One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
+    # compiled once. Parameters come before samples, so that matrix products are contiguous.
     values = data.model.values(theta)
 
     def predict(name: str, x: Float[Array, ""]) -> tuple[list[Array], Array]:

@@ -194,11 +194,9 @@ def active_bounds(
     deviation: Float[np.ndarray, " k"],
     active: Sequence[bool] | np.ndarray,
 ) -> tuple[ActiveBound, ...]:
-    """Effect of each active bound on the estimates.
-
-    `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
-    parameters included. `deviation`: corrected standard errors.
-    """
+    """Effect of each active bound on the estimates."""
+    # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
+    # parameters included. `deviation`: corrected standard errors.
     found = []
     for i in map(int, np.flatnonzero(active)):
         step = inverse[:, i] * gradient[i]
@@ -239,11 +237,9 @@ def inseparable(
     covariance: Float[np.ndarray, "k k"],
     deviation: Float[np.ndarray, " k"],
 ) -> tuple[Inseparable, ...]:
-    """Sets of parameters that the record cannot separate, at least one of them with a large relative error.
-
-    The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without
-    variance is known. `deviation`: standard errors corrected for autocorrelated residuals.
-    """
+    """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
+    # The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without
+    # variance is known. `deviation`: standard errors corrected for autocorrelated residuals.
     if not np.isfinite(covariance).all():
         return ()
     white = np.sqrt(np.maximum(np.diag(covariance), 0.0))

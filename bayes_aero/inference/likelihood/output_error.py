@@ -44,10 +44,8 @@ def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departur
 def one_by_one(
     flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]
 ) -> tuple[tuple[str, ...], dict[int, Simulated]]:
-    """Names of all recorded outputs, and `trajectories` with them of each segment that has samples.
-
-    One program serves any number of segments and any choice of outputs.
-    """
+    """Names of all recorded outputs, and `trajectories` with them of each segment that has samples."""
+    # One program serves any number of segments and any choice of outputs.
     shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
     wide = replace(flown, outputs=shown)
     rows = map(int, np.flatnonzero(flown.inside.any(axis=1)))
@@ -66,14 +64,12 @@ def fit_output_error(
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start.
-
-    `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
-    estimated, and their values. `prior_weight`: factor on all priors; 0 leaves them out, those of the initial states
-    too. `without`: parameters without a prior. `biases`: outputs with a constant error in each manoeuvre, and its
-    prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit there,
-    not converged.
-    """
+    """Fit all segments together from one start."""
+    # `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
+    # estimated, and their values. `prior_weight`: factor on all priors; 0 leaves them out, those of the initial states
+    # too. `without`: parameters without a prior. `biases`: outputs with a constant error in each manoeuvre, and its
+    # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
+    # there, not converged.
     if biases:
         own = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
@@ -136,11 +132,9 @@ def fit_cascade(
     without: Collection[str] = (),
     biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
-    """Fit the short windows of the first stage from every start, then each later stage from the best fit so far.
-
-    Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide slow
-    errors of the model. The last stage should therefore be whole manoeuvres.
-    """
+    """Fit the short windows of the first stage from every start, then each later stage from the best fit so far."""
+    # Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide
+    # slow errors of the model. The last stage should therefore be whole manoeuvres.
     options = {"held": held, "prior_weight": prior_weight, "without": without, "biases": biases}
     first = [fit_output_error(stages[0], start=s, max_iterations=MAX_EARLY_ITERATIONS, **options) for s in starts]
     best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
@@ -160,10 +154,8 @@ MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
 
 
 def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """The same segments in gusts; linear systems have no gusts.
-
-    Where the model has buffet, the noise of the sensors does not grow as the flow separates.
-    """
+    """The same segments in gusts; linear systems have no gusts."""
+    # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
     dynamics = flown.dynamics
     if not isinstance(dynamics, EffectDynamics):
         return flown
@@ -186,11 +178,9 @@ def fit_disturbed(
     exact: bool = True,
     similar: PredictionErrorResult | None = None,
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
-    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI.
-
-    States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts and
-    noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
-    """
+    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
+    # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
+    # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
     gusty, outputs = disturbed(flown), flown.outputs
     names, states = gusty.dynamics.names, gusty.dynamics.states
     known = dict(zip(flown.dynamics.names, estimate, strict=True))
@@ -250,10 +240,8 @@ class SeparatedFlow:
         separated = self.separated[used]
 
         def growth(residual: np.ndarray) -> float:
-            """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X).
-
-            Autocorrelation of the residuals increases the error of b, but does not bias it.
-            """
+            """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X)."""
+            # Autocorrelation of the residuals increases the error of b, but does not bias it.
 
             def cost(b: float) -> float:
                 size = 1.0 + b * separated

@@ -101,11 +101,9 @@ def _evaluate(flown, point, start_deviation, k, s):
 
 @eqx.filter_jit
 def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
-    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time.
-
-    The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in the
-    filter linearised along the path.
-    """
+    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time."""
+    # The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in
+    # the filter linearised along the path.
     unit = jnp.eye(len(point))
     means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
     lin = linearise(flown, point[:k], path.predicted, path.state, unit[means, :k])
@@ -326,14 +324,11 @@ def minimise(
     *,
     approximate: bool = False,
 ) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
-    """Minimise the cost until the expected gain of a step is below `tolerance`.
-
-    An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
-    `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
-    with all other variables, far from the minimum, may end at zero, where the cost is flat.
-
-    Returns the last point, its evaluation, whether the search converged, and the number of steps.
-    """
+    """Minimise the cost until the expected gain of a step is below `tolerance`."""
+    # An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
+    # `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
+    # with all other variables, far from the minimum, may end at zero, where the cost is flat. Returns the last point,
+    # its evaluation, whether the search converged, and the number of steps.
     current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
     moving, converged, curvature = problem.moving, False, current.information
     while steps < MAX_ITERATIONS and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
@@ -382,11 +377,9 @@ def bfgs_update(
 def bounded_step(
     A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
 ) -> Float[np.ndarray, " j"]:
-    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside.
-
-    Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
-    change all the others.
-    """
+    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside."""
+    # Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
+    # change all the others.
     scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
     determined = values > SINGULAR * np.max(values, initial=0.0)
@@ -406,11 +399,9 @@ def truncated_step(
 
 
 def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
-    """Inverse of the information of the estimated variables; zero for held ones and those without information.
-
-    The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
-    beside angles in radians.
-    """
+    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
+    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
+    # beside angles in radians.
     known = moving & (np.diag(information) > 0.0)
     block = information[np.ix_(known, known)]
     scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))

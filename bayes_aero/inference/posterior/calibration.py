@@ -92,11 +92,9 @@ class Dependence(Enum):
 
 
 def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
-    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`).
-
-    All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is about
-    0.01 for some thousand draws.
-    """
+    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`)."""
+    # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
+    # about 0.01 for some thousand draws.
     tree = posterior.tree["posterior"].to_dataset()
     step = max(1, tree.sizes["chain"] * tree.sizes["draw"] // PRIOR_SENSITIVITY_DRAWS)
     x = np.stack([np.asarray(tree[name])[:, ::step] for name in density.names], axis=-1)

@@ -227,12 +227,10 @@ def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m
 
 
 def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True) -> Posterior:
-    """Turn draws of x into a `Posterior`.
-
-    The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
-    thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
-    samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
-    """
+    """Turn draws of x into a `Posterior`."""
+    # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
+    # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
+    # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
     names, draws = density.names, drawn.x
     groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
     if drawn.stats:

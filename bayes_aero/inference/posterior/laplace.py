@@ -72,11 +72,9 @@ class _Point:
         return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
 
     def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite.
-
-        Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
-        Newton), so absolute values are taken; a lower limit keeps flat directions finite.
-        """
+        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
+        # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+        # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
         rows = []  # central differences of the exact gradient
         for move, size in zip(np.diag(step), step, strict=True):
             forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
@@ -106,10 +104,8 @@ class _Point:
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
-    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals.
-
-    Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
-    """
+    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals."""
+    # Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
     deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
     estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
     start = []
@@ -136,10 +132,8 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
 
 
 def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> PosteriorMode:
-    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds).
-
-    Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
-    """
+    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds)."""
+    # Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
     at = _Point(density, np.asarray(density.unconstrain(jnp.asarray(start, float))))
     step = np.full(len(at.u), 1e-4)
     for _ in range(rounds):
@@ -164,11 +158,9 @@ def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: in
 def search_modes(
     density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = PRIOR_DRAWS
 ) -> PosteriorMode:
-    """The mode with most of the probability, of the modes reached from `start` and from prior draws.
-
-    A sampler that starts in one mode does not find the others and still reports convergence. They are therefore sought
-    before. Fewer draws are used where there are many `samples`.
-    """
+    """The mode with most of the probability, of the modes reached from `start` and from prior draws."""
+    # A sampler that starts in one mode does not find the others and still reports convergence. They are therefore
+    # sought before. Fewer draws are used where there are many `samples`.
     count = max(MIN_DRAWS, min(draws, MAX_SAMPLES_TIMES_DRAWS // max(samples, 1)))
     others = density.sample_prior(np.random.default_rng([seed, 9]), count)
     found = [find_mode(density, x) for x in (start, *others)]

@@ -70,10 +70,8 @@ class Chain(NamedTuple):
 
 @cache
 def _kernel(warmup: WarmUp):
-    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain.
-
-    One for each warm-up, which the kernel stores when it starts.
-    """
+    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    # One for each warm-up, which the kernel stores when it starts.
     del warmup
     potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
     return hmc(potential_fn_gen=potential, algo="NUTS")
@@ -131,11 +129,9 @@ def sample_nuts(
     progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
-    """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them.
-
-    Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
-    chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
-    """
+    """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
+    # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
+    # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
     began = time.perf_counter()
     chains = _Chains(density, mode, length, seed)
     most = length.max_blocks * BLOCK_DRAWS
@@ -304,10 +300,8 @@ def sample_innovations(
 
 
 def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
-    """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation.
-
-    Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
-    """
+    """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
+    # Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
     dynamics = flown.dynamics
     deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
     sd = dict(zip(flown.outputs, map(float, np.sqrt(R)), strict=True))

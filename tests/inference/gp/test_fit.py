@@ -8,7 +8,7 @@ import xarray as xr
 
 from bayes_aero.errors import InputError
 from bayes_aero.inference.gp import Budget, Prediction, Priors, SampleStatus, fit, fit_gp
-from bayes_aero.inference.gp.sampling import Settings
+from bayes_aero.inference.gp.posterior import Settings
 
 
 def make(seed, n=100):

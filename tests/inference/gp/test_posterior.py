@@ -13,15 +13,16 @@ from bayes_aero.inference.gp import posterior
 from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, fit_emulator, outputs, stats_and_gradient
 from bayes_aero.inference.gp.kernel import HyperPrior, Priors, noise_to_signal
 from bayes_aero.inference.gp.optimum import MapStatus, assemble, find_map, maximise
-from bayes_aero.inference.gp.posterior import Budget, sample_posterior
-from bayes_aero.inference.gp.sampling import (
+from bayes_aero.inference.gp.posterior import (
     K_LIMIT,
+    Budget,
     SampleStatus,
     Settings,
     laplace_root,
     log_density,
     pareto_smooth,
     reweight,
+    sample_posterior,
     thin,
 )
 
