@@ -69,7 +69,7 @@ def with_sensor_errors_held(state: SelectionState) -> tuple[Model, Float[np.ndar
 
 
 def _sd_of_difference(time: float, band: float, shared: float) -> float:
-    """Of an estimate and one that rests on a part of its data, as `beside_time_domain` has it.
+    """Of an estimate and one that rests on a part of its data, as `coefficients_in_band` has it.
 
     `shared` is the covariance of both: the share of the band in the information, times the variance in the band.
     """

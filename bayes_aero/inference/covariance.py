@@ -138,19 +138,14 @@ def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs.
+    """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs."""
 
-    `D`: covariance of the parameters for white noise. `S`: sensitivities to them, with initial states at their optimum.
-    `own`: sensitivities to initial states, whose priors have the `precision`, infinite where they are not fitted. `R`:
-    variances of the residuals. Samples that are not `inside` are zeros.
-    """
-
-    D: Float[np.ndarray, "k k"]
-    S: Float[np.ndarray, "w n c k"]
-    own: Float[np.ndarray, "w n c s"]
-    precision: Float[np.ndarray, " s"]
-    R: Float[np.ndarray, " c"]
-    inside: Bool[np.ndarray, "w n"]
+    D: Float[np.ndarray, "k k"]  # covariance of the parameters for white noise
+    S: Float[np.ndarray, "w n c k"]  # sensitivities to them, with initial states at their optimum
+    own: Float[np.ndarray, "w n c s"]  # sensitivities to initial states
+    precision: Float[np.ndarray, " s"]  # of the priors of the latter, infinite where they are not fitted
+    R: Float[np.ndarray, " c"]  # variances of the residuals
+    inside: Bool[np.ndarray, "w n"]  # the other samples are zeros
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "w n c k"]:

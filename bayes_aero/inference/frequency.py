@@ -70,18 +70,16 @@ def fit_in_band(
     responses: InBand,
     parameters: Sequence[Parameter],
     start: Float[np.ndarray, " k"],
-    band: tuple[float, float],
+    band: Band,
     method: str = EQUATION_ERROR,
 ) -> FrequencyFit:
     """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
-    # Parameters that the band does not show, such as constants, keep their start: (k,), SI, of a fit in the time
-    # domain.
+    # Parameters that the band does not show, such as constants, keep their start, SI, of a fit in the time domain.
     theta, outputs = np.asarray(start, float).copy(), responses.outputs
     lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
     residual, S = responses.linearise(theta)
     information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
-    prior = np.array([p.prior.normal[1] for p in parameters])
-    free = np.flatnonzero(information * np.square(prior) > UNSEEN)
+    free = np.flatnonzero(information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN)
     offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
     found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
@@ -93,8 +91,8 @@ def fit_in_band(
             found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
         before = solve(residual, offsets).cost
-        if before - found.cost < TOLERANCE:
-            converged = True
+        converged = before - found.cost < TOLERANCE
+        if converged:
             break
         responses = responses.moved(found.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
@@ -109,10 +107,27 @@ def fit_in_band(
             break
         theta, residual, offsets = trial, changed, own
         found = solve(residual, np.concatenate([S_free, offsets], axis=2))
-    fitted = _result(responses, parameters, theta, free, found, converged)
-    held = tuple(parameters[i].name for i in at_bound)
-    unseen = tuple(p.name for i, p in enumerate(parameters) if i not in free and p.name not in held)
-    return replace(fitted, band=(float(band[0]), float(band[1])), method=method, unseen=unseen, at_bound=held)
+    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
+    m, k = len(S), len(free)
+    R, D = cramer_rao(S, found.R)
+    corrected, regular = D, bool(np.all(np.isfinite(D)))
+    if regular:  # each part of a line stands alone: the transform has whitened them, and only their sizes differ
+        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+    return FrequencyFit(
+        method=method,
+        band=(float(band[0]), float(band[1])),
+        lines=m // 2,
+        names=tuple(parameters[i].name for i in free),
+        units=tuple(parameters[i].unit for i in free),
+        estimate=theta[free],
+        covariance=D[:k, :k],
+        corrected=corrected[:k, :k],
+        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(outputs)},
+        R=dict(zip(outputs, map(float, R), strict=True)),
+        unseen=tuple(p.name for i, p in enumerate(parameters) if i not in (*free, *at_bound)),
+        converged=converged and regular,
+        at_bound=tuple(parameters[i].name for i in at_bound),
+    )
 
 
 def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> BandStep:
@@ -144,38 +159,6 @@ def cramer_rao(
     return R, np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
-def _result(
-    responses: InBand,
-    parameters: Sequence[Parameter],
-    theta: np.ndarray,
-    free: np.ndarray,
-    found: BandStep,
-    converged: bool,
-) -> FrequencyFit:
-    """Bounds at the optimum, with variances over degrees of freedom."""
-    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2)
-    m, k = len(S), len(free)
-    R, D = cramer_rao(S, found.R)
-    corrected = D
-    if regular := bool(np.all(np.isfinite(D))):
-        # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
-        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
-    return FrequencyFit(
-        method=EQUATION_ERROR,
-        band=(0.0, 0.0),
-        lines=m // 2,
-        names=tuple(parameters[i].name for i in free),
-        units=tuple(parameters[i].unit for i in free),
-        estimate=theta[free],
-        covariance=D[:k, :k],
-        corrected=corrected[:k, :k],
-        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(responses.outputs)},
-        R=dict(zip(responses.outputs, map(float, R), strict=True)),
-        unseen=(),
-        converged=converged and regular,
-    )
-
-
 def without_noise_bias_in_band(
     fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
 ) -> FrequencyFit:
@@ -203,8 +186,18 @@ def without_noise_bias_in_band(
     return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
 
 
-def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
-    """The fit with its differences from that of the same coefficients in the time domain, in standard errors."""
+# --- Records fitted in a band: coefficients beside their fit in the time domain, and linear cards.
+
+
+def coefficients_in_band(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
+) -> FrequencyFit:
+    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts."""
+    # The records are without spikes. `InputError`: the band is empty or holds no frequency of a record.
+    flights = join(at_common_rate(records), card, required_of(model.axes))
+    responses = FrequencyError.in_band(flights, model, band)
+    fit = fit_in_band(responses, model.free, mle.estimate, band)
+    fit = without_noise_bias_in_band(fit, responses, model.free, seed=seed)
     # Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
     # from the other frequencies, which is independent of it; M is the share of the band in the information. So the
     # covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
@@ -217,23 +210,6 @@ def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
     sd = np.sqrt(np.maximum(np.diag(V_t + V_f - M @ V_f - V_f @ M.T), least))
     apart = np.abs(fit.estimate - mle.estimate[place]) / sd
     return replace(fit, apart=dict(zip(fit.names, map(float, apart), strict=True)))
-
-
-# --- Records fitted in a band: coefficients beside their fit in the time domain, and linear cards.
-
-
-def coefficients_in_band(
-    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
-) -> FrequencyFit:
-    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts."""
-    # The records are one a manoeuvre, without spikes. `InputError`: the band is empty or holds no frequency of a
-    # record.
-    flights = join(at_common_rate(records), card, required_of(model.axes))
-    responses = FrequencyError.in_band(flights, model, band)
-    fit = without_noise_bias_in_band(
-        fit_in_band(responses, model.free, mle.estimate, band), responses, model.free, seed=seed
-    )
-    return beside_time_domain(fit, mle)
 
 
 def linear_in_band(

@@ -42,17 +42,13 @@ class FrequencyFit:
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """An output over an input at frequencies (f,), Hz; SI.
-
-    `measured` by cross spectra, with its standard `error`; `coherence` of the output with all inputs; `modelled` by the
-    estimates in the band and by `draws` of them (d, f).
-    """
+    """An output over an input at frequencies (f,), Hz; SI."""
 
     input: str
     output: str
     frequency: Float[np.ndarray, " f"]
-    measured: Complex[np.ndarray, " f"]
-    error: Float[np.ndarray, " f"]
-    coherence: Float[np.ndarray, " f"]
-    modelled: Complex[np.ndarray, " f"]
-    draws: Complex[np.ndarray, "d f"]
+    measured: Complex[np.ndarray, " f"]  # by cross spectra
+    error: Float[np.ndarray, " f"]  # standard error
+    coherence: Float[np.ndarray, " f"]  # of the output with all inputs
+    modelled: Complex[np.ndarray, " f"]  # by the estimates in the band
+    draws: Complex[np.ndarray, "d f"]  # by draws of them

@@ -58,11 +58,7 @@ def _standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 
 def _assess(
-    z: Float[np.ndarray, "w n c"],
-    u: Float[np.ndarray, "w n c"],
-    rms: float | None,
-    coloured: bool,
-    tests: int,
+    z: Float[np.ndarray, "w n c"], u: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int
 ) -> Predicted:
     used = np.isfinite(z)
     n, squares = int(used.sum()), np.where(used, np.square(z), 0.0)

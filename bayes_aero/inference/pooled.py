@@ -45,6 +45,7 @@ class Hierarchy(LogDensity):
     """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations."""
 
     scattering: tuple[Parameter, ...] = eqx.field(static=True)
+    noise_label = "normal approximation"
     estimate: Float[Array, "m k"]
     factor: Float[Array, "m k k"]  # F of each information matrix F F'
 
@@ -64,11 +65,6 @@ class Hierarchy(LogDensity):
     def parameters(self) -> tuple[Parameter, ...]:
         """The scatter of each parameter."""
         return self.scattering
-
-    @property
-    def noise_label(self) -> str:
-        """How the manoeuvres enter."""
-        return "normal approximation"
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Log-density of the estimates at the scatter `x`, up to a constant; all other parameters are integrated out.

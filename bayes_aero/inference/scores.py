@@ -55,13 +55,12 @@ class Calibration(enum.Enum):
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the innovations inside the central interval of probability `level`; its standard error and the p-value
-    of calibrated predictions, both corrected for autocorrelation."""
+    """Share of the innovations inside a central interval; standard error and p-value count the autocorrelation."""
 
-    level: float
+    level: float  # probability of the interval
     share: float
     sd: float
-    p: float
+    p: float  # of calibrated predictions
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,7 @@ def stall_of_run(run: Identification) -> Stall | None:
 
 
 def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
-    """Maximum of every row, its position (by a parabola through three points of even spacing), and whether it is at an
-    edge."""
+    """Maximum of every row, its position (by a parabola through three even points), and whether it is at an edge."""
     i = np.argmax(y, axis=1)
     edge = (i == 0) | (i == len(x) - 1)
     j = np.clip(i, 1, len(x) - 2)

@@ -42,11 +42,9 @@ def gp_inputs(observations: Observations, names: tuple[str, ...]) -> Float[np.nd
 
 
 class Training(NamedTuple):
-    """How Gaussian processes are trained.
+    """How Gaussian processes are trained."""
 
-    Hyperparameters are sampled, if `sample`, for the first fold of the split `chosen`; for the others, at their mode.
-    """
-
+    # Hyperparameters are sampled, if `sample`, for the first fold of the split `chosen`; for the others, at their mode.
     chosen: SplitKind
     seed: int = 0
     sample: bool = True
@@ -201,12 +199,7 @@ class HoldoutSplit:
 
 
 def make_splits(
-    kind: SplitKind,
-    manoeuvre_index: Index,
-    dt: float,
-    seed: int,
-    *,
-    block_seconds: float = BLOCK_SECONDS,
+    kind: SplitKind, manoeuvre_index: Index, dt: float, seed: int, *, block_seconds: float = BLOCK_SECONDS
 ) -> list[HoldoutSplit]:
     """Splits of the samples whose manoeuvre is `manoeuvre_index` (n,), sampled every `dt` seconds."""
     # `random` and `block` give one 70/30 split (ask again with another seed for more); `manoeuvre` gives one fold for

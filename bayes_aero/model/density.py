@@ -81,18 +81,14 @@ class LogDensity(eqx.Module):
 
 
 class Density(LogDensity):
-    """Posterior log-density of the free model parameters and the noise parameters.
+    """Posterior log-density of the free model parameters and the noise parameters."""
 
-    Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
-    leaves, so that data sets of one size share compiled programs.
-    """
-
+    # Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
+    # leaves, so that data sets of one size share compiled programs.
     observations: Observations = eqx.field(converter=lambda given: given.nameless)
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
-    bias: Float[Array, " p"] | None = (
-        None  # what recording noise adds to the free model parameters: coefficients follow x + bias
-    )
+    bias: Float[Array, " p"] | None = None  # of the free model parameters: coefficients follow x + bias
 
     @classmethod
     def of(

@@ -26,12 +26,10 @@ from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM, REQU
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`).
+    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
 
-    Of NumPy's arrays, or of JAX's for compiled programs (`joined_channels`). `held`: states that a simulation takes
-    from the record, by the card.
-    """
-
+    # Of NumPy's arrays, or of JAX's for compiled programs (`joined_channels`). `held`: states that a simulation takes
+    # from the record, by the card.
     channels: dict[str, Any]
     aircraft: Aircraft
     manoeuvre: Int[np.ndarray, " n"]
@@ -181,19 +179,16 @@ def without_spikes(
     repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
     for name in (name for name in SPIKED if name in repaired_channels):
         parts = np.split(repaired_channels[name], np.cumsum(lengths)[:-1])
-        spikes = [_spikes(part) for part in parts]
+        medians = [median_filter(part, 5, mode="nearest") for part in parts]
+        spikes = list(map(_spikes, parts, medians))
         if any(at.any() for at in spikes):
-            mended = [np.where(at, _median(part), part) for at, part in zip(spikes, parts, strict=True)]
+            mended = list(map(np.where, spikes, medians, parts))
             repaired_channels[name], count[name] = np.concatenate(mended), int(sum(at.sum() for at in spikes))
     return repaired_channels, count
 
 
-def _median(part: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    return median_filter(part, 5, mode="nearest")
-
-
-def _spikes(part: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    deviation, steps = np.abs(part - _median(part)), np.abs(np.diff(part))
+def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    deviation, steps = np.abs(part - median), np.abs(np.diff(part))
     # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
     local = 1.25 * uniform_filter1d(deviation, LOCAL_WINDOW, mode="nearest")
     # The quantisation step; a small step of the noise where the channel is not quantised. A channel computed from a
@@ -232,16 +227,9 @@ def on_recorded_axes(
     needed: Mapping[Axis, Sequence[str]] = FORMED_FROM,
     made: Collection[str] = FORMED,
 ) -> tuple[Card, tuple[str, ...]]:
-    """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
-
-    A card of one axis, or one whose axes all lack channels, is unchanged; the missing channels are reported later.
-
-    Args:
-        card: aircraft and model.
-        records: flights, at least one.
-        needed: channels that each axis needs beside those of its effects; default: for the coefficients.
-        made: channels that effects read and that are computed from others.
-    """
+    """The card without an axis whose channels some record lacks, and a sentence on each that is left out."""
+    # A card of one axis, or one whose axes all lack channels, is unchanged: they are reported later. `needed`: channels
+    # of each axis beside those of its effects; `made`: channels that effects read and that are computed from others.
     if len(card.axes) < 2 or not records:
         return card, ()
     catalogue = {**CATALOGUE, **own_effects(card.effect_files)}

@@ -89,11 +89,7 @@ class Noise:
         return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_deviation
 
     def simulate(
-        self,
-        values: Mapping[str, Any],
-        white: Float[Array, "n c"],
-        X: Float[Array, " n"],
-        start: Bool[Array, " n"],
+        self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Float[Array, " n"], start: Bool[Array, " n"]
     ) -> Float[Array, "n c"]:
         """Residuals made from standard normal `white`: the inverse of `innovation`."""
         sigma = jnp.stack([values[f"sigma_{name}"] for name in self.coefficients])

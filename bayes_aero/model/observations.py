@@ -37,14 +37,11 @@ class Forming(StrEnum):
 
 
 class Observations(eqx.Module):
-    """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
-
-    Manoeuvres are independent: they are filtered one by one, and lags and coloured noise start again where `start` is
-    true. `measured` holds the named `coefficients`.
-    """
+    """Samples of all manoeuvres laid end to end."""
 
     signals: dict[str, Array]
-    measured: Float[Array, "n c"]
+    measured: Float[Array, "n c"]  # the named `coefficients`
+    # Manoeuvres are independent: filtered one by one, lags and coloured noise start again where `start` is true.
     start: Bool[Array, " n"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
@@ -111,16 +108,8 @@ def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
 def observe(
     records: Sequence[FlightRecord], card: Card, model: Model, forming: Forming = Forming.MATCHED
 ) -> Observations:
-    """Reconstruct the coefficients of every record and lay the manoeuvres end to end.
-
-    Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
-
-    Args:
-        records: one a manoeuvre; `matched` brings them to a common rate (`flight.common_rate`).
-        card: aircraft, sensors, sums.
-        model: the effects whose channels are needed.
-        forming: `matched` or `published`.
-    """
+    """Reconstruct the coefficients of every record, one a manoeuvre, and lay the manoeuvres end to end."""
+    # Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     names = named_apart(records)

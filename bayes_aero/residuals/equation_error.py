@@ -30,14 +30,12 @@ LATERAL_RESPONSE = ("p", "r", "ay")  # and those of the lateral axis
 
 
 class EquationError(Blockwise, eqx.Module):
-    """Residuals of one set of flights under one model of many effects.
+    """Residuals of one set of flights under one model of many effects."""
 
-    Residuals are averaged over m blocks. They are in units of the recorded response: the residual of a coefficient is
-    multiplied by the ratio of its derivatives by the recorded acceleration, with the card's values over with the
-    effect's. Otherwise an effect that rescales the measurement could improve the fit by shrinking its noise. This is
-    the Jacobian term of the likelihood.
-    """
-
+    # Residuals are averaged over m blocks. They are in units of the recorded response: the residual of a coefficient is
+    # multiplied by the ratio of its derivatives by the recorded acceleration, with the card's values over with the
+    # effect's. Otherwise an effect that rescales the measurement could improve the fit by shrinking its noise. This is
+    # the Jacobian term of the likelihood.
     flights: Flights
     model: Model = eqx.field(static=True)
     measuring: tuple[int, ...] = eqx.field(static=True)  # parameters on which the measured coefficients depend
@@ -83,8 +81,7 @@ class EquationError(Blockwise, eqx.Module):
         return np.asarray(residual), np.asarray(slope)
 
     def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
-        """Parameters that change only the modelled coefficients cost a fourth of those that change the measured
-        ones."""
+        """Parameters that change the measured coefficients cost four times those that change only the modelled ones."""
         measuring = np.isin(columns, self.measuring)
         return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
 

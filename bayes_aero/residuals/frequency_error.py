@@ -131,11 +131,9 @@ def _slopes(responses: LinearFrequencyError, theta, directions):
 
 
 class LinearFrequencyError(InBand, eqx.Module):
-    """Equation error of a linear card in a band: derivatives of recorded states, and further outputs.
+    """Equation error of a linear card in a band: derivatives of recorded states, and further outputs."""
 
-    States and inputs of the right-hand sides are the recorded ones.
-    """
-
+    # States and inputs of the right-hand sides are the recorded ones.
     flights: Flights
     dynamics: LinearDynamics = eqx.field(static=True)
     rows: tuple[Float[np.ndarray, "_ _"], ...]
@@ -201,14 +199,12 @@ class LinearFrequencyError(InBand, eqx.Module):
 
 
 class LinearFrequencyOutputError(LinearFrequencyError):
-    """Output error of a linear card in a band: recorded minus computed transforms of the outputs.
+    """Output error of a linear card in a band: recorded minus computed transforms of the outputs."""
 
-    With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the last
-    is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no integration,
-    which would diverge for an unstable aircraft, and is exact for any record. The change of the state over a record
-    begins with the recorded one; it and a drift of each output are free in every fit.
-    """
-
+    # With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the
+    # last is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no
+    # integration, which would diverge for an unstable aircraft, and is exact for any record. The change of the state
+    # over a record begins with the recorded one; it and a drift of each output are free in every fit.
     changes: Float[np.ndarray, "w s"]  # of the states, by manoeuvre
 
     @classmethod

@@ -13,9 +13,7 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.terms.library import QUANTITIES, THRUST, Signals, Term, library
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.physics.filters import smooth_joined
-from bayes_aero.residuals.added_coefficients import AddedCoefficients, AddedToFilter
-from bayes_aero.residuals.filter_error import FilterError
-from bayes_aero.residuals.output_error import OutputError
+from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 
 SEPARATES = 0.9  # X below which a flight tells what acts in separated flow alone; our choice
 

@@ -2,7 +2,7 @@
 
 `logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
 every exact evaluation gives their values and all first derivatives, so a few tens of evaluations determine a full
-cubic. `reweight.py` measures the error of the stand-in on exact evaluations and removes it.
+cubic. `posterior.reweight` measures the error of the stand-in on exact evaluations and removes it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,10 @@ class ExactPoint(NamedTuple):
 
 
 class Emulator(eqx.Module):
-    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1).
+    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1)."""
 
-    Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
-    shape does not depend on the degree, so that one compiled sampler serves every round.
-    """
-
+    # Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
+    # shape does not depend on the degree, so that one compiled sampler serves every round.
     centre: Float[Array, " u"]
     whiten: Float[Array, "u u"]
     coefficients: Float[Array, "pairs pairs outputs"]
@@ -140,7 +138,7 @@ def fit_emulator(
 # y'K^-1 y follow exactly, by the matrix determinant and inversion lemmas, from
 # logdet = log|R| and gram = [F y]' R^-1 [F y], (d + 2) x (d + 2),
 # which depend on u = (log l_1..d, log g) alone. So the expensive function has d + 1 arguments, not 2d + 3, and
-# smooth, small outputs; the other hyperparameters cost microseconds (`density.py`).
+# smooth, small outputs; the other hyperparameters cost microseconds (`optimum.slopes`).
 # The gradient is analytic. With V = R^-1 [F y]: d gram = -V' dR V, and d logdet = tr(R^-1 dR). The SE part has
 # dR/dlog l_k = SE o (x_ik - x_jk)^2 (elementwise), and sum_ij M_ij (x_ik - x_jk)^2 for a symmetric M needs only M's
 # row sums and M x: no n x n x p array is ever formed. LAPACK potrf + potri, n^3 flops together.

@@ -169,20 +169,15 @@ LEVELS = (0.5, 0.9, 0.95)
 
 
 class Prediction(NamedTuple):
-    """Predictive distribution at n points, in the unit of the output.
+    """Predictive distribution at n points, in the unit of the output."""
 
-    `mean`, `sd` (n,) of a new measurement; `latent_sd` (n,) of the function without noise; `low`, `high`
-    (levels, n) the ends of the central intervals of `levels`. `component_mean`, `component_sd` (draws, n) are the
-    Gaussians of the mixture, for whoever wants another functional of it.
-    """
-
-    mean: Float[np.ndarray, " n"]
+    mean: Float[np.ndarray, " n"]  # of a new measurement, as `sd`
     sd: Float[np.ndarray, " n"]
-    latent_sd: Float[np.ndarray, " n"]
-    levels: tuple[float, ...]
+    latent_sd: Float[np.ndarray, " n"]  # of the function without noise
+    levels: tuple[float, ...]  # of the central intervals from `low` to `high`
     low: Float[np.ndarray, "levels n"]
     high: Float[np.ndarray, "levels n"]
-    component_mean: Float[np.ndarray, "draws n"]
+    component_mean: Float[np.ndarray, "draws n"]  # of the Gaussians of the mixture
     component_sd: Float[np.ndarray, "draws n"]
 
     @classmethod

@@ -104,7 +104,7 @@ class Scaling:
         }
 
 
-# --- Hyperparameter priors q(theta), all in one place, in the scaled units of `kernel.py`.
+# --- Hyperparameter priors q(theta), all in one place, in the scaled units of this module.
 # Each prior speaks of a positive hyperparameter x (a standard deviation or a length scale); the engine works with t
 # = log x, so every density here carries the Jacobian x. Scaled units: inputs have training mean 0 and sd 1, the
 # output has training rms 1, so that one set of numbers serves every coefficient and no prior depends on units.
@@ -186,9 +186,7 @@ class Priors:
         "half-normal on sds after the Stan User's Guide, Gaussian processes, 'Priors for marginal sd'",
     )
     signal: HyperPrior = HyperPrior(
-        "half-normal",
-        1.0,
-        source="our choice, as for the linear part: the non-linear part is not larger than y",
+        "half-normal", 1.0, source="our choice, as for the linear part: the non-linear part is not larger than y"
     )
     length: HyperPrior = HyperPrior(
         "log-normal",

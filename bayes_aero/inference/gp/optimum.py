@@ -62,8 +62,7 @@ class _NotPositiveDefiniteError(Exception):
 
 
 class ProfilePosterior:
-    """max over w of log q + log p(y | w, u), remembering the last w as the next start
-    and every exact evaluation in `points`."""
+    """max over w of log q + log p(y | w, u); `w` is the next start, `points` has every exact evaluation."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
         self.data, self.priors, self.n = data, priors, float(data.n)
@@ -211,7 +210,7 @@ def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Floa
 
 
 # --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, by Newton's method.
-# The density is `density.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
+# The density is `posterior.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
 # calls into compiled code, and compiling it anew for every number of inputs, would cost more than the sums. With r =
 # s/sf, B = 1 + r G r and y = B^-1 r b (G and b are parts of the gram, Rasmussen and Williams, sec. 2.7)
 # d log p/d log s_i = y_i^2/sf^2 - 1 + (B^-1)_ii,

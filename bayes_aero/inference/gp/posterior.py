@@ -184,15 +184,12 @@ class SampleStatus(enum.Enum):
 
 
 class Weighted(NamedTuple):
-    """Exactly evaluated draws: theta (chains, draws, p), exact and stand-in log densities, PSIS log weights.
-
-    The log weights are normalised over all draws; `k_hat` and `ess` (of the weights) judge them.
-    """
+    """Exactly evaluated draws; `k_hat` and `ess` of the weights judge them."""
 
     theta: Float[np.ndarray, "chains draws p"]
     exact: Float[np.ndarray, "chains draws"]
-    stand_in: Float[np.ndarray, "chains draws"]
-    log_weight: Float[np.ndarray, "chains draws"]
+    stand_in: Float[np.ndarray, "chains draws"]  # log densities, as `exact`
+    log_weight: Float[np.ndarray, "chains draws"]  # by PSIS, normalised over all draws
     k_hat: float
     ess: float
     failures: int
@@ -250,7 +247,7 @@ def reweight(
 # --- Log marginal likelihood and log posterior of the hyperparameters, exactly, from the reduced statistics.
 # log p(y | theta) = -1/2 y'K^-1 y - 1/2 log|K| - n/2 log 2 pi, and the MAP objective adds log q(theta). (Eq. 7 of
 # the seed paper prints a logarithm around the whole sum by mistake.) The textbook gradient 1/2 tr[(a a' - K^-1)
-# dK/dtheta], a = K^-1 y, is assembled in two steps: the n x n step has hand-written derivatives (`reduced.py`,
+# dK/dtheta], a = K^-1 y, is assembled in two steps: the n x n step has hand-written derivatives (`emulator`,
 # through LAPACK), the (d + 2) x (d + 2) step is small enough for autodiff. Nothing differentiates through an n x n
 # Cholesky.
 
@@ -323,14 +320,13 @@ MAX_GAP = 30.0  # nats below the best point, beyond which a point no longer trai
 
 
 class Budget(NamedTuple):
-    """Budget of the sampling: design points and pilots cost a gradient, exact draws a factorisation each;
-    rounds of training at most, and extensions of a NUTS run that has not mixed."""
+    """Budget of the sampling."""
 
-    design: int = 52
+    design: int = 52  # gradients, as `pilots`
     pilots: int = 12
-    exact: int = 128
-    rounds: int = 8
-    extensions: int = 2
+    exact: int = 128  # draws, a factorisation each
+    rounds: int = 8  # of training, at most
+    extensions: int = 2  # of a NUTS run that has not mixed
     nuts: Settings = Settings()
 
 
@@ -421,12 +417,10 @@ def posterior_tree(
     output_name: str,
     seed: int,
 ) -> xr.DataTree:
-    """Groups: `posterior`, draws of the exact posterior with equal weights (the indices `at` of the weighted
-    ones) and `sample_stats` of these; `prior`; `proposal`, the weighted draws before resampling, with their exact
-    and stand-in log densities and PSIS log weights; `stand_in`, the full NUTS chains of theta, drawn
-    from the stand-in to the power `variance_inflation`. Hyperparameters in
-    physical units (`Scaling.physical`), save theta, which is log scaled.
-    """
+    """The posterior as an ArviZ DataTree; hyperparameters in physical units, save theta, which is log scaled."""
+    # `posterior`: draws of the exact posterior with equal weights (the indices `at` of the weighted ones), and
+    # `sample_stats` of these; `prior`; `proposal`: the weighted draws before resampling, with their exact and stand-in
+    # log densities and PSIS log weights; `stand_in`: the full NUTS chains, of it to the power `variance_inflation`.
     weighted, chains = sampled.weighted, sampled.chains
     if weighted is None:
         raise ValueError("nothing was weighted")
@@ -435,10 +429,7 @@ def posterior_tree(
     prior = np.asarray(priors.sample(jax.random.PRNGKey(seed), len(names), PRIOR_DRAWS))[None]
     groups = {
         "posterior": scaling.physical(drawn),
-        "sample_stats": {
-            "lp": weighted.exact.ravel()[at].reshape(shape),
-            "proposal_index": at.reshape(shape),
-        },
+        "sample_stats": {"lp": weighted.exact.ravel()[at].reshape(shape), "proposal_index": at.reshape(shape)},
         "prior": scaling.physical(prior),
         "proposal": {
             **scaling.physical(weighted.theta),

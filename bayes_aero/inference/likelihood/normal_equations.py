@@ -87,12 +87,10 @@ def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], depar
 
 
 class NormalEquations:
-    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores.
+    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores."""
 
-    XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
-    part without samples is not simulated.
-    """
-
+    # XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
+    # part without samples is not simulated.
     def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
         w = len(flown.index)
         size = -(-w // min(w, os.cpu_count() or 1))

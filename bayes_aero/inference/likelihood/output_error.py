@@ -75,9 +75,8 @@ def fit_output_error(
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
         if start is not None and len(start) == own:
             start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
-    free, held = flown.dynamics.free, held or {}
+    free, held, prior = flown.dynamics.free, held or {}, NormalPriors.of(flown, prior_weight, without)
     lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
-    prior = NormalPriors.of(flown, prior_weight, without)
     begin = [p.start for p in free] if start is None else np.asarray(start, float)
     theta = np.array([held.get(p.name, x) for p, x in zip(free, begin, strict=True)])
     held_mask = np.array([p.name in held for p in free], bool)

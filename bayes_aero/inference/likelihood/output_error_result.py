@@ -96,10 +96,12 @@ class OutputErrorResult:
 
     @cached_property
     def corrected(self) -> Float[np.ndarray, "k k"]:
-        """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent."""
-        # With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
-        # of the priors. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and Klein, J. Aircraft 1997. M is scaled
-        # by `calibration`: for what the fit took out of the residuals, and for 1.96 standard errors to hold 95 %.
+        """Covariance with the residuals' autocorrelation and the priors, shape (k, k); segments are independent.
+
+        With D = `covariance` it is D (M + P) D: M the scores' covariance under the residuals' autocovariance, P that
+        of the priors. Sources: Maine and Iliff, NASA RP-1077 (1981); Morelli and Klein, J. Aircraft 1997. M is scaled
+        by `calibration`: for what the fit took out of the residuals, and for 1.96 standard errors to hold 95 %.
+        """
         if not math.isfinite(self.cost):
             return self.covariance
         k, inside = len(self.estimate), self.flown.inside

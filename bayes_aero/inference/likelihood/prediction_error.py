@@ -196,11 +196,9 @@ def fit_prediction_error(
 
 @runtime_checkable
 class Problem(Protocol):
-    """A cost to be minimised over j variables.
+    """A cost to be minimised over j variables."""
 
-    `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
-    """
-
+    # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
     moving: Bool[np.ndarray, " j"]
     bounds: Float[np.ndarray, "j 2"]
     step_limit: Float[np.ndarray, " j"]
@@ -276,9 +274,12 @@ class _Problem:
             self._last[key] = float(cost), found
         return self._last[key]
 
-    def evaluate(self, point: Float[np.ndarray, " j"]) -> Evaluation:
-        """Cost, gradient and expected information."""
-        return self._with_priors(point, _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s))
+    def evaluate(self, point: Float[np.ndarray, " j"], held: tuple[Array, ...] | None = None) -> Evaluation:
+        """Cost, gradient and expected information; `held`: those of the likelihood, where they are known."""
+        likelihood = held or _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+        cost, gradient, information = (np.asarray(x) for x in likelihood)
+        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
+        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
 
     def evaluate_held_gains(self, point: Float[np.ndarray, " j"]) -> Evaluation:
         """Cost, gradient and information without the derivatives of the gains by the parameters of the motion."""
@@ -287,12 +288,7 @@ class _Problem:
         means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
         path = self.path(point)[1]
         likelihood = _evaluate_held_gains(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
-        return self._with_priors(point, likelihood)
-
-    def _with_priors(self, point: Float[np.ndarray, " j"], likelihood: tuple[Array, Array, Array]) -> Evaluation:
-        cost, gradient, information = (np.asarray(x) for x in likelihood)
-        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
-        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
+        return self.evaluate(point, likelihood)
 
 
 # --- Fisher scoring with Levenberg-Marquardt damping, step limits and bounds.

@@ -45,13 +45,12 @@ FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
 
 
 class WarmUp(NamedTuple):
-    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too.
+    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too."""
 
-    A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of 75
-    draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is adapted
-    here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the step.
-    """
-
+    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
+    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is
+    # adapted here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the
+    # step.
     steps: int = 500
     acceptance: float = 0.95
     metric: bool = True
@@ -180,9 +179,8 @@ class _Chains:
             self.chains = [chain for chain, _ in ends]
             v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
             self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
-            self.statistics.append(
-                {name: np.stack([np.asarray(statistics[name]) for _, (_, statistics) in ends]) for name in FIELDS}
-            )
+            every = [statistics for _, (_, statistics) in ends]
+            self.statistics.append({name: np.stack([np.asarray(one[name]) for one in every]) for name in FIELDS})
 
     def _advance(self, chains: list[Chain], *, adapting: bool) -> list[tuple[Chain, tuple[Array, dict[str, Array]]]]:
         with ThreadPoolExecutor(max(1, min(len(chains), cores()))) as pool:
@@ -213,11 +211,7 @@ class InnovationsDensity(LogDensity):
     # noise by output; SI.
     process: tuple[float, ...] = eqx.field(static=True)
     measurement: tuple[float, ...] = eqx.field(static=True)
-
-    @property
-    def noise_label(self) -> str:
-        """White in the states and in the measurements."""
-        return "white, of states and measurements"
+    noise_label = "white, of states and measurements"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
