@@ -62,7 +62,7 @@ def validate(
     # A split that the records do not allow (`manoeuvre` with one record) is left out.
     began, names = time.perf_counter(), observations.coefficients
     chosen, left_out = training.chosen, ()
-    kinds = KINDS
+    kinds: tuple[SplitKind, ...] = KINDS
     if len(observations.names) < 2:
         kinds = tuple(kind for kind in kinds if kind != "manoeuvre")
         chosen = "block" if chosen == "manoeuvre" else chosen

@@ -164,7 +164,8 @@ class FilterError(OutputError):
     # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     by: Observer
-    stretch, averaged = None, 1  # innovations are stationary, and each is of one sample
+    stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
+    averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
 
     @classmethod
     def after(

@@ -218,7 +218,7 @@ def pareto_smooth(log_ratio: Float[np.ndarray, "*shape"]) -> tuple[Float[np.ndar
         return np.full(log_ratio.shape, -np.log(log_ratio.size)), -np.inf  # no error, hence no tail to fit
     smoothed, k_hat = array_stats.psislw(-log_ratio.ravel())
     smoothed = np.asarray(smoothed)
-    return (smoothed - float(logsumexp(smoothed))).reshape(log_ratio.shape), float(k_hat)
+    return (smoothed - float(np.asarray(logsumexp(smoothed)))).reshape(log_ratio.shape), float(k_hat)
 
 
 def reweight(
@@ -240,7 +240,7 @@ def reweight(
         nothing = np.full(value.shape, np.nan)
         return Weighted(theta, value, stand_in, nothing, np.inf, 0.0, failures)
     log_weight, k_hat = pareto_smooth(value - stand_in)
-    ess = float(np.exp(-float(logsumexp(2.0 * log_weight))))
+    ess = float(np.exp(-np.asarray(logsumexp(2.0 * log_weight))))
     return Weighted(theta, value, stand_in, log_weight, k_hat, ess, 0, tuple(e.stats for e in exact))
 
 

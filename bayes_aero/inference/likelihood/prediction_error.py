@@ -199,9 +199,14 @@ class Problem(Protocol):
     """A cost to be minimised over j variables."""
 
     # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
-    moving: Bool[np.ndarray, " j"]
-    bounds: Float[np.ndarray, "j 2"]
-    step_limit: Float[np.ndarray, " j"]
+    @property
+    def moving(self) -> Bool[np.ndarray, " j"]: ...
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "j 2"]: ...
+
+    @property
+    def step_limit(self) -> Float[np.ndarray, " j"]: ...
 
     def cost(self, point: Float[np.ndarray, " j"]) -> float:
         """The cost at a point."""
