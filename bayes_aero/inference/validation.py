@@ -84,7 +84,7 @@ def validate(
     for kind, folds in splits.items():
         for number, fold in enumerate(folds):
             sampled = training.sample and kind == chosen and number == 0
-            own = (X, inputs, fold, kind, number, sampled, training.seed, tidy, os.getpid())
+            own: tuple[Any, ...] = (X, inputs, fold, kind, number, sampled, training.seed, tidy, os.getpid())
             work += [_Work(name, z[:, i], *own) for i, name in enumerate(names)]
     work.sort(key=lambda task: not task.sampled)  # the long ones first
     trained = _trained(work, largest, progress)
