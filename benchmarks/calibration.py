@@ -32,8 +32,7 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.gp.emulator import ReducedData
 from bayes_aero.inference.gp.kernel import Priors, hyper_names
 from bayes_aero.inference.gp.optimum import find_map
-from bayes_aero.inference.gp.posterior import Budget, sample_posterior, systematic_resample
-from bayes_aero.inference.gp.sampling import SampleStatus, Settings
+from bayes_aero.inference.gp.posterior import Budget, SampleStatus, Settings, sample_posterior, systematic_resample
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, search_modes

@@ -17,7 +17,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.signals import noise_alone
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Prior, Role, per_length
 from bayes_aero.units import number
@@ -92,7 +92,7 @@ def lag_of(full: CandidateModel) -> Effect | None:
 
 
 def candidate_model(
-    model: Model, flights: Recorded, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
+    model: Model, flights: Flights, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
 ) -> CandidateModel:
     """`model` extended by the catalogue and by `extra` effects of the user.
 
@@ -147,13 +147,13 @@ def candidate_model(
     return CandidateModel(whole, tuple(e.name for e in active), tuple(candidates), not_testable, settings=settings)
 
 
-def noise_channels(flights: Recorded) -> tuple[str, ...]:
+def noise_channels(flights: Flights) -> tuple[str, ...]:
     """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
     found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
     return tuple(n for n, x in found.items() if noise_alone(x, *by_manoeuvre(x, flights)))
 
 
-def moves(x: Any, flights: Recorded, least: float = 1e-9) -> bool:
+def moves(x: Any, flights: Flights, least: float = 1e-9) -> bool:
     """Whether a channel (n,) moves within a manoeuvre: what differs only between them is no more than an offset."""
     return any(_moves(part, least) for part in by_manoeuvre(np.asarray(x), flights))
 
@@ -162,12 +162,12 @@ def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
     return bool(np.ptp(x) > least * max(1.0, float(np.abs(x).max())))
 
 
-def by_manoeuvre(x: np.ndarray, flights: Recorded) -> list[np.ndarray]:
+def by_manoeuvre(x: np.ndarray, flights: Flights) -> list[np.ndarray]:
     """A channel (n,) of each manoeuvre."""
     return np.split(x, np.cumsum(flights.lengths)[:-1])
 
 
-def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[str, ...]:
+def _rests_on(noise: Sequence[str], effect: Effect, flights: Flights) -> tuple[str, ...]:
     """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does."""
     # A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
     own = tuple(n for n in effect.channels if n in noise)
@@ -180,7 +180,7 @@ def _rests_on(noise: Sequence[str], effect: Effect, flights: Recorded) -> tuple[
     return own if there and not _varies(_made(effect, flights, calm), flights) else ()
 
 
-def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+def _made(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """What an effect of its least size makes of the record, with some channels replaced."""
     values = {p.name: p.start + effect.sizes.get(p.name, (0.0, 0.0))[0] for p in effect.parameters}
     signals: dict[str, Any] = {name: np.asarray(x) for name, x in flights.channels.items()} | dict(instead)
@@ -188,7 +188,7 @@ def _made(effect: Effect, flights: Recorded, instead: Mapping[str, np.ndarray]) 
     return [np.asarray(x) for x in effect.increments(values, signals, flights.aircraft, flow).values()]
 
 
-def _varies(made: Sequence[np.ndarray], flights: Recorded) -> bool:
+def _varies(made: Sequence[np.ndarray], flights: Flights) -> bool:
     """Whether any of these moves within a manoeuvre: T/(qbar S) does where only the airspeed changes."""
     return any(
         np.ptp(part) > MOVES * np.max(np.abs(x)) for x in made if np.ndim(x) for part in by_manoeuvre(x, flights)

@@ -33,7 +33,7 @@ from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import cluster_covariance
-from bayes_aero.model.joined_records import Joined, joined, repaired
+from bayes_aero.model.joined_records import Flights, joined, repaired
 from bayes_aero.model.model import Model, lengths_of, own_effects
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
@@ -82,7 +82,7 @@ def consistency(
     return replace(found, corrected=checks(corrected, card, seed))
 
 
-def _flights(records: Sequence[FlightRecord], card: Card) -> Joined:
+def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
     """The manoeuvres' channels of the flight path, spikes repaired."""
     return repaired(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
 
@@ -125,7 +125,7 @@ def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float]
     return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 
 
-def checks(flights: Joined, card: Card, seed: int) -> tuple[PathCheck, ...]:
+def checks(flights: Flights, card: Card, seed: int) -> tuple[PathCheck, ...]:
     """`path_check` of each manoeuvre, with the sensors where `flights` say that they are."""
     card = replace(card, aircraft=flights.aircraft)
     return tuple(path_check(name, time, channels, card, seed) for name, time, channels in _manoeuvres(flights))
@@ -140,7 +140,7 @@ def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict
     return {name: gusts for name, gusts in found.items() if gusts > CALM}
 
 
-def _manoeuvres(flights: Joined) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
+def _manoeuvres(flights: Flights) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
     """Name, time, and channels of the flight path of each."""
     begin = 0
     for name, length in zip(flights.names, flights.lengths, strict=True):
@@ -221,7 +221,7 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
 
 
-def as_the_card_states(flights: Joined, card: Card) -> Joined:
+def as_the_card_states(flights: Flights, card: Card) -> Flights:
     """Flights without the errors of the record that the card states."""
     if card.linear is not None:
         return flights
@@ -234,7 +234,7 @@ def as_the_card_states(flights: Joined, card: Card) -> Joined:
     return with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
 
 
-def with_corrections(flights: Joined, model: Model, values: Mapping[str, Any]) -> Joined:
+def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
     """Flights as a model of errors of the record, and of where its sensors are, makes them true."""
     true = model.corrected(values, flights.channels, flights.aircraft)
     aircraft = model.actual_aircraft(values, flights.aircraft)

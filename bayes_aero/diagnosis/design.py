@@ -33,8 +33,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Envelope, excursion
 from bayes_aero.flight.atmosphere import altitude_of_density
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_channels import Flights
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.residuals.equation_error import EquationError
@@ -430,7 +429,7 @@ def standard(
 def flights_of(state: SelectionState) -> Flights:
     """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
     flights = state.responses.flights
-    if not isinstance(flights, Flights):
+    if isinstance(flights.channels["dt"], np.ndarray):  # of a flight path
         raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
     return flights
 
@@ -445,7 +444,7 @@ def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     return replace(state.full.model, effects=effects, parameters=own, fixed=fixed)
 
 
-def _recorded(like: Recorded, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
+def _recorded(like: Flights, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
     """One manoeuvre with the channels of a record; a channel that the simulator does not make keeps its mean."""
     n = len(channels["alpha"])
     own = {

@@ -61,9 +61,8 @@ from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.base import WINDOW, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.filter_error import FilterError
 from bayes_aero.residuals.flight_path import FlightPathError
-from bayes_aero.residuals.output_error import OutputError
+from bayes_aero.residuals.output_error import FilterError, OutputError
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_channels import Flights, response_scales
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.joined_channels import response_scales
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Role
 
@@ -290,7 +290,7 @@ def aircraft_dynamics(
     return dynamics
 
 
-def taken_as_zero(flights: Recorded) -> list[str]:
+def taken_as_zero(flights: Flights) -> list[str]:
     """Lateral channels that were not recorded and are taken as zero in the simulation."""
     missing = [name for name in SIDE if name not in flights.channels]
     slips = "beta" in flights.channels  # without sideslip no lateral force enters the longitudinal motion

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -32,10 +32,8 @@ def give_back_memory() -> None:
 
 
 def full_of_programs() -> bool:
-    """Whether this process is near the limit of memory mappings of Linux.
-
-    Each compiled program takes about four. Beyond the limit the compiler ends the process with a segmentation fault.
-    """
+    """Whether this process nears the limit of Linux's memory mappings; each compiled program takes about four."""
+    # Beyond the limit the compiler ends the process with a segmentation fault.
     try:
         with MAPPINGS.open(encoding="utf-8", errors="replace") as lines:
             count = sum(1 for _ in lines)
@@ -47,35 +45,24 @@ def full_of_programs() -> bool:
 # --- Number of cores that this process may use, and limits on the threads of linear algebra.
 
 VARIABLE = "BAYES_AERO_CORES"
+_LIBRARIES = cache(ThreadpoolController)  # of BLAS, found once
 WORTH_THREADS = 2500  # rows of a matrix below which a second BLAS thread costs more than it does (twice at 1000 rows)
 
 
 def cores() -> int:
-    """Number of cores by the variable BAYES_AERO_CORES, else all that the system allows this process.
-
-    A worker of a cluster has one core; the others belong to other workers.
-    """
+    """Cores by the variable BAYES_AERO_CORES (a worker of a cluster has one), else all that the system allows."""
     allowed = os.environ.get(VARIABLE, "")
     return max(1, int(allowed)) if allowed.isdecimal() else cpu_count()
 
 
 @contextmanager
 def blas_threads(rows: int) -> Iterator[None]:
-    """Context (or decorator) with one BLAS thread for matrices of few `rows`, on which several wait for each other.
-
-    Larger matrices keep the number of threads with which BLAS was started.
-    """
+    """Context (or decorator) with one BLAS thread for matrices of few `rows`, on which several wait for each other."""
     if rows >= WORTH_THREADS:
         yield
         return
-    with _libraries().limit(limits=1, user_api="blas"):
+    with _LIBRARIES().limit(limits=1, user_api="blas"):
         yield
-
-
-@lru_cache
-def _libraries() -> ThreadpoolController:
-    """The BLAS libraries of NumPy and SciPy, found once."""
-    return ThreadpoolController()
 
 
 # --- End of processes whose parent was killed; they would wait for ever to return their results.
@@ -89,10 +76,10 @@ def exit_with(parent: int) -> None:
     if os.getppid() != parent or parent in _watched:
         return
     _watched.add(parent)
-    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_SECONDS)
+        os._exit(1)
 
-def _watch(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(POLL_SECONDS)
-    os._exit(1)
+    threading.Thread(target=watch, daemon=True).start()

@@ -16,15 +16,6 @@ MIN_INNOVATIONS = 10  # for each coefficient of an autoregression; with fewer, b
 MIN_RESIDUAL_SHARE = 0.05  # least share 1 - h of an innovation that the fit leaves, with the leverage h of its block
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """Block means of one stretch without gaps, and the number of samples of each block."""
-
-    residual: Float[np.ndarray, "b c"]
-    slope: Float[np.ndarray, "b c k"]
-    samples: Float[np.ndarray, " b"]
-
-
 def robust_covariance(
     D: Float[np.ndarray, "k k"],
     S: Float[np.ndarray, "n c k"],
@@ -34,82 +25,53 @@ def robust_covariance(
     start: Bool[np.ndarray, " n"],
     dt: float,
 ) -> tuple[Float[np.ndarray, "k k"], int]:
-    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks.
-
-    Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
-    sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
-    covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also holds
-    where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor (HC3: each
-    is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by Student's t
-    with the number of blocks less the number of parameters as degrees of freedom.
-
-    Args:
-        D: inverse information (sum S' R^-1 S)^-1.
-        S: sensitivities of the modelled coefficients.
-        R: variances of the residuals.
-        residual: measured minus modelled.
-        manoeuvre: of each sample.
-        start: true where a stretch without gaps begins.
-        dt: sampling interval, s.
-
-    Source: Morelli and Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953;
-    HC3 and the larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly
-    Harmless Econometrics*, 2009, ch. 8.
-    """
-    from scipy.stats import norm, t  # here, for commands that only read records do without it
+    """Covariance D M D of the estimate, with M that of the score sum S' R^-1 r, and the number of blocks."""
+    # Residuals are averaged over blocks of `BLOCK` seconds and whitened by an autoregression for each coefficient (the
+    # sensitivities by its transpose, so that the score is unchanged). M is then formed twice: from the innovations'
+    # covariance, as in the corrected bound of Morelli and Klein, and from each block's own innovations, which also
+    # holds where the residual grows with the sensitivity, as it does where noise of the flow angle is in a regressor
+    # (HC3: each is divided by the share 1 - h that the fit leaves of it). The larger variance is taken. It is scaled by
+    # Student's t with the number of blocks less the number of parameters as degrees of freedom. Source: Morelli and
+    # Klein, J. Aircraft 34 (1997) 211; prewhitening: Andrews and Monahan, Econometrica 60 (1992) 953; HC3 and the
+    # larger of both: MacKinnon and White, J. Econometrics 29 (1985) 305; Angrist and Pischke, *Mostly Harmless
+    # Econometrics*, 2009, ch. 8.
+    from scipy.signal import lfilter  # here, for commands that only read records do without it
+    from scipy.stats import norm, t
 
     begins = np.flatnonzero(np.asarray(start) | np.append(True, np.diff(manoeuvre) != 0))
-    stretches = [
-        _blocks(S[one], residual[one], max(1, round(BLOCK / dt)))
-        for one in (slice(a, b) for a, b in zip(begins, np.append(begins[1:], len(start)), strict=True))
-    ]
-    phi = _autoregressions(stretches, S.shape[1])
-    whitened = [_whitened(one, phi, R) for one in stretches]
-    blocks = sum(len(one.samples) for one in stretches)
+    stretches = []  # block means of stretches without gaps, and the number of samples of each block
+    for a, b in zip(begins, np.append(begins[1:], len(start)), strict=True):
+        edges = np.arange(0, b - a, max(1, round(BLOCK / dt)))
+        samples = np.diff(np.append(edges, b - a)).astype(float)
+        r, slope = (np.add.reduceat(x[a:b], edges, axis=0) for x in (residual, S))
+        stretches.append((r / samples[:, None], slope / samples[:, None, None], samples))
+    phi, long = np.zeros((S.shape[1], ORDER)), [r for r, _, _ in stretches if len(r) > 2 * ORDER]
+    if sum(len(r) - ORDER for r in long) >= MIN_INNOVATIONS * ORDER:
+        phi = np.stack([autoregression([r[None, :, c] for r in long])[0][0] for c in range(S.shape[1])])
+    whitened = []  # innovations e = A r, and A^-T of the weighed sensitivities: their product is the score
+    for r, slope, samples in stretches:
+        weighed = slope * samples[:, None, None] / R[:, None]
+        innovation, shaped = np.empty_like(r), np.empty_like(weighed)
+        for c, own in enumerate(phi):
+            polynomial = np.append(1.0, -own)
+            innovation[:, c] = lfilter(polynomial, [1.0], r[:, c])
+            shaped[:, c] = np.asarray(lfilter([1.0], polynomial, weighed[::-1, c], axis=0))[::-1]
+        whitened.append((innovation, shaped))
+    blocks = sum(len(samples) for _, _, samples in stretches)
     left = max(blocks - max(int(np.count_nonzero(np.any(S[:, c] != 0.0, axis=0))) for c in range(S.shape[1])), 1)
     together = np.concatenate([e for e, _ in whitened])
     spread = together.T @ together / left
-    stationary, own = np.zeros_like(D), np.zeros_like(D)
-    for (innovation, shaped), one in zip(whitened, stretches, strict=True):
+    stationary, by_block = np.zeros_like(D), np.zeros_like(D)
+    for (innovation, shaped), (_, slope, samples) in zip(whitened, stretches, strict=True):
         stationary += np.einsum("bck,cd,bdl->kl", shaped, spread, shaped, optimize=True)
-        share = np.einsum("bck,kl,bcl->bc", one.slope, D, one.slope, optimize=True) * one.samples[:, None] / R
+        share = np.einsum("bck,kl,bcl->bc", slope, D, slope, optimize=True) * samples[:, None] / R
         scores = np.einsum("bck,bc->bk", shaped, innovation / np.maximum(1.0 - share, MIN_RESIDUAL_SHARE))
-        own += scores.T @ scores
-    stationary, own = (D @ middle @ D for middle in (stationary, own))
-    sd = np.sqrt(np.maximum(np.diag(stationary), np.diag(own)))
-    narrow = np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
+        by_block += scores.T @ scores
+    stationary, by_block = (D @ middle @ D for middle in (stationary, by_block))
+    sd = np.sqrt(np.maximum(np.diag(stationary), np.diag(by_block)))
+    narrow = np.sqrt(np.maximum(np.diag(by_block), np.finfo(float).tiny))
     widen = sd / narrow * t.ppf(0.975, left) / norm.ppf(0.975)
-    return own * np.outer(widen, widen), blocks
-
-
-def _blocks(S: Float[np.ndarray, "n c k"], residual: Float[np.ndarray, "n c"], size: int) -> _Stretch:
-    edges = np.arange(0, len(residual), size)
-    samples = np.diff(np.append(edges, len(residual))).astype(float)
-    residual, S = np.add.reduceat(residual, edges, axis=0), np.add.reduceat(S, edges, axis=0)
-    return _Stretch(residual / samples[:, None], S / samples[:, None, None], samples)
-
-
-def _autoregressions(stretches: Sequence[_Stretch], outputs: int) -> Float[np.ndarray, "c p"]:
-    """An autoregression for each output; zeros where the stretches are too short."""
-    long = [one.residual for one in stretches if len(one.residual) > 2 * ORDER]
-    if sum(len(x) - ORDER for x in long) < MIN_INNOVATIONS * ORDER:
-        return np.zeros((outputs, ORDER))
-    return np.stack([autoregression([x[None, :, c] for x in long])[0][0] for c in range(outputs)])
-
-
-def _whitened(
-    one: _Stretch, phi: Float[np.ndarray, "c p"], R: Float[np.ndarray, " c"]
-) -> tuple[Float[np.ndarray, "b c"], Float[np.ndarray, "b c k"]]:
-    """Innovations e = A r, and A^-T of the weighed sensitivities: their product is the score."""
-    from scipy.signal import lfilter  # here, for commands that only read records do without it
-
-    weighed = one.slope * one.samples[:, None, None] / R[:, None]
-    innovation, shaped = np.empty_like(one.residual), np.empty_like(weighed)
-    for c, own in enumerate(phi):
-        polynomial = np.append(1.0, -own)
-        innovation[:, c] = lfilter(polynomial, [1.0], one.residual[:, c])
-        shaped[:, c] = np.asarray(lfilter([1.0], polynomial, weighed[::-1, c], axis=0))[::-1]
-    return innovation, shaped
+    return by_block * np.outer(widen, widen), blocks
 
 
 # --- Cramer-Rao bounds corrected for coloured residuals.
@@ -120,23 +82,18 @@ DRAWS = 20  # of the modelled noise, for each mean
 
 
 def autocovariance(residual: Float[np.ndarray, "n c"], lags: int) -> Float[np.ndarray, "m c c"]:
-    """Autocovariance R(k) = (1/n) sum_i r_i r_(i-k)' for k = -lags .. lags, tapered by Parzen's window.
-
-    The biased estimate with a positive-definite window keeps the sequence positive semidefinite, so no corrected
-    variance can come out negative. The full untapered sequence would sum to nearly zero, because the fitted
-    residuals are orthogonal to the sensitivities; the window is what makes it consistent.
-    """
+    """Autocovariance R(k) = (1/n) sum_i r_i r_(i-k)' for k = -lags .. lags, tapered by Parzen's window."""
+    # The biased estimate with a positive-definite window keeps the sequence positive semidefinite, so no corrected
+    # variance can come out negative. The full untapered sequence would sum to nearly zero, because the fitted residuals
+    # are orthogonal to the sensitivities; the window is what makes it consistent.
     n, _ = residual.shape
     size = int(next_fast_len(2 * n) or 2 * n)
     spectrum = np.fft.rfft(residual, size, axis=0)
     full = np.fft.irfft(np.einsum("fi,fj->fij", spectrum, spectrum.conj()), size, axis=0) / n
     k = np.arange(-lags, lags + 1)
-    return full[k] * _parzen(k / (lags + 1.0))[:, None, None]
-
-
-def _parzen(x: np.ndarray) -> np.ndarray:
-    x = np.abs(x)
-    return np.where(x <= 0.5, 1.0 - 6.0 * x**2 * (1.0 - x), 2.0 * (1.0 - np.minimum(x, 1.0)) ** 3)
+    x = np.abs(k / (lags + 1.0))
+    window = np.where(x <= 0.5, 1.0 - 6.0 * x**2 * (1.0 - x), 2.0 * (1.0 - np.minimum(x, 1.0)) ** 3)
+    return full[k] * window[:, None, None]
 
 
 def corrected_covariance(
@@ -147,12 +104,10 @@ def corrected_covariance(
     manoeuvre: Int[np.ndarray, " n"],
     start: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "k k"]:
-    """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre.
-
-    Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
-    are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
-    neighbours, and the autocovariance is that of the longest stretch.
-    """
+    """D [sum_i S_i' R^-1 sum_j Rvv(i-j) R^-1 S_j] D with D = (sum S' R^-1 S)^-1, manoeuvre by manoeuvre."""
+    # Source: corrected bound of Morelli and Klein, J. Aircraft 1997; Rvv is the residuals' autocovariance. Manoeuvres
+    # are taken as independent. Where samples are left out (`start` inside a manoeuvre) only whole stretches count as
+    # neighbours, and the autocovariance is that of the longest stretch.
     W = S / R[:, None]
     total = np.zeros_like(D)
     for number in np.unique(manoeuvre):
@@ -161,29 +116,20 @@ def corrected_covariance(
         longest = max(stretches, key=len)
         lags = max(1, int(LAG_SHARE * len(longest)))
         covariance = autocovariance(residual[longest], lags)
-        for stretch in stretches:
-            total += _sandwich(W[stretch], covariance)
+        for stretch in stretches:  # sum_ij W_i' Rvv(i-j) W_j by convolution over time
+            own, n = W[stretch], len(stretch)
+            size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
+            kernel = np.zeros((size, *covariance.shape[1:]))
+            kernel[np.arange(-lags, lags + 1)] = covariance
+            spectra = np.fft.rfft(kernel, axis=0), np.fft.rfft(own, size, axis=0)
+            spread = np.fft.irfft(np.einsum("fij,fjk->fik", *spectra), size, axis=0)[:n]
+            total += np.einsum("nci,ncj->ij", own, spread)
     return D @ total @ D
 
 
-def _sandwich(W: Float[np.ndarray, "n c k"], covariance: Float[np.ndarray, "m c c"]) -> Float[np.ndarray, "k k"]:
-    """sum_ij W_i' Rvv(i-j) W_j by convolution over time."""
-    n, lags = W.shape[0], (covariance.shape[0] - 1) // 2
-    size = int(next_fast_len(n + 2 * lags) or n + 2 * lags)
-    kernel = np.zeros((size, covariance.shape[1], covariance.shape[2]))
-    kernel[np.arange(-lags, lags + 1)] = covariance
-    spread = np.fft.irfft(
-        np.einsum("fij,fjk->fik", np.fft.rfft(kernel, axis=0), np.fft.rfft(W, size, axis=0)), size, axis=0
-    )[:n]
-    return np.einsum("nci,ncj->ij", W, spread)
-
-
 def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int]) -> float:
-    """Standard error of the sum of an autocorrelated series of constant mean with independent stretches.
-
-    From the autocovariance up to `LAG_SHARE` of each stretch, tapered by Parzen's window as in
-    `corrected_covariance`. It is too small where the correlation time is nearly as long as that.
-    """
+    """Standard error of the sum of an autocorrelated series of constant mean with independent stretches."""
+    # Too small where the correlation time is nearly as long as `LAG_SHARE` of a stretch.
     centred = (values - values.mean())[:, None]
     parts = np.split(centred, np.cumsum(lengths)[:-1])
     variance = sum(len(part) * autocovariance(part, max(1, int(LAG_SHARE * len(part)))).sum() for part in parts)
@@ -192,19 +138,14 @@ def standard_error_of_sum(values: Float[np.ndarray, " m"], lengths: Sequence[int
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs.
+    """A fit of k parameters and of the initial state of each of w segments, linear in the noise of the outputs."""
 
-    `D`: covariance of the parameters for white noise. `S`: sensitivities to them, with initial states at their optimum.
-    `own`: sensitivities to initial states, whose priors have the `precision`, infinite where they are not fitted. `R`:
-    variances of the residuals. Samples that are not `inside` are zeros.
-    """
-
-    D: Float[np.ndarray, "k k"]
-    S: Float[np.ndarray, "w n c k"]
-    own: Float[np.ndarray, "w n c s"]
-    precision: Float[np.ndarray, " s"]
-    R: Float[np.ndarray, " c"]
-    inside: Bool[np.ndarray, "w n"]
+    D: Float[np.ndarray, "k k"]  # covariance of the parameters for white noise
+    S: Float[np.ndarray, "w n c k"]  # sensitivities to them, with initial states at their optimum
+    own: Float[np.ndarray, "w n c s"]  # sensitivities to initial states
+    precision: Float[np.ndarray, " s"]  # of the priors of the latter, infinite where they are not fitted
+    R: Float[np.ndarray, " c"]  # variances of the residuals
+    inside: Bool[np.ndarray, "w n"]  # the other samples are zeros
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "w n c k"]:
@@ -212,7 +153,7 @@ class LinearFit:
         return (self.S / self.R[:, None]) @ self.D
 
     @cached_property
-    def _states(self) -> Float[np.ndarray, "w s s"]:
+    def _state_covariance(self) -> Float[np.ndarray, "w s s"]:
         """Covariance of the initial states at given parameters; zero where they are not fitted."""
         fitted = np.isfinite(self.precision)
         A = np.einsum("wncs,c,wnct->wst", self.own, 1.0 / self.R, self.own, optimize=True)
@@ -226,7 +167,7 @@ class LinearFit:
         """What the fit leaves of the noise."""
         theta = np.einsum("wnck,...wnc->...k", self.weights, noise, optimize=True)
         states = np.einsum("wnct,...wnc->...wt", self.own, noise / self.R, optimize=True)
-        states = np.einsum("wst,...wt->...ws", self._states, states)
+        states = np.einsum("wst,...wt->...ws", self._state_covariance, states)
         taken = np.einsum("wnck,...k->...wnc", self.S, theta, optimize=True)
         return noise - taken - np.einsum("wncs,...ws->...wnc", self.own, states, optimize=True)
 
@@ -245,22 +186,14 @@ def means(x: Shaped[np.ndarray, "w n ..."], size: int) -> Float[np.ndarray, "w m
 
 
 def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float) -> Float[np.ndarray, " k"]:
-    """Variances of the estimates over those of `corrected_covariance`, (k,), for noise as the residuals show it.
-
-    A fit takes out of the residuals what is like its sensitivities, above all what disturbs the flight and adds up in
-    its motion; and the window, a fixed share of the record, leaves the variance uncertain. Both are calculated for a
-    model of the noise: of each sensor, white and of first order with the time constants `SENSOR_MEMORY`, and random
-    disturbances of each state, whose response is that to the initial state, later. The intensities are those with which
-    the residuals, filtered by each response, have the expected mean squares after the fit.
-
-    Source: Rao, J. Multivariate Analysis 1 (1971) 257 (intensities by expected squares); Beran, Biometrika 74 (1987)
-    457 (calibration by draws of the estimated noise).
-
-    Args:
-        fit: in means over some samples.
-        residual: of the outputs, in the same means.
-        dt: time from one to the next, s.
-    """
+    """Variances of the estimates over those of `corrected_covariance`, (k,), for noise as the `residual` shows it."""
+    # A fit takes out of the residuals what is like its sensitivities, above all what disturbs the flight and adds up in
+    # its motion; and the window, a fixed share of the record, leaves the variance uncertain. Both are calculated for a
+    # model of the noise: of each sensor, white and of first order with the time constants `SENSOR_MEMORY`, and random
+    # disturbances of each state, whose response is that to the initial state, later. The intensities are those with
+    # which the residuals, filtered by each response, have the expected mean squares after the fit. `fit` and `residual`
+    # are means over some samples, `dt` apart. Source: Rao, J. Multivariate Analysis 1 (1971) 257 (intensities by
+    # expected squares); Beran, Biometrika 74 (1987) 457 (calibration by draws of the estimated noise).
     (w, n, c), rng = residual.shape, np.random.default_rng(0)
     size = int(next_fast_len(2 * n) or 2 * n)
     time = dt * np.arange(n)[:, None, None]
@@ -293,21 +226,15 @@ def calibration(fit: LinearFit, residual: Float[np.ndarray, "w n c"], dt: float)
 
 
 # --- Covariance from the scatter between blocks of a record, for any autocorrelation within a block.
-# Two other variances differ. `robust_bounds` corrects each block by its leverage (HC3) and not by their number, and
-# `coloured_bounds.standard_error_of_sum` has no blocks.
+# `robust_covariance` corrects each block by its leverage (HC3) instead, `standard_error_of_sum` has no blocks.
 
 
 def cluster_covariance(
     contributions: Float[np.ndarray, "m k"], block: Int[np.ndarray, " m"]
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks.
-
-    Args:
-        contributions: to the sum, of each sample; residuals of a fit, weighed by sensitivities, give that of the score.
-        block: of each sample, 0 to n - 1.
-
-    Source: Liang and Zeger, Biometrika 73 (1986) 13.
-    """
+    """Covariance of a sum whose expectation is zero: n/(n - 1) sum_g s_g s_g' with the sums s_g of n blocks."""
+    # `contributions` of each sample: residuals weighed by sensitivities give the score's. Source: Liang and Zeger,
+    # Biometrika 73 (1986) 13.
     count = int(block.max()) + 1
     sums = np.zeros((count, contributions.shape[1]))
     np.add.at(sums, block, contributions)
@@ -315,14 +242,10 @@ def cluster_covariance(
 
 
 def jackknife_covariance(moves: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k k"]:
-    """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'.
-
-    A block that alone determines a parameter has no residual in its direction. `cluster_covariance` takes this for
-    agreement; the jackknife does not.
-
-    Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all blocks; Efron and
-    Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.
-    """
+    """Covariance of an estimate from its `moves` when each of n blocks is left out: (n - 1)/n sum_g d_g d_g'."""
+    # A block that alone determines a parameter has no residual in its direction; `cluster_covariance` takes this for
+    # agreement. Source: Bell and McCaffrey, Survey Methodology 28 (2002) 169, for moves from the estimate by all
+    # blocks; Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11, for moves from their mean.
     return moves.T @ moves * (len(moves) - 1.0) / len(moves)
 
 
@@ -372,10 +295,7 @@ def filtered_noise(
     innovations: Float[np.ndarray, "t ..."],
     past: Float[np.ndarray, "p ..."] | None = None,
 ) -> Float[np.ndarray, "t ..."]:
-    """x[t] = sum phi[i] x[t-1-i] + e[t] after the samples `past` (default: zeros), for many series at once.
-
-    Time is the first axis; the loop runs over it alone.
-    """
+    """x[t] = sum phi[i] x[t-1-i] + e[t] after the samples `past` (default: zeros), for many series at once."""
     order, weights = len(phi), phi[::-1]
     past = np.zeros((order, *innovations.shape[1:])) if past is None else past
     series = np.concatenate([past, innovations])
@@ -387,10 +307,8 @@ def filtered_noise(
 def stationary_series(
     phi: Float[np.ndarray, "p ..."], innovations: Float[np.ndarray, "t ..."]
 ) -> Float[np.ndarray, "t ..."]:
-    """`filtered_noise` from the stationary distribution: each of the first samples is predicted from those before it.
-
-    Source: Durbin's recursion, downwards; Brockwell and Davis, Time Series: Theory and Methods, 5.2.
-    """
+    """`filtered_noise` from the stationary distribution; Brockwell and Davis, Time Series: Theory and Methods, 5.2."""
+    # Each of the first samples is predicted from those before it: Durbin's recursion, downwards.
     order = len(phi)
     predictors, variances = [phi], [np.ones(phi.shape[1:])]
     for _ in range(order):
@@ -419,8 +337,5 @@ def median_inflation(inflation: Float[np.ndarray, " k"]) -> float:
 
 
 def nats(deviance: float, inflation: float) -> float:
-    """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (at least 1).
-
-    A likelihood divided by `inflation` has about the variances of estimates under autocorrelated residuals.
-    """
+    """Log likelihood of a decrease of the deviance of white residuals, divided by the variance inflation (>= 1)."""
     return deviance / (2.0 * max(inflation, 1.0))

@@ -53,36 +53,33 @@ MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference 
 SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
-class Step(NamedTuple):
+class BandStep(NamedTuple):
     """A linear solution: the step of the parameters (k,) and of the offsets, what is left (m, c), its mean squares."""
 
     step: np.ndarray
     left: np.ndarray
     R: np.ndarray
 
+    @property
+    def cost(self) -> float:
+        """Minus the log likelihood but for a constant."""
+        return 0.5 * len(self.left) * float(np.sum(np.log(self.R)))
+
 
 def fit_in_band(
     responses: InBand,
     parameters: Sequence[Parameter],
     start: Float[np.ndarray, " k"],
-    band: tuple[float, float],
+    band: Band,
     method: str = EQUATION_ERROR,
 ) -> FrequencyFit:
-    """Estimate the free parameters from residuals in a band.
-
-    Parameters that the band does not show, such as constants, keep their start.
-
-    Args:
-        responses: a residual model of `residuals.frequency_error`.
-        parameters: the free parameters.
-        start: their first values, (k,), SI; those of a fit in the time domain.
-        band: lowest and highest frequency, Hz.
-        method: its name.
-    """
+    """Estimate the free parameters from residuals in a band (Hz), by a model of `residuals.frequency_error`."""
+    # Parameters that the band does not show, such as constants, keep their start, SI, of a fit in the time domain.
     theta, outputs = np.asarray(start, float).copy(), responses.outputs
     lower, upper = (np.array([p.bounds[i] for p in parameters]) for i in (0, 1))
     residual, S = responses.linearise(theta)
-    free = _shown(S, residual, parameters)
+    information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
+    free = np.flatnonzero(information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN)
     offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
     found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
@@ -93,9 +90,9 @@ def fit_in_band(
             free = free[~outward]
             found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
-        before = _cost(solve(residual, offsets).R, len(residual))
-        if before - _cost(found.R, len(residual)) < TOLERANCE:
-            converged = True
+        before = solve(residual, offsets).cost
+        converged = before - found.cost < TOLERANCE
+        if converged:
             break
         responses = responses.moved(found.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
@@ -103,32 +100,37 @@ def fit_in_band(
             trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
             changed, S_free = responses.linearise(trial, free)
             own = responses.offsets(trial, outputs)
-            if _cost(solve(changed, own).R, len(changed)) < before:
+            if solve(changed, own).cost < before:
                 break
         else:
             converged = True  # rounding: no step lowers the cost
             break
         theta, residual, offsets = trial, changed, own
         found = solve(residual, np.concatenate([S_free, offsets], axis=2))
-    fitted = _result(responses, parameters, theta, free, found, converged)
-    held = tuple(parameters[i].name for i in at_bound)
-    unseen = tuple(name for name in fitted.unseen if name not in held)
-    return replace(fitted, band=(float(band[0]), float(band[1])), method=method, unseen=unseen, at_bound=held)
+    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
+    m, k = len(S), len(free)
+    R, D = cramer_rao(S, found.R)
+    corrected, regular = D, bool(np.all(np.isfinite(D)))
+    if regular:  # each part of a line stands alone: the transform has whitened them, and only their sizes differ
+        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+    return FrequencyFit(
+        method=method,
+        band=(float(band[0]), float(band[1])),
+        lines=m // 2,
+        names=tuple(parameters[int(i)].name for i in free),
+        units=tuple(parameters[int(i)].unit for i in free),
+        estimate=theta[free],
+        covariance=D[:k, :k],
+        corrected=corrected[:k, :k],
+        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(outputs)},
+        R=dict(zip(outputs, map(float, R), strict=True)),
+        unseen=tuple(p.name for i, p in enumerate(parameters) if i not in (*free, *at_bound)),
+        converged=converged and regular,
+        at_bound=tuple(parameters[i].name for i in at_bound),
+    )
 
 
-def _shown(S: np.ndarray, residual: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
-    """Indices of the parameters that the band shows."""
-    R = np.maximum(np.mean(np.square(residual), axis=0), EXACT)
-    information = np.einsum("mck,mck,c->k", S, S, 1.0 / R)
-    prior = np.array([p.prior.normal[1] for p in parameters])
-    return np.flatnonzero(information * np.square(prior) > UNSEEN)
-
-
-def _cost(R: np.ndarray, m: int) -> float:
-    return 0.5 * m * float(np.sum(np.log(R)))
-
-
-def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> Step:
+def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> BandStep:
     """Least squares for all columns, with the variances of the outputs that it leaves."""
     _, _, k = S.shape
     left, step = residual, np.zeros(k)
@@ -139,7 +141,7 @@ def solve(residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"]) -> 
         step = np.linalg.lstsq(weighted / scale, (residual / np.sqrt(R)).ravel(), rcond=1e-12)[0] / scale
         left = residual - S @ step
     R = np.maximum(np.mean(np.square(left), axis=0), EXACT)
-    return Step(step, left, R)
+    return BandStep(step, left, R)
 
 
 def cramer_rao(
@@ -157,52 +159,11 @@ def cramer_rao(
     return R, np.linalg.inv(scaled) / np.outer(scale, scale)
 
 
-def _result(
-    responses: InBand,
-    parameters: Sequence[Parameter],
-    theta: np.ndarray,
-    free: np.ndarray,
-    found: Step,
-    converged: bool,
-) -> FrequencyFit:
-    """Bounds at the optimum, with variances over degrees of freedom."""
-    S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, responses.outputs)], axis=2)
-    m, k = len(S), len(free)
-    R, D = cramer_rao(S, found.R)
-    corrected = D
-    if regular := bool(np.all(np.isfinite(D))):
-        # Each part of a line stands alone: the transform has whitened them, and only their sizes differ.
-        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
-    names = [p.name for p in parameters]
-    return FrequencyFit(
-        method=EQUATION_ERROR,
-        band=(0.0, 0.0),
-        lines=m // 2,
-        names=tuple(names[i] for i in free),
-        units=tuple(parameters[i].unit for i in free),
-        estimate=theta[free],
-        covariance=D[:k, :k],
-        corrected=corrected[:k, :k],
-        inner={name: S[:, c, :k].T @ S[:, c, :k] for c, name in enumerate(responses.outputs)},
-        R=dict(zip(responses.outputs, map(float, R), strict=True)),
-        unseen=tuple(name for i, name in enumerate(names) if i not in free),
-        converged=converged and regular,
-    )
-
-
 def without_noise_bias_in_band(
     fit: FrequencyFit, responses: InBand, parameters: Sequence[Parameter], *, seed: int = 0
 ) -> FrequencyFit:
-    """The estimate without the bias by noise of the recorded regressors, as `likelihood.noise_bias` has it.
-
-    Args:
-        fit: equation error of `responses`.
-        responses: its residual model.
-        parameters: the free parameters of the model.
-        seed: of the added noise.
-
-    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
-    """
+    """The estimate without the bias by noise of the recorded regressors, as `mle.without_noise_bias` has it."""
+    # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if not fit.converged:
         return fit
     flights, rng, moves = responses.flights, np.random.default_rng(seed), []
@@ -225,13 +186,21 @@ def without_noise_bias_in_band(
     return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
 
 
-def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
-    """The fit with its differences from that of the same coefficients in the time domain, in standard errors.
+# --- Records fitted in a band: coefficients beside their fit in the time domain, and linear cards.
 
-    Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
-    from the other frequencies, which is independent of it; M is the share of the band in the information. So the
-    covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
-    """
+
+def coefficients_in_band(
+    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
+) -> FrequencyFit:
+    """Equation error of the coefficients in a band (Hz), beside their fit `mle` in the time domain, where it starts."""
+    # The records are without spikes. `InputError`: the band is empty or holds no frequency of a record.
+    flights = join(at_common_rate(records), card, required_of(model.axes))
+    responses = FrequencyError.in_band(flights, model, band)
+    fit = fit_in_band(responses, model.free, mle.estimate, band)
+    fit = without_noise_bias_in_band(fit, responses, model.free, seed=seed)
+    # Both estimates share the noise of the band. The one in the time domain is M times the one in the band and a part
+    # from the other frequencies, which is independent of it; M is the share of the band in the information. So the
+    # covariance of the difference is V_t + V_f - M V_f - V_f M', with the corrected covariances of both.
     place = [mle.names.index(name) for name in fit.names]
     V_t, V_f, D = mle.corrected[np.ix_(place, place)], fit.corrected, mle.covariance[np.ix_(place, place)]
     M = D @ sum(inner / mle.R[c] for c, inner in enumerate(fit.inner.values()))
@@ -243,41 +212,11 @@ def beside_time_domain(fit: FrequencyFit, mle: MleResult) -> FrequencyFit:
     return replace(fit, apart=dict(zip(fit.names, map(float, apart), strict=True)))
 
 
-# --- Records fitted in a band: coefficients beside their fit in the time domain, and linear cards.
-
-
-def coefficients_in_band(
-    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, band: Band, *, seed: int = 0
-) -> FrequencyFit:
-    """Equation error of the coefficients in a band, beside their fit in the time domain.
-
-    Args:
-        records: one a manoeuvre, without spikes.
-        card: of the records.
-        model: the fitted model.
-        mle: its fit in the time domain, from which this one starts.
-        band: lowest and highest frequency, Hz.
-        seed: of the noise that shows the bias by noise.
-
-    Raises:
-        InputError: the band is empty or holds no frequency of a record.
-    """
-    flights = join(at_common_rate(records), card, required_of(model.axes))
-    responses = FrequencyError.in_band(flights, model, band)
-    fit = without_noise_bias_in_band(
-        fit_in_band(responses, model.free, mle.estimate, band), responses, model.free, seed=seed
-    )
-    return beside_time_domain(fit, mle)
-
-
 def linear_in_band(
     flights: Flights, dynamics: Dynamics, band: Band
 ) -> tuple[tuple[FrequencyFit, FrequencyFit], tuple[FrequencyResponse, ...]]:
-    """Equation error of a linear card in a band, output error from there, and responses.
-
-    Raises:
-        InputError: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
-    """
+    """Equation error of a linear card in a band, output error from there, and responses."""
+    # `InputError`: a state was not recorded, sampling times differ, or the band holds no frequency of a record.
     dt = np.asarray(flights.channels["dt"], float)
     if np.ptp(dt) > 1e-6 * dt[0]:
         raise InputError("the manoeuvres have different sampling times; give --resample")
@@ -306,12 +245,16 @@ Combination = tuple[tuple[str, float], ...]
 def frequency_responses(
     flights: Flights, dynamics: LinearDynamics, fit: FrequencyFit, *, seed: int = 0
 ) -> tuple[FrequencyResponse, ...]:
-    """Responses of every recorded output to every input of the card, in the band of `fit`.
-
-    Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
-    `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
-    """
-    inputs = _inputs(dynamics)
+    """Responses of every recorded output to every input of the card, in the band of `fit`."""
+    # Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
+    # `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
+    terms: dict[tuple[int, str], list[tuple[str, float]]] = {}  # what a parameter multiplies: no state, no constant
+    for i, (_, row) in enumerate(dynamics.rows.rows):
+        for term in row:
+            if term.channel != ONE and term.channel not in dynamics.states:
+                terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
+    whole = dict.fromkeys(tuple(sorted(one)) for one in terms.values())
+    inputs = list(dict.fromkeys(((one[0][0], 1.0),) if len(one) == 1 else one for one in whole))
     outputs = tuple(name for name in dynamics.outputs if name in flights.channels)
     if not inputs or not outputs:
         return ()
@@ -341,18 +284,6 @@ def frequency_responses(
         for i, one in enumerate(inputs)
         for o, output in enumerate(outputs)
     )
-
-
-def _inputs(dynamics: LinearDynamics) -> list[Combination]:
-    """What the parameters multiply beside states and constants."""
-    terms: dict[tuple[int, str], list[tuple[str, float]]] = {}
-    for i, (_, row) in enumerate(dynamics.rows.rows):
-        for term in row:
-            if term.channel != ONE and term.channel not in dynamics.states:
-                terms.setdefault((i, term.parameter), []).append((term.channel, term.factor))
-    whole = {tuple(sorted(one)): None for one in terms.values()}
-    single = {((one[0][0], 1.0),) if len(one) == 1 else one: None for one in whole}
-    return list(single)
 
 
 def _measured(

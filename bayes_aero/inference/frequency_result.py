@@ -11,41 +11,23 @@ from jaxtyping import Complex, Float
 
 @dataclass(frozen=True)
 class FrequencyFit:
-    """Estimates in a band, SI and radians.
+    """Estimates in a band, SI and radians."""
 
-    Attributes:
-        method: equation error or output error.
-        band: lowest and highest frequency, Hz.
-        lines: number of frequencies, of all manoeuvres together.
-        names: the parameters that the band shows, (k,).
-        units: of these.
-        estimate: their values.
-        covariance: Cramer-Rao covariance (k, k), for residuals of one variance at all lines.
-        corrected: the same with the variances of the lines themselves; contains the squared bias.
-        bias: by recording noise in the regressors, (k,); it is subtracted from the estimate. None: not subtracted.
-        inner: inner products of the sensitivities by output, (k, k).
-        R: variance of the residuals by output; white noise has the same at the samples.
-        unseen: free parameters that drop out with bias and drift.
-        at_bound: parameters that the band would move beyond a bound, and that are held there.
-        converged: whether the numbers mean something.
-        apart: differences from the fit in the time domain, in standard errors of the difference, by parameter.
-    """
-
-    method: str
-    band: tuple[float, float]
-    lines: int
-    names: tuple[str, ...]
+    method: str  # equation error or output error
+    band: tuple[float, float]  # lowest and highest frequency, Hz
+    lines: int  # number of frequencies, of all manoeuvres together
+    names: tuple[str, ...]  # of the parameters that the band shows
     units: tuple[str, ...]
     estimate: Float[np.ndarray, " k"]
-    covariance: Float[np.ndarray, "k k"]
-    corrected: Float[np.ndarray, "k k"]
-    inner: Mapping[str, Float[np.ndarray, "k k"]]
-    R: Mapping[str, float]
-    unseen: tuple[str, ...]
+    covariance: Float[np.ndarray, "k k"]  # of Cramer and Rao, for residuals of one variance at all lines
+    corrected: Float[np.ndarray, "k k"]  # with the variances of the lines themselves, and the squared bias
+    inner: Mapping[str, Float[np.ndarray, "k k"]]  # inner products of the sensitivities by output
+    R: Mapping[str, float]  # variance of the residuals by output; white noise has the same at the samples
+    unseen: tuple[str, ...]  # free parameters that drop out with bias and drift
     converged: bool
-    at_bound: tuple[str, ...] = ()
-    bias: Float[np.ndarray, " k"] | None = None
-    apart: Mapping[str, float] = field(default_factory=dict)
+    at_bound: tuple[str, ...] = ()  # parameters that the band would move beyond a bound, and that are held there
+    bias: Float[np.ndarray, " k"] | None = None  # by noise of the regressors, subtracted; None: not computed
+    apart: Mapping[str, float] = field(default_factory=dict)  # from the time domain, in standard errors of that
 
     @property
     def crb(self) -> Float[np.ndarray, " k"]:
@@ -60,17 +42,13 @@ class FrequencyFit:
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """An output over an input at frequencies (f,), Hz; SI.
-
-    `measured` by cross spectra, with its standard `error`; `coherence` of the output with all inputs; `modelled` by the
-    estimates in the band and by `draws` of them (d, f).
-    """
+    """An output over an input at frequencies (f,), Hz; SI."""
 
     input: str
     output: str
     frequency: Float[np.ndarray, " f"]
-    measured: Complex[np.ndarray, " f"]
-    error: Float[np.ndarray, " f"]
-    coherence: Float[np.ndarray, " f"]
-    modelled: Complex[np.ndarray, " f"]
-    draws: Complex[np.ndarray, "d f"]
+    measured: Complex[np.ndarray, " f"]  # by cross spectra
+    error: Float[np.ndarray, " f"]  # standard error
+    coherence: Float[np.ndarray, " f"]  # of the output with all inputs
+    modelled: Complex[np.ndarray, " f"]  # by the estimates in the band
+    draws: Complex[np.ndarray, "d f"]  # by draws of them

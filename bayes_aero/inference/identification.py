@@ -28,39 +28,30 @@ from bayes_aero.model.observations import Forming, Observations
 
 @dataclass(frozen=True)
 class Validation:
-    """One coefficient on one split's test points: GPR and maximum likelihood trained on the same training points.
+    """One coefficient on one split's test points: GPR and maximum likelihood trained on the same training points."""
 
-    Arrays follow `test` (indices into the observations, ascending). `gp_low`, `gp_high` bound the central 95 %
-    predictive interval. `k_hat` is None where the hyperparameters were taken at their maximum a posteriori.
-    """
-
-    test: Int[np.ndarray, " m"]
+    test: Int[np.ndarray, " m"]  # indices into the observations, ascending
     measured: Float[np.ndarray, " m"]
     gp: Float[np.ndarray, " m"]
-    gp_low: Float[np.ndarray, " m"]
+    gp_low: Float[np.ndarray, " m"]  # of the central 95 % predictive interval
     gp_high: Float[np.ndarray, " m"]
     mle: Float[np.ndarray, " m"]
     gp_scores: Scores
     mle_scores: Scores
     coverage: dict[float, float]
-    k_hat: float | None
+    k_hat: float | None  # None where the hyperparameters were taken at their maximum a posteriori
     status: str
 
 
 @dataclass(frozen=True)
 class GPReport:
-    """Gaussian processes of one run.
+    """Gaussian processes of one run."""
 
-    `splits` maps a split's name (`random`, `block`, `manoeuvre`) to its folds, each a mapping from CL, CD, Cm to the
-    validation; only `manoeuvre` has more than one fold. `fits` are the fits of the chosen split's first fold.
-    `left_out` says which splits the records do not allow, and why.
-    """
-
-    splits: dict[str, list[dict[str, Validation]]]
-    fits: dict[str, GPFit]
+    splits: dict[str, list[dict[str, Validation]]]  # folds (several of `manoeuvre` alone), by coefficient
+    fits: dict[str, GPFit]  # of the chosen split's first fold
     chosen: str
     seconds: float
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # which splits the records do not allow, and why
 
 
 @dataclass(frozen=True)
@@ -71,14 +62,16 @@ class Interval:
     low: float
     high: float
 
+    @classmethod
+    def of(cls, draws: Float[np.ndarray, " m"]) -> Interval:
+        """That of draws."""
+        low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
+        return cls(float(median), float(low), float(high))
+
 
 @dataclass(frozen=True)
 class Stall:
-    """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles.
-
-    `CL_max` and `alpha_max` are over all draws. `at_edge` is the share of draws with their maximum at the first or last
-    recorded angle; the true maximum is beyond it, and `CL_max` is then only a lower limit.
-    """
+    """The steady stall of one model. Angles in rad, rates in rad/s; bands are the 2.5, 50 and 97.5 % quantiles."""
 
     alpha: Float[np.ndarray, " g"]
     CL: Float[np.ndarray, "3 g"]
@@ -87,7 +80,7 @@ class Stall:
     X: Float[np.ndarray, "r 3 g"]  # over alpha, at each alpha-dot of `rates`
     CL_max: Interval
     alpha_max: Interval
-    at_edge: float
+    at_edge: float  # share of draws with their maximum at an end of the recorded angles: a lower limit only
     reference: Mapping[str, float]
 
     def numbers(self) -> dict[str, Any]:
@@ -118,8 +111,7 @@ class Histogram:
 
 @dataclass(frozen=True)
 class PitResult:
-    """Probability integral transform (n,) of each coefficient by the first posterior: values, bars, correlation of
-    neighbours."""
+    """Probability integral transform of each coefficient by the first posterior; bars; correlation of neighbours."""
 
     engine: str
     values: Float[np.ndarray, "n c"]
@@ -129,38 +121,29 @@ class PitResult:
 
 @dataclass(frozen=True)
 class Identification:
-    """One run on one set of records.
-
-    `alone` holds the maximum-likelihood fit of each manoeuvre by itself, `next_flight` what they say pooled.
-    `posteriors` has `emcee` and `nuts` under the chosen noise model `noise`, and `white`, by emcee, where that is
-    another one. `stall` and `pit` are over the draws of the first of them. `forming` is how the coefficients were
-    formed, and `preparation` has sentences on its effect on the estimates. `health` has the faults of the records'
-    channels, and `consistency` whether the sensors agree. `failures` has a sentence on each part that failed
-    unexpectedly. `truth` has the true parameters of simulated records, SI and radians. `frequency` is the fit in a
-    band, if one was asked for.
-    """
+    """One run on one set of records."""
 
     card: Card
     model: Model
     records: tuple[FlightRecord, ...]
     observations: Observations
-    noise: Colour
+    noise: Colour  # the chosen model of the noise
     mle: MleResult
-    alone: dict[str, MleResult]
-    posteriors: dict[str, Posterior]
+    alone: dict[str, MleResult]  # the fit of each manoeuvre by itself
+    posteriors: dict[str, Posterior]  # `emcee` and `nuts` under `noise`; `white`, by emcee, where that is another one
     gp: GPReport | None = None
-    next_flight: NextFlight | None = None
-    stall: Stall | None = None
+    next_flight: NextFlight | None = None  # what the manoeuvres say pooled
+    stall: Stall | None = None  # over the draws of the first posterior, as `pit`
     pit: PitResult | None = None
     notes: tuple[str, ...] = ()
-    failures: tuple[str, ...] = ()
-    health: tuple[HealthFinding, ...] = ()
-    preparation: tuple[str, ...] = ()
-    consistency: Consistency | None = None
-    truth: Mapping[str, float] | None = None
+    failures: tuple[str, ...] = ()  # a sentence on each part that failed unexpectedly
+    health: tuple[HealthFinding, ...] = ()  # faults of the records' channels
+    preparation: tuple[str, ...] = ()  # sentences on the effect of `forming` on the estimates
+    consistency: Consistency | None = None  # whether the sensors agree
+    truth: Mapping[str, float] | None = None  # of simulated records, SI and radians
     seconds: dict[str, float] = field(default_factory=dict)
     forming: Forming = Forming.MATCHED
-    frequency: FrequencyFit | None = None
+    frequency: FrequencyFit | None = None  # in a band, if one was asked for
 
     @cached_property
     def fitted(self) -> Float[np.ndarray, "n c"]:

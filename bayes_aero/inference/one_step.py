@@ -35,12 +35,10 @@ def probability_transform(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 
 def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
-    """One-step predictions of segments that were filtered.
+    """One-step predictions of filtered segments, (w, ...) in front; outputs with less than two innovations are left
+    out.
 
-    Args:
-        found: of `innovations.filtered`, (w, ...) in front.
-        errors: measured minus predicted from the samples before, (w, n, c), SI, as `innovations.prediction_errors`.
-        outputs: names of the c outputs; one that has less than two innovations is left out.
+    `errors`: measured minus predicted from the samples before, (w, n, c), SI, as `innovations.prediction_errors`.
     """
     z, u, correlation = _standardised(found), probability_transform(found), neighbour_correlation(found)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
@@ -60,11 +58,7 @@ def _standardised(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 
 def _assess(
-    z: Float[np.ndarray, "w n c"],
-    u: Float[np.ndarray, "w n c"],
-    rms: float | None,
-    coloured: bool,
-    tests: int,
+    z: Float[np.ndarray, "w n c"], u: Float[np.ndarray, "w n c"], rms: float | None, coloured: bool, tests: int
 ) -> Predicted:
     used = np.isfinite(z)
     n, squares = int(used.sum()), np.where(used, np.square(z), 0.0)
@@ -79,18 +73,39 @@ def _assess(
         share = float(inside.sum() / n)
         inflation = _inflation(np.where(used, inside - share, 0.0), used) or inflation
         spread = max(share * (1.0 - share), level * (1.0 - level))
-        shares.append(
-            Share(level, share, float(np.sqrt(inflation * spread / n)), _p_value(level, share, n / inflation))
-        )
-        independent = min(independent, n / inflation)
-    calibration = _calibration(shares, coloured, independent, tests)
-    return Predicted(n, rms, (ratio, ratio_sd), tuple(shares), calibration, _normal_quantiles(z, n))
+        # Two-sided binomial p-value of independent innovations; by the beta distribution, for they are no whole number.
+        alone = n / inflation
+        missed, chance = (1.0 - share) * alone, 1.0 - level
+        at_most = float(betainc(max(alone - missed, TINY), missed + 1.0, level))
+        at_least = float(betainc(max(missed, TINY), alone - missed + 1.0, chance))
+        p = min(1.0, 2.0 * min(at_most, at_least))
+        shares.append(Share(level, share, float(np.sqrt(inflation * spread / n)), p))
+        independent = min(independent, alone)
+    differences = [s.share - s.level for s in shares if s.p < SIGNIFICANCE / tests]
+    if coloured and not differences:
+        calibration = Calibration.COLOURED
+    elif independent < MIN_INDEPENDENT:
+        calibration = Calibration.UNDECIDED
+    elif not differences:
+        calibration = Calibration.CALIBRATED
+    elif max(differences) < 0.0:
+        calibration = Calibration.TOO_NARROW
+    else:
+        calibration = Calibration.TOO_WIDE if min(differences) > 0.0 else Calibration.NOT_NORMAL
+    # Quantiles: order statistics of as many uniform values as there are independent innovations (Bonferroni).
+    scores, rows = NORMAL_SCORES[n * norm.sf(np.abs(NORMAL_SCORES)) >= MIN_BEYOND], []
+    tail, probabilities = 0.5 * SIGNIFICANCE / max(len(scores), 1), norm.cdf(scores)
+    for score, value, q in zip(scores, np.quantile(z[used], probabilities), probabilities, strict=True):
+        below = used & (z <= value)
+        alone = n / (_inflation(np.where(used, below - below.sum() / n, 0.0), used) or 1.0)
+        band = beta.ppf([tail, 1.0 - tail], q * (alone + 1.0), (1.0 - q) * (alone + 1.0))
+        rows.append([score, value, *norm.ppf(band)])
+    return Predicted(n, rms, (ratio, ratio_sd), tuple(shares), calibration, np.array(rows).reshape(-1, 4))
 
 
 def _inflation(centred: Float[np.ndarray, "w n c"], used: Bool[np.ndarray, "w n c"]) -> float | None:
-    """Variance inflation of the sum of `centred` by autocorrelation and by correlation between outputs, at least 1.
-
-    `centred` has mean zero and is zero where nothing was measured. None where it is zero everywhere.
+    """Variance inflation of the sum of `centred`, zero where not measured, by all correlation, >= 1; None if it is
+    zero.
     """
     white = float(np.sum(centred**2))
     if white <= TINY:
@@ -98,39 +113,3 @@ def _inflation(centred: Float[np.ndarray, "w n c"], used: Bool[np.ndarray, "w n 
     lengths = [int(np.max(np.flatnonzero(some), initial=-1)) + 1 for some in np.any(used, axis=2)]
     series = np.concatenate([one[:length].sum(axis=1) for one, length in zip(centred, lengths, strict=True)])
     return max(1.0, standard_error_of_sum(series, [length for length in lengths if length]) ** 2 / white)
-
-
-def _p_value(level: float, share: float, n: float) -> float:
-    """Two-sided binomial p-value of a share of `n` independent innovations; by the beta distribution, as `n` may be no
-    whole number."""
-    missed, chance = (1.0 - share) * n, 1.0 - level
-    at_most = float(betainc(max(n - missed, TINY), missed + 1.0, level))
-    at_least = float(betainc(max(missed, TINY), n - missed + 1.0, chance))
-    return min(1.0, 2.0 * min(at_most, at_least))
-
-
-def _calibration(shares: Sequence[Share], coloured: bool, independent: float, tests: int) -> Calibration:
-    differences = [s.share - s.level for s in shares if s.p < SIGNIFICANCE / tests]
-    if coloured and not differences:
-        return Calibration.COLOURED
-    if independent < MIN_INDEPENDENT:
-        return Calibration.UNDECIDED
-    if not differences:
-        return Calibration.CALIBRATED
-    if max(differences) < 0.0:
-        return Calibration.TOO_NARROW
-    return Calibration.TOO_WIDE if min(differences) > 0.0 else Calibration.NOT_NORMAL
-
-
-def _normal_quantiles(z: Float[np.ndarray, "w n c"], n: int) -> Float[np.ndarray, "m 4"]:
-    """See `Predicted`; order statistics of as many uniform values as there are independent innovations (Bonferroni)."""
-    used = np.isfinite(z)
-    scores = NORMAL_SCORES[n * norm.sf(np.abs(NORMAL_SCORES)) >= MIN_BEYOND]
-    found, p = np.quantile(z[used], norm.cdf(scores)), norm.cdf(scores)
-    tail, rows = 0.5 * SIGNIFICANCE / max(len(scores), 1), []
-    for score, value, q in zip(scores, found, p, strict=True):
-        below = used & (z <= value)
-        independent = n / (_inflation(np.where(used, below - below.sum() / n, 0.0), used) or 1.0)
-        band = beta.ppf([tail, 1.0 - tail], q * (independent + 1.0), (1.0 - q) * (independent + 1.0))
-        rows.append([score, value, *norm.ppf(band)])
-    return np.array(rows).reshape(-1, 4)

@@ -42,17 +42,12 @@ SCATTER = 0.5  # of a prior's deviation: 95 % sure that flights of one aircraft 
 
 
 class Hierarchy(LogDensity):
-    """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations.
-
-    Attributes:
-        scattering: the scatter of each parameter, with its prior.
-        estimate: of each manoeuvre, shape (m, k).
-        factor: F of each information matrix F F', shape (m, k, k).
-    """
+    """Density of the scatter of k parameters between m manoeuvres; `x` are its standard deviations."""
 
     scattering: tuple[Parameter, ...] = eqx.field(static=True)
+    noise_label = "normal approximation"  # pyright: ignore[reportAssignmentType]
     estimate: Float[Array, "m k"]
-    factor: Float[Array, "m k k"]
+    factor: Float[Array, "m k k"]  # F of each information matrix F F'
 
     @classmethod
     def of(
@@ -71,18 +66,20 @@ class Hierarchy(LogDensity):
         """The scatter of each parameter."""
         return self.scattering
 
-    @property
-    def noise_label(self) -> str:
-        """How the manoeuvres enter."""
-        return "normal approximation"
-
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Log-density of the estimates at the scatter `x`, up to a constant; all other parameters are integrated out.
 
         A manoeuvre's estimate has the precision P = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F' about the aircraft's
         parameters, with T = diag x^2. This form needs no inverse of F F' and does not cancel.
         """
-        left, log_det = jax.vmap(self._whitened, in_axes=(0, None))(self.factor, x)
+
+        def whitened(factor: Array) -> tuple[Array, Array]:
+            """W with W' W = P, and half the log-determinant of I + F' T F."""
+            scaled = x[:, None] * factor
+            lower = jnp.linalg.cholesky(jnp.eye(self.size) + scaled.T @ scaled)
+            return jax.scipy.linalg.solve_triangular(lower, factor.T, lower=True), jnp.sum(jnp.log(jnp.diag(lower)))
+
+        left, log_det = jax.vmap(whitened)(self.factor)
         weighed = jnp.einsum("mij,mj->mi", left, self.estimate)
         precision = jnp.eye(self.size) + jnp.einsum("mij,mik->jk", left, left)
         lower = jnp.linalg.cholesky(precision)
@@ -90,15 +87,9 @@ class Hierarchy(LogDensity):
         determinants = jnp.sum(log_det) + jnp.sum(jnp.log(jnp.diag(lower)))
         return 0.5 * (jnp.sum(mean**2) - jnp.sum(weighed**2)) - determinants
 
-    def _whitened(self, factor: Float[Array, "k k"], x: Float[Array, " k"]) -> tuple[Float[Array, "k k"], Array]:
-        """W with W' W = P, and half the log-determinant of I + F' T F."""
-        scaled = x[:, None] * factor
-        lower = jnp.linalg.cholesky(jnp.eye(self.size) + scaled.T @ scaled)
-        return jax.scipy.linalg.solve_triangular(lower, factor.T, lower=True), jnp.sum(jnp.log(jnp.diag(lower)))
 
-
-class Pooled(NamedTuple):
-    """Draws in units of the priors: aircraft, scatter, following flight (chain, draw, k), manoeuvres (.., m, k)."""
+class PooledDraws(NamedTuple):
+    """Draws in units of the priors."""
 
     aircraft: Float[np.ndarray, "chain draw k"]
     scatter: Float[np.ndarray, "chain draw k"]
@@ -108,18 +99,8 @@ class Pooled(NamedTuple):
 
 def pool(
     density: Hierarchy, *, seed: int = 0, length: NutsLength = NutsLength(), progress: Progress | None = None
-) -> tuple[Pooled, Posterior]:
-    """Sample the scatter by NUTS, and all else from its normal distribution given the scatter.
-
-    Args:
-        density: estimates of the manoeuvres.
-        seed: of chains and draws.
-        length: of the chains.
-        progress: called after each block of draws.
-
-    Returns:
-        The draws, and the posterior of the scatter with R-hat, effective sample sizes and a status.
-    """
+) -> tuple[PooledDraws, Posterior]:
+    """Draws of all, and the posterior of the scatter by NUTS, given which all else is normal."""
     mode = find_mode(density, np.full(density.size, SCATTER))
     sampled = sample_nuts(density, mode, seed=seed, length=length, progress=progress, predictive=False)
     posterior = sampled.tree["posterior"].to_dataset()
@@ -127,7 +108,9 @@ def pool(
     return given_scatter(density, scatter, np.random.default_rng([seed, 5])), sampled
 
 
-def given_scatter(density: Hierarchy, scatter: Float[np.ndarray, "chain draw k"], rng: np.random.Generator) -> Pooled:
+def given_scatter(
+    density: Hierarchy, scatter: Float[np.ndarray, "chain draw k"], rng: np.random.Generator
+) -> PooledDraws:
     """A draw of the aircraft, of each manoeuvre and of the next flight for each draw of the scatter."""
     estimate, factor = np.asarray(density.estimate), np.asarray(density.factor)
     one = np.eye(density.size)
@@ -145,7 +128,7 @@ def given_scatter(density: Hierarchy, scatter: Float[np.ndarray, "chain draw k"]
         offset = _normal(one + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
         manoeuvres.append(aircraft + scatter * offset)
     following = aircraft + scatter * rng.standard_normal(scatter.shape)
-    return Pooled(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
+    return PooledDraws(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
 
 
 def _normal(
@@ -160,15 +143,11 @@ def _normal(
 # --- From fits of single manoeuvres to the parameters of a flight not yet flown.
 
 HALF_NORMAL_SD = SCATTER * np.sqrt(1.0 - 2.0 / np.pi)
-SHAPES = {name: ["parameter"] for name in ("aircraft", "scatter", "next_flight")}
+SHAPES = {key: ["parameter"] for key in ("aircraft", "scatter", "next_flight")} | {"manoeuvre": ["flown", "parameter"]}
 
 
 def check_manoeuvres(count: int) -> None:
-    """Refuse records from which no scatter between manoeuvres follows, before anything is computed.
-
-    Raises:
-        InputError: there is one manoeuvre, or more than are fitted one by one.
-    """
+    """Refuse one manoeuvre, or more than are fitted one by one, by an `InputError` before anything is computed."""
     if not 1 < count <= MAX_SEPARATE_FITS:
         raise InputError(
             f"the next flight needs 2 to {MAX_SEPARATE_FITS} manoeuvres, and there {'is' if count == 1 else 'are'} "
@@ -184,55 +163,35 @@ def next_flight(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> NextFlight:
-    """Pool the manoeuvres' own fits: parameters scatter around the aircraft's, by an amount that is sampled.
-
-    Args:
-        model: of the fits.
-        observations: of all manoeuvres.
-        alone: the fits by manoeuvre.
-        seed: of chains and draws.
-        progress: called after each block of draws.
-
-    Returns:
-        Aircraft, scatter, manoeuvres and next flight, in SI and radians.
-
-    Raises:
-        InputError: fewer than two of the fits are usable.
-    """
+    """Pool the fits `alone` of manoeuvres: parameters scatter around the aircraft's, by an amount that is sampled."""
+    # In SI and radians. Raises `InputError` where fewer than two of the fits are usable.
     began = time.perf_counter()
     given = normal_estimates(model, observations, alone)
     if len(given.names) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in given.left_out.items())
         raise InputError(f"fewer than two manoeuvres have a usable fit of their own ({reasons}); add manoeuvres")
     drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
-    drawn = _in_units(model, drawn)
-    return _result(model, alone, given, drawn, sampled, time.perf_counter() - began)
-
-
-def _in_units(model: Model, drawn: Pooled) -> Pooled:
-    """Draws in SI and radians."""
-
-    def converted(v: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
-        return np.stack([from_prior_units(p.prior, v[..., i]) for i, p in enumerate(model.free)], axis=-1)
-
-    aircraft = converted(drawn.aircraft)
-    units = np.stack([prior_unit(p.prior, aircraft[..., i]) for i, p in enumerate(model.free)], axis=-1)
-    return Pooled(aircraft, drawn.scatter * units, converted(drawn.following), converted(drawn.manoeuvres))
-
-
-def _result(
-    model: Model,
-    alone: Mapping[str, MleResult],
-    given: NormalEstimates,
-    drawn: Pooled,
-    sampled: Posterior,
-    seconds: float,
-) -> NextFlight:
-    names = model.names
+    names, scatter = model.names, drawn.scatter
+    drawn = PooledDraws(*(_each(model.free, from_prior_units, v) for v in drawn))
+    drawn = drawn._replace(scatter=scatter * _each(model.free, prior_unit, drawn.aircraft))
+    units = {name: _each(model.free, prior_unit, alone[name].estimate) for name in given.names}
+    stats = {name: np.asarray(x) for name, x in sampled.tree["sample_stats"].to_dataset().items()}
+    coords = {"parameter": list(names), "flown": list(given.names)}
+    tree = azb.from_dict(
+        {"posterior": dict(zip(SHAPES, drawn, strict=True)), "sample_stats": stats}, dims=SHAPES, coords=coords
+    )
+    tree.attrs |= {"engine": sampled.engine, "likelihood": sampled.noise}
     return NextFlight(
         parameters=model.free,
         manoeuvres=given.names,
-        alone={name: _own(model, alone[name], given.sd[m]) for m, name in enumerate(given.names)},
+        alone={  # of the parameters that have a standard error
+            name: {
+                n: (float(x), float(sd * unit))
+                for n, x, sd, unit in zip(names, alone[name].estimate, given.sd[m], units[name], strict=True)
+                if np.isfinite(sd)
+            }
+            for m, name in enumerate(given.names)
+        },
         pooled={name: diagnose(drawn.manoeuvres[:, :, m], names) for m, name in enumerate(given.names)},
         aircraft=diagnose(drawn.aircraft, names),
         scatter=diagnose(drawn.scatter, names),
@@ -244,32 +203,10 @@ def _result(
             if not np.all(given.determined[:, i])
         },
         left_out=given.left_out,
-        tree=_tree(model, given, drawn, sampled),
+        tree=tree,
         status=sampled.status,
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
     )
-
-
-def _own(model: Model, fit: MleResult, sd: Float[np.ndarray, " k"]) -> dict[str, tuple[float, float]]:
-    """Estimates with standard errors, of the parameters that have one."""
-    pairs = zip(model.free, fit.estimate, sd, strict=True)
-    return {p.name: (float(x), float(s * prior_unit(p.prior, x))) for p, x, s in pairs if np.isfinite(s)}
-
-
-def _tree(model: Model, given: NormalEstimates, drawn: Pooled, sampled: Posterior):
-    groups = {
-        "posterior": {
-            "aircraft": drawn.aircraft,
-            "scatter": drawn.scatter,
-            "next_flight": drawn.following,
-            "manoeuvre": drawn.manoeuvres,
-        },
-        "sample_stats": {name: np.asarray(x) for name, x in sampled.tree["sample_stats"].to_dataset().items()},
-    }
-    coords = {"parameter": list(model.names), "flown": list(given.names)}
-    tree = azb.from_dict(groups, dims=SHAPES | {"manoeuvre": ["flown", "parameter"]}, coords=coords)
-    tree.attrs |= {"engine": sampled.engine, "likelihood": sampled.noise}
-    return tree
 
 
 # --- Manoeuvres fitted alone as normal distributions in units of the priors, those without full information among
@@ -282,19 +219,14 @@ INFINITE = 1e3  # deviations of the prior: a standard error beyond is none
 
 @dataclass(frozen=True)
 class NormalEstimates:
-    """m manoeuvres: estimates y (m, k) and information matrices (m, k, k) in units of the priors.
-
-    `determined` (m, k): whether a record says more of a parameter than the prior does. `sd` (m, k): standard errors of
-    the manoeuvres alone in units of the priors, infinite where there is none. `left_out`: manoeuvres without a usable
-    fit, with the reason.
-    """
+    """m manoeuvres as normal distributions in units of the priors."""
 
     names: tuple[str, ...]
     y: Float[np.ndarray, "m k"]
     information: Float[np.ndarray, "m k k"]
-    determined: Bool[np.ndarray, "m k"]
-    sd: Float[np.ndarray, "m k"]
-    left_out: dict[str, str]
+    determined: Bool[np.ndarray, "m k"]  # whether a record says more of a parameter than the prior does
+    sd: Float[np.ndarray, "m k"]  # standard errors of the manoeuvres alone, infinite where there is none
+    left_out: dict[str, str]  # manoeuvres without a usable fit, with the reason
 
 
 def to_prior_units(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
@@ -323,9 +255,7 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
     used = {name: fit for name, fit in alone.items() if fit.status in USABLE}
     y, information = [], []
     for name, fit in used.items():
-        full = _full(fit)
-        if full is None:
-            full = _of_singular(model, observations.only(observations.names.index(name)), fit)
+        full = _information(model, observations, name, fit)
         unit = _each(model.free, prior_unit, fit.estimate)
         y.append(_each(model.free, to_prior_units, fit.estimate))
         information.append(full * np.outer(unit, unit))
@@ -345,25 +275,22 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
 
 
 def _each(
-    parameters: Sequence[Parameter], function: Callable[[Prior, Any], Any], x: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"]:
-    return np.array([float(function(p.prior, value)) for p, value in zip(parameters, x, strict=True)])
+    parameters: Sequence[Parameter], function: Callable[[Prior, Any], Any], x: Float[np.ndarray, "*s k"]
+) -> Float[np.ndarray, "*s k"]:
+    return np.stack([function(p.prior, x[..., i]) for i, p in enumerate(parameters)], axis=-1)
 
 
-def _full(fit: MleResult) -> Float[np.ndarray, "k k"] | None:
+def _information(model: Model, observations: Observations, name: str, fit: MleResult) -> Float[np.ndarray, "k k"]:
     """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none."""
+    # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
-    if fit.status is MleStatus.SINGULAR or not np.all(np.isfinite(fit.corrected[kept])):
-        return None
-    scale = np.sqrt(np.diag(fit.corrected[kept]))
-    found = np.zeros_like(fit.corrected)
-    found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
-    return (found + found.T) / 2.0
-
-
-def _of_singular(model: Model, own: Observations, fit: MleResult) -> Float[np.ndarray, "k k"]:
-    """The same of the combinations of parameters that a record with a singular information matrix determines."""
+    if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
+        scale = np.sqrt(np.diag(fit.corrected[kept]))
+        found = np.zeros_like(fit.corrected)
+        found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
+        return (found + found.T) / 2.0
+    own = observations.only(observations.names.index(name))
     data = data_of(model, own)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
     residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))

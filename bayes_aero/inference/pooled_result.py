@@ -19,36 +19,21 @@ class NextFlight:
 
     Every manoeuvre enters by the normal approximation of its own fit. Where the prior is lognormal, the logarithm
     scatters, and `scatter` is that times the aircraft's value.
-
-    Attributes:
-        parameters: the k parameters of the model.
-        manoeuvres: those that count.
-        alone: estimate and corrected standard error by manoeuvre and parameter, of those that its record determines.
-        pooled: by manoeuvre and parameter.
-        aircraft: the value around which manoeuvres scatter, by parameter.
-        scatter: standard deviation between manoeuvres.
-        following: the value in a flight not yet flown.
-        narrowed: standard deviation of the scatter over that of its prior: 1 where the records say nothing of it.
-        undetermined: by parameter, the manoeuvres whose records say less of it than the prior.
-        left_out: manoeuvres without a usable fit, with the reason.
-        tree: draws in the group `posterior`: aircraft, scatter, next_flight, manoeuvre; and `sample_stats`.
-        status: whether the draws of the scatter may be used.
-        seconds: run time, s.
     """
 
     parameters: tuple[Parameter, ...]
-    manoeuvres: tuple[str, ...]
-    alone: dict[str, dict[str, tuple[float, float]]]
-    pooled: dict[str, dict[str, Marginal]]
-    aircraft: dict[str, Marginal]
-    scatter: dict[str, Marginal]
-    following: dict[str, Marginal]
-    narrowed: dict[str, float]
-    undetermined: dict[str, tuple[str, ...]]
-    left_out: dict[str, str]
-    tree: xr.DataTree
-    status: PosteriorStatus
-    seconds: float
+    manoeuvres: tuple[str, ...]  # those that count
+    alone: dict[str, dict[str, tuple[float, float]]]  # estimate, corrected standard error: what a record determines
+    pooled: dict[str, dict[str, Marginal]]  # by manoeuvre and parameter
+    aircraft: dict[str, Marginal]  # the value around which manoeuvres scatter
+    scatter: dict[str, Marginal]  # standard deviation between manoeuvres
+    following: dict[str, Marginal]  # the value in a flight not yet flown
+    narrowed: dict[str, float]  # deviation of the scatter over its prior's: 1 where the records say nothing of it
+    undetermined: dict[str, tuple[str, ...]]  # the manoeuvres whose records say less of it than the prior
+    left_out: dict[str, str]  # manoeuvres without a usable fit, with the reason
+    tree: xr.DataTree  # groups `posterior` (aircraft, scatter, next_flight, manoeuvre) and `sample_stats`
+    status: PosteriorStatus  # whether the draws of the scatter may be used
+    seconds: float  # run time
 
     @property
     def at_best(self) -> tuple[float, float]:

@@ -12,24 +12,9 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import standard_error_of_sum
 
-__all__ = [
-    "COLOURED_INNOVATIONS",
-    "Calibration",
-    "OneStep",
-    "Predicted",
-    "ScoreStatus",
-    "Scores",
-    "Share",
-    "interval_coverage",
-    "log_density",
-    "log_score_gain",
-    "log_score_gains",
-    "score",
-]
-
 Vector = Float[AnyArray, " n"]
 Draws = Float[AnyArray, "draws points"]
-Prediction = Float[AnyArray, " points"]  # its length is checked in words
+OfPoints = Float[AnyArray, " points"]  # its length is checked in words
 COLOURED_INNOVATIONS = 0.3  # correlation of neighbouring innovations beyond which something is not modelled; our choice
 
 
@@ -70,35 +55,25 @@ class Calibration(enum.Enum):
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the innovations inside the central interval of probability `level`; its standard error and the p-value
-    of calibrated predictions, both corrected for autocorrelation."""
+    """Share of the innovations inside a central interval; standard error and p-value count the autocorrelation."""
 
-    level: float
+    level: float  # probability of the interval
     share: float
     sd: float
-    p: float
+    p: float  # of calibrated predictions
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """One-step predictions of one output, or of all outputs together.
+    """One-step predictions of one output, or of all outputs together."""
 
-    Attributes:
-        count: number of innovations.
-        rms: root mean square of measured minus predicted from the samples before, SI; None of all together.
-        ratio: root mean square of innovations over their predicted standard deviations (1: calibrated), and its
-            standard error.
-        shares: inside central intervals, by level.
-        calibration: by the shares and the autocorrelation.
-        quantiles: as rows: normal score, quantile of the innovations over their predicted standard deviations, and the
-            band that contains all quantiles of calibrated predictions with a probability of 95 %.
-    """
-
-    count: int
-    rms: float | None
-    ratio: tuple[float, float]
-    shares: tuple[Share, ...]
-    calibration: Calibration
+    count: int  # of innovations
+    rms: float | None  # of measured minus predicted from the samples before, SI; None of all together
+    ratio: tuple[float, float]  # rms of innovations over predicted standard deviations (1: calibrated); standard error
+    shares: tuple[Share, ...]  # inside central intervals, by level
+    calibration: Calibration  # by the shares and the autocorrelation
+    # As rows: normal score, quantile of the innovations over their predicted standard deviations, and the band that
+    # contains all quantiles of calibrated predictions with a probability of 95 %.
     quantiles: Float[np.ndarray, "m 4"]
 
 
@@ -118,11 +93,7 @@ class OneStep:
         return "undecided" if found <= {Calibration.CALIBRATED, Calibration.UNDECIDED} else "not_calibrated"
 
 
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(x))))
-
-
-def _finite_pair(measured: Vector, predicted: Prediction) -> tuple[np.ndarray, np.ndarray]:
+def _finite_pair(measured: Vector, predicted: OfPoints) -> tuple[np.ndarray, np.ndarray]:
     z, y = np.asarray(measured, float), np.asarray(predicted, float)
     if z.ndim != 1 or z.shape != y.shape or z.size < 2:
         raise InputError(f"Measured {z.shape} and predicted {y.shape} must be vectors of one length >= 2.")
@@ -133,12 +104,12 @@ def _finite_pair(measured: Vector, predicted: Prediction) -> tuple[np.ndarray, n
     return z, y
 
 
-def score(measured: Vector, predicted: Prediction) -> Scores:
+def score(measured: Vector, predicted: OfPoints) -> Scores:
     """Scores of `predicted` (n,) against `measured` (n,), both in the unit of the channel."""
     z, y = _finite_pair(measured, predicted)
     residual = z - y
-    rmse = _rms(residual)
-    size = _rms(z) + _rms(y)
+    rmse, rms_z, rms_y = (float(np.sqrt(np.mean(np.square(x)))) for x in (residual, z, y))
+    size = rms_z + rms_y
     theil = rmse / size if size > 0 else 0.0
     # A spread below the rounding of the values themselves is no spread.
     z_varies = np.ptp(z) > 8 * np.finfo(float).eps * np.max(np.abs(z))
@@ -161,14 +132,9 @@ def log_density(error: Float[AnyArray, "*n"], variance: Float[AnyArray, "*#n"]) 
 def log_score_gain(
     before: Float[np.ndarray, " m"], after: Float[np.ndarray, " m"], inflation: float, lengths: Sequence[int]
 ) -> tuple[float, float]:
-    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats.
-
-    Args:
-        before: log density of each sample under the first prediction, (m,).
-        after: log density of each sample under the second prediction, (m,).
-        inflation: variance inflation, by which the gain is divided.
-        lengths: numbers of samples of the independent stretches, one after the other.
-    """
+    """Gain in log score of one prediction over another of the same hold-out data, and its standard error, nats."""
+    # Log densities of m samples, in independent stretches of these `lengths`; the gain is over the variance
+    # `inflation`.
     difference = (after - before) / inflation
     return float(difference.sum()), standard_error_of_sum(difference, lengths)
 
@@ -188,11 +154,7 @@ def log_score_gains(
 def interval_coverage(
     measured: Vector, draws: Draws, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
 ) -> dict[float, float]:
-    """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level.
-
-    An engine that has the predictive distribution in closed form should count with its own exact quantiles;
-    this is for the ones that only have draws.
-    """
+    """Share of `measured` (n,) inside the central intervals of predictive `draws` (draws, n), by level."""
     z, y = np.asarray(measured, float), np.asarray(draws, float)
     if y.ndim != 2 or y.shape[1:] != z.shape or y.shape[0] < 2:
         raise InputError(f"Draws {y.shape} must be (draws >= 2, {z.size}) to go with {z.size} measurements.")

@@ -46,8 +46,8 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
         CD=np.quantile(drag, LEVELS, axis=0),
         rates=rates,
         X=np.moveaxis(np.quantile(X, LEVELS, axis=0), 0, 1),
-        CL_max=_interval(peak),
-        alpha_max=_interval(place),
+        CL_max=Interval.of(peak),
+        alpha_max=Interval.of(place),
         at_edge=float(np.mean(edge)),
         reference=reference,
     )
@@ -68,8 +68,7 @@ def stall_of_run(run: Identification) -> Stall | None:
 
 
 def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
-    """Maximum of every row, its position (by a parabola through three points of even spacing), and whether it is at an
-    edge."""
+    """Maximum of every row, its position (by a parabola through three even points), and whether it is at an edge."""
     i = np.argmax(y, axis=1)
     edge = (i == 0) | (i == len(x) - 1)
     j = np.clip(i, 1, len(x) - 2)
@@ -82,16 +81,7 @@ def maxima(x: Float[np.ndarray, " g"], y: Float[np.ndarray, "m g"]):
     return peak, np.where(edge, x[i], x[j] + shift * step), edge
 
 
-def _interval(values: Float[np.ndarray, " m"]) -> Interval:
-    low, median, high = np.quantile(values, LEVELS)
-    return Interval(float(median), float(low), float(high))
-
-
 @eqx.filter_jit
-def _flows(
-    model: Model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], reference, aircraft
-):
-    def one(theta):
-        return jax.vmap(lambda rate: steady_flow(model, theta, alpha, rate, reference, aircraft))(rates)
-
-    return jax.lax.map(one, thetas)
+def _flows(model, thetas: Float[Array, "m k"], alpha: Float[Array, " g"], rates: Float[Array, " r"], held, aircraft):
+    flows = jax.vmap(lambda theta, rate: steady_flow(model, theta, alpha, rate, held, aircraft), in_axes=(None, 0))
+    return jax.lax.map(lambda theta: flows(theta, rates), thetas)

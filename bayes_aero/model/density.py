@@ -81,30 +81,24 @@ class LogDensity(eqx.Module):
 
 
 class Density(LogDensity):
-    """Posterior log-density of the free model parameters and the noise parameters.
+    """Posterior log-density of the free model parameters and the noise parameters."""
 
-    Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
-    leaves, so that data sets of one size share compiled programs.
-    """
-
+    # Vectors `x` hold model parameters first, then noise (`parameters` gives the order). The observations are array
+    # leaves, so that data sets of one size share compiled programs.
     observations: Observations = eqx.field(converter=lambda given: given.nameless)
     model: Model = eqx.field(static=True)
     noise: Noise = eqx.field(static=True)
-    bias: Float[Array, " p"] | None = (
-        None  # what recording noise adds to the free model parameters: coefficients follow x + bias
-    )
+    bias: Float[Array, " p"] | None = None  # of the free model parameters: coefficients follow x + bias
 
     @classmethod
     def of(
         cls, observations: Observations, model: Model, noise: Noise, bias: Float[np.ndarray, " p"] | None = None
     ) -> Density:
-        """The density of a record under `noise`; coloured noise uses one sample in `FILTER_STEP`.
-
-        Cm is formed from a smoothed and differentiated rate. The smoothing correlates neighbouring samples in a way
-        that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
-        likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ. One
-        sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
-        """
+        """The density of a record under `noise`; coloured noise uses one sample in `FILTER_STEP`."""
+        # Cm is formed from a smoothed and differentiated rate. The smoothing correlates neighbouring samples in a way
+        # that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
+        # likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ.
+        # One sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
         known = None if bias is None else jnp.asarray(bias)
         own = replace(noise, coefficients=observations.coefficients)
         return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, own, known)

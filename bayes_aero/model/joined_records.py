@@ -1,17 +1,17 @@
-"""Recorded channels of several manoeuvres, end to end, as NumPy arrays, for checks without JAX."""
+"""Recorded channels of several manoeuvres, end to end, in modules that do not import JAX, for quick checks."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import median_filter, rank_filter, uniform_filter1d
 
 from bayes_aero.arrays import AnyArray
-from bayes_aero.effect import MARKS, Effect
+from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
@@ -24,43 +24,13 @@ from bayes_aero.model.model import own_effects
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM, REQUIRED
 
 
-@runtime_checkable
-class Recorded(Protocol):
-    """Channels (n,) of manoeuvres laid end to end, of either library: `Joined`, or `Flights`."""
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
 
-    @property
-    def channels(self) -> dict[str, Any]: ...
-
-    @property
-    def aircraft(self) -> Aircraft: ...
-
-    @property
-    def manoeuvre(self) -> np.ndarray: ...
-
-    @property
-    def time(self) -> np.ndarray: ...
-
-    @property
-    def lengths(self) -> tuple[int, ...]: ...
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def n(self) -> int: ...
-
-    @property
-    def recorded(self) -> tuple[str, ...]: ...
-
-
-@dataclass(frozen=True)
-class Joined:
-    """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`).
-
-    `held`: states that a simulation takes from the record, by the card.
-    """
-
-    channels: dict[str, Shaped[np.ndarray, " n"]]
+    # Of NumPy's arrays, or of JAX's for compiled programs (`joined_channels`). `held`: states that a simulation takes
+    # from the record, by the card.
+    channels: dict[str, Any]
     aircraft: Aircraft
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
@@ -78,13 +48,21 @@ class Joined:
         """Names of the recorded channels and card sums, without what was added."""
         return tuple(name for name in self.channels if name not in MARKS)
 
+    @property
+    def nameless(self) -> Flights:
+        """The same without names, so that records of any name share compiled programs."""
+        return replace(self, names=())
 
-def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Joined:
-    """Join the records end to end; channels that are not in every record are left out.
+    def with_slopes(self, channels: Mapping[str, AnyArray]) -> dict[str, Any]:
+        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre; JAX's arrays alone."""
+        from bayes_aero.physics.coefficients import unsmoothed_joined  # here, because it imports JAX
 
-    Raises:
-        InputError: there is no record, two have one name, or a `required` channel is missing.
-    """
+        dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
+        return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, self.channels)
+
+
+def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
+    """The records end to end, without channels that some record lacks; `InputError` where one is `required`."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     named_apart(records)
@@ -97,7 +75,7 @@ def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] 
         parts.append(have | marks_of(record, offset))
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))
-    return Joined(
+    return Flights(
         channels={name: np.concatenate([part[name] for part in parts]) for name in sorted(shared)},
         aircraft=card.aircraft,
         manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
@@ -126,12 +104,10 @@ def marks_of(record: FlightRecord, first: int) -> dict[str, Shaped[np.ndarray, "
 
 
 def own_mach(record: FlightRecord) -> bool:
-    """Whether the Mach number was not computed from the recorded airspeed, so that an error of this is not in it.
-
-    Then airspeed over Mach number is no speed of sound: it varies with the airspeed, or is not that of the temperature.
-    """
+    """Whether the Mach number was not computed from the recorded airspeed, so that an error of this is not in it."""
     if not all(record.has(name) for name in ("mach", "airspeed")):
         return False
+    # Then V / M is no speed of sound: it varies with the airspeed, or is not that of the temperature.
     V, M = record["airspeed"], record["mach"]
     measured = record.has("static_temperature") and bool(np.all(record["static_temperature"] > 0.0))
     sound = np.ones(record.n)
@@ -160,7 +136,7 @@ def plain_marks(n: int, dt: float, first: int) -> dict[str, Shaped[np.ndarray, "
     }
 
 
-def repaired(flights: Joined) -> tuple[Joined, dict[str, int]]:
+def repaired(flights: Flights) -> tuple[Flights, dict[str, int]]:
     """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
     channels, count = without_spikes(flights.channels, flights.lengths)
     return replace(flights, channels=channels), count
@@ -190,39 +166,44 @@ STEPPED_SHARE = 0.4  # share of small steps from which a channel is quantised
 SMALL_STEP = 0.1  # of the large steps
 
 
-def _step_size(steps: Float[np.ndarray, " n"]) -> float:
-    """The quantisation step of a channel; a small step of the noise where the channel is not quantised.
-
-    A channel computed from a quantised one (airspeed from a pressure, in air of changing density) also has small steps
-    between the large ones; they are ignored. A jump over a few steps is no spike.
-    """
-    moving = steps[steps > 0.0]
-    if not len(moving):
-        return 0.0
-    large = np.quantile(moving, 0.9)
-    if np.mean(steps <= SMALL_STEP * large) < STEPPED_SHARE:
-        return float(np.quantile(moving, 0.05))
-    return float(np.median(steps[steps > SMALL_STEP * large]))
-
-
 def without_spikes(
     channels: Mapping[str, AnyArray], lengths: Sequence[int]
 ) -> tuple[dict[str, Shaped[np.ndarray, " n"]], dict[str, int]]:
-    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel.
-
-    A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations and
-    by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are kept:
-    the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no more than
-    the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at either end
-    are not repaired, because smoothing does not reach them and their neighbours are on one side. Source: Hampel's
-    identifier.
-    """
+    """Replace isolated spikes by the median of their neighbours; the count of replaced samples by channel."""
+    # A sample is a spike if it differs from the median of five by more than `SPIKE_FACTOR` local standard deviations
+    # and by more than `STEP_FACTOR` typical steps of the channel. Steps, buffet and the sharp peaks of a doublet are
+    # kept: the median follows a step, the local deviation grows with buffet, and a peak differs from the median by no
+    # more than the channel changes in a sample. A few steps of a quantised channel are no spike. The `END_SAMPLES` at
+    # either end are not repaired, because smoothing does not reach them and their neighbours are on one side. Source:
+    # Hampel's identifier.
     repaired_channels, count = {name: np.asarray(x) for name, x in channels.items()}, {}
     for name in (name for name in SPIKED if name in repaired_channels):
-        parts = [_without_spikes(part) for part in np.split(repaired_channels[name], np.cumsum(lengths)[:-1])]
-        if spikes := sum(n for _, n in parts):
-            repaired_channels[name], count[name] = np.concatenate([part for part, _ in parts]), spikes
+        parts = np.split(repaired_channels[name], np.cumsum(lengths)[:-1])
+        medians = [median_filter(part, 5, mode="nearest") for part in parts]
+        spikes = list(map(_spikes, parts, medians))
+        if any(at.any() for at in spikes):
+            mended = list(map(np.where, spikes, medians, parts))
+            repaired_channels[name], count[name] = np.concatenate(mended), int(sum(at.sum() for at in spikes))
     return repaired_channels, count
+
+
+def _spikes(part: Float[np.ndarray, " n"], median: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    deviation, steps = np.abs(part - median), np.abs(np.diff(part))
+    # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
+    local = 1.25 * uniform_filter1d(deviation, LOCAL_WINDOW, mode="nearest")
+    # The quantisation step; a small step of the noise where the channel is not quantised. A channel computed from a
+    # quantised one (airspeed from a pressure, in air of changing density) also has small steps between the large ones;
+    # they are ignored. A jump over a few steps is no spike.
+    moving, quantum = steps[steps > 0.0], 0.0
+    if len(moving):
+        large = np.quantile(moving, 0.9)
+        quantised = np.mean(steps <= SMALL_STEP * large) >= STEPPED_SHARE
+        quantum = np.median(steps[steps > SMALL_STEP * large]) if quantised else np.quantile(moving, 0.05)
+    floor = 1.25 * np.mean(deviation) + float(quantum) + np.abs(part).max() * 1e-9
+    typical_step = rank_filter(np.append(steps, 0.0), STEP_RANK, STEP_WINDOW, mode="nearest")
+    spikes = (deviation > SPIKE_FACTOR * np.maximum(local, floor)) & (deviation > STEP_FACTOR * typical_step)
+    spikes[:END_SAMPLES] = spikes[len(spikes) - END_SAMPLES :] = False
+    return spikes
 
 
 def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord], dict[str, int]]:
@@ -233,19 +214,6 @@ def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord
         count |= {name: count.get(name, 0) + found for name, found in spikes.items()}
         repaired_channels.append(replace(record, channels=channels))
     return repaired_channels, count
-
-
-def _without_spikes(part: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], int]:
-    median = median_filter(part, 5, mode="nearest")
-    deviation = np.abs(part - median)
-    # The mean, not the median, of |away|: on a quantised channel the median is zero nearly everywhere.
-    local = 1.25 * uniform_filter1d(deviation, LOCAL_WINDOW, mode="nearest")
-    steps = np.abs(np.diff(part))
-    floor = 1.25 * np.mean(deviation) + _step_size(steps) + np.abs(part).max() * 1e-9
-    typical_step = rank_filter(np.append(steps, 0.0), STEP_RANK, STEP_WINDOW, mode="nearest")
-    spikes = (deviation > SPIKE_FACTOR * np.maximum(local, floor)) & (deviation > STEP_FACTOR * typical_step)
-    spikes[:END_SAMPLES] = spikes[len(spikes) - END_SAMPLES :] = False
-    return np.where(spikes, median, part), int(spikes.sum())
 
 
 # --- Removal of an axis from a card where records lack its channels.
@@ -259,29 +227,25 @@ def on_recorded_axes(
     needed: Mapping[Axis, Sequence[str]] = FORMED_FROM,
     made: Collection[str] = FORMED,
 ) -> tuple[Card, tuple[str, ...]]:
-    """The card without an axis whose channels some record lacks, and a sentence on each that is left out.
-
-    A card of one axis, or one whose axes all lack channels, is unchanged; the missing channels are reported later.
-
-    Args:
-        card: aircraft and model.
-        records: flights, at least one.
-        needed: channels that each axis needs beside those of its effects; default: for the coefficients.
-        made: channels that effects read and that are computed from others.
-
-    Returns:
-        The card without these axes, and a sentence for each of them.
-    """
+    """The card without an axis whose channels some record lacks, and a sentence on each that is left out."""
+    # A card of one axis, or one whose axes all lack channels, is unchanged: they are reported later. `needed`: channels
+    # of each axis beside those of its effects; `made`: channels that effects read and that are computed from others.
     if len(card.axes) < 2 or not records:
         return card, ()
     catalogue = {**CATALOGUE, **own_effects(card.effect_files)}
-    own = {a: [catalogue[n] for n in card.effects if n in catalogue and catalogue[n].axes == (a,)] for a in card.axes}
-    missing = {axis: _missing(card, records, needed[axis], made, own[axis]) for axis in card.axes}
-    kept = tuple(axis for axis in card.axes if not missing[axis])
+    every = [catalogue[name] for name in card.effects if name in catalogue]
+    present = [(record.name, with_sums(record, card)) for record in records]
+    lacking: dict[Axis, tuple[str, list[str]]] = {}  # the first record that lacks channels of an axis, and these
+    for axis in card.axes:
+        own = (channel for effect in every if effect.axes == (axis,) for channel in effect.channels)
+        asked = dict.fromkeys((*needed[axis], *own))
+        for name, have in present:
+            if lacks := [need for need in asked if need not in have and need not in made]:
+                lacking.setdefault(axis, (name, lacks))
+    kept = tuple(axis for axis in card.axes if axis not in lacking)
     if not kept or kept == card.axes:
         return card, ()
-    unknown = {name for axis in card.axes if axis not in kept for name in missing[axis][1:]}
-    every = [catalogue[name] for name in card.effects if name in catalogue]
+    unknown = {name for _, lacks in lacking.values() for name in lacks}
     gone = {e.name for e in every if not e.acts_on(kept) or not unknown.isdisjoint(e.channels)}
     theirs = {p.name for name in gone for p in catalogue[name].parameters}
     fewer = replace(
@@ -291,28 +255,8 @@ def on_recorded_axes(
         fixed={name: x for name, x in card.fixed.items() if name not in theirs},
         changes={name: x for name, x in card.changes.items() if name not in theirs},
     )
-    return fewer, tuple(_sentence(axis, *missing[axis]) for axis in card.axes if axis not in kept)
-
-
-def _missing(
-    card: Card,
-    records: Sequence[FlightRecord],
-    needed: Sequence[str],
-    made: Collection[str],
-    effects: Sequence[Effect],
-) -> tuple[str, ...]:
-    """The record that lacks channels of an axis, then the channels; nothing where all have them."""
-    asked = dict.fromkeys((*needed, *(c for effect in effects for c in effect.channels)))
-    for record in records:
-        have = with_sums(record, card)
-        lacks = [name for name in asked if name not in have and name not in made]
-        if lacks:
-            return record.name, *lacks
-    return ()
-
-
-def _sentence(axis: Axis, record: str, *channels: str) -> str:
-    return (
+    return fewer, tuple(
         f"The {axis.value} axis ({', '.join(COEFFICIENTS[axis])}) is left out: record {record} has no channel "
-        f"{', '.join(channels)}; map {'it' if len(channels) == 1 else 'them'} on the card to include it."
+        f"{', '.join(lacks)}; map {'it' if len(lacks) == 1 else 'them'} on the card to include it."
+        for axis, (record, lacks) in lacking.items()
     )

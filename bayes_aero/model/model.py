@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
+from operator import add
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -42,11 +43,11 @@ class Model:
     lengths: Lengths = USUAL
     axes: tuple[Axis, ...] = (Axis.LONGITUDINAL,)
 
-    def __hash__(self) -> int:
+    def __hash__(self) -> int:  # hashed on every call of a compiled function; the parts are many and immutable
         return self._hash
 
     @cached_property
-    def _hash(self) -> int:  # hashed on every call of a compiled function; the parts are many and immutable
+    def _hash(self) -> int:
         return hash((self.effects, self.parameters, self.fixed, self.axes))
 
     @classmethod
@@ -141,8 +142,10 @@ class Model:
 
     @cached_property
     def acting(self) -> tuple[Effect, ...]:
-        """Effects that are not fixed at neutral, on the model's axes."""
-        return tuple(e for e in self.effects if e.acts_on(self.axes) and not self._absent(e))
+        """Effects on the model's axes that are not fixed at neutral; those need not be computed."""
+        fixed = dict(self.fixed)
+        own = (e for e in self.effects if e.acts_on(self.axes))
+        return tuple(e for e in own if not (e.parameters and e.absent_in(fixed)))
 
     def with_role(self, role: Role) -> tuple[str, ...]:
         """Names of the parameters with a role, of effects that act."""
@@ -273,7 +276,8 @@ class Model:
             for effect in self.acting:
                 if effect.stage is stage and delays in (None, effect.is_delay):
                     for key, increment in effect.increments(values, signals, aircraft, before).items():
-                        total[key] = _sum(total[key], increment)
+                        old = total[key]  # positions are tuples, which add by coordinates
+                        total[key] = tuple(map(add, old, increment)) if isinstance(old, tuple) else old + increment
         return total
 
     def predicted(self, theta: Float[AnyArray, " k"], signals: Signals, aircraft: Aircraft) -> Float[AnyArray, "*n c"]:
@@ -289,16 +293,6 @@ class Model:
         """
         known = self.flow(self.values(theta), signals, aircraft)
         return namespace(known["CL"]).stack([known[name] for name in self.coefficients], axis=-1)
-
-    def _absent(self, effect: Effect) -> bool:
-        """Whether all parameters of the effect are fixed at neutral, so that it need not be computed."""
-        return bool(effect.parameters) and effect.absent_in(dict(self.fixed))
-
-
-def _sum(old: Any, increment: Any) -> Any:
-    if isinstance(old, tuple):
-        return tuple(x + dx for x, dx in zip(old, increment, strict=True))
-    return old + increment
 
 
 # --- Effects and parameters as a card or a caller chooses them.
@@ -324,11 +318,7 @@ def no_such_axis(effect: Effect, axes: tuple[Axis, ...]) -> str:
 
 
 def effect_named(name: str) -> Effect:
-    """An effect of the catalogue by name.
-
-    Raises:
-        InputError: there is none; the message suggests a similar name.
-    """
+    """An effect of the catalogue by name; `InputError` with a similar name where there is none."""
     if name in CATALOGUE:
         return CATALOGUE[name]
     close = get_close_matches(name, CATALOGUE, n=1)
@@ -362,7 +352,13 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     found: dict[str, Effect] = {}
     for path in files:
         try:
-            text = _text(path)
+            if not path.is_file():
+                raise FileNotFoundError("there is no such file")
+            with path.open("rb") as handle:
+                raw = handle.read(MAX_BYTES + 1)
+            if len(raw) > MAX_BYTES:
+                raise ValueError(f"it has more than {MAX_BYTES} bytes")
+            text = raw.decode("utf-8")
         except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
         for effect in _run(path, text):
@@ -377,16 +373,6 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
                 )
             found[effect.name] = effect
     return found
-
-
-def _text(path: Path) -> str:
-    if not path.is_file():
-        raise FileNotFoundError("there is no such file")
-    with path.open("rb") as handle:
-        raw = handle.read(MAX_BYTES + 1)
-    if len(raw) > MAX_BYTES:
-        raise ValueError(f"it has more than {MAX_BYTES} bytes")
-    return raw.decode("utf-8")
 
 
 @lru_cache(maxsize=32)

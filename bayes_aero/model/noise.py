@@ -36,12 +36,19 @@ class Noise:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of all coefficients."""
-        found = [_sigma(name) for name in self.coefficients]
+        sigma = Prior("lognormal", 0.02, 1.0, "a factor of 7 either way with 95 %; our choice")
+        rho = Prior("uniform", -1.0, 2.0, "flat over the stationary range; our choice")
+        buffet = Prior("halfnormal", 0.0, 3.0, "buffet up to several times the attached-flow noise; our choice")
+        rows = [("sigma", 0.02, "stationary deviation of the {} residual", sigma, (0.0, jnp.inf))]
         if self.colour is not Colour.WHITE:
-            found += [_rho(name) for name in self.coefficients]
+            rows.append(("rho", 0.5, "lag-1 correlation of the {} residual", rho, (-1.0, 1.0)))
         if self.colour is Colour.BUFFET_AR1:
-            found += [_buffet(name) for name in self.coefficients]
-        return tuple(found)
+            rows.append(("buffet", 0.5, "growth of the {} noise with 1 - X", buffet, (0.0, jnp.inf)))
+        return tuple(
+            Parameter(f"{kind}_{name}", "1", 0.0, start, text.format(name), prior, bounds)
+            for kind, start, text, prior, bounds in rows
+            for name in self.coefficients
+        )
 
     def innovation(
         self,
@@ -82,11 +89,7 @@ class Noise:
         return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_deviation
 
     def simulate(
-        self,
-        values: Mapping[str, Any],
-        white: Float[Array, "n c"],
-        X: Float[Array, " n"],
-        start: Bool[Array, " n"],
+        self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Float[Array, " n"], start: Bool[Array, " n"]
     ) -> Float[Array, "n c"]:
         """Residuals made from standard normal `white`: the inverse of `innovation`."""
         sigma = jnp.stack([values[f"sigma_{name}"] for name in self.coefficients])
@@ -101,20 +104,3 @@ class Noise:
             buffet = jnp.stack([values[f"buffet_{name}"] for name in self.coefficients])
             residual = residual * (1.0 + buffet * (1.0 - X)[:, None])
         return residual
-
-
-def _sigma(name: str) -> Parameter:
-    prior = Prior("lognormal", 0.02, 1.0, "a factor of 7 either way with 95 %; our choice")
-    return Parameter(
-        f"sigma_{name}", "1", 0.0, 0.02, f"stationary deviation of the {name} residual", prior, (0.0, jnp.inf)
-    )
-
-
-def _rho(name: str) -> Parameter:
-    prior = Prior("uniform", -1.0, 2.0, "flat over the stationary range; our choice")
-    return Parameter(f"rho_{name}", "1", 0.0, 0.5, f"lag-1 correlation of the {name} residual", prior, (-1.0, 1.0))
-
-
-def _buffet(name: str) -> Parameter:
-    prior = Prior("halfnormal", 0.0, 3.0, "buffet up to several times the attached-flow noise; our choice")
-    return Parameter(f"buffet_{name}", "1", 0.0, 0.5, f"growth of the {name} noise with 1 - X", prior, (0.0, jnp.inf))

@@ -37,14 +37,11 @@ class Forming(StrEnum):
 
 
 class Observations(eqx.Module):
-    """Samples of all manoeuvres laid end to end; `start` marks the first sample of each.
-
-    Manoeuvres are independent: they are filtered one by one, and lags and coloured noise start again where `start` is
-    true. `measured` holds the named `coefficients`.
-    """
+    """Samples of all manoeuvres laid end to end."""
 
     signals: dict[str, Array]
-    measured: Float[Array, "n c"]
+    measured: Float[Array, "n c"]  # the named `coefficients`
+    # Manoeuvres are independent: filtered one by one, lags and coloured noise start again where `start` is true.
     start: Bool[Array, " n"]
     manoeuvre: Int[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
@@ -68,22 +65,17 @@ class Observations(eqx.Module):
         return replace(self, names=())
 
     def subset(self, index: Int[np.ndarray, " m"]) -> Observations:
-        """The samples `index`, kept in time order.
-
-        A sample whose predecessor was left out starts a new stretch: `start` is set there, so that no lag and no
-        noise correlation is carried over the hole.
-        """
+        """The samples `index`, in time order; one whose predecessor was left out starts a new stretch."""
+        # No lag and no noise correlation is carried over a hole.
         index = np.sort(np.asarray(index))
         begins = np.asarray(self.start)[index] | np.concatenate([[True], np.diff(index) > 1])
-        return Observations(
+        return replace(
+            self,
             signals={k: v[index] for k, v in self.signals.items()} | {"start": jnp.asarray(begins)},
             measured=self.measured[index],
             start=jnp.asarray(begins),
             manoeuvre=self.manoeuvre[index],
             time=self.time[index],
-            aircraft=self.aircraft,
-            names=self.names,
-            coefficients=self.coefficients,
         )
 
     def restarted(self, start: Bool[np.ndarray, " n"]) -> Observations:
@@ -116,23 +108,22 @@ def marks(n: int, dt: float, first: int = 0) -> dict[str, Array]:
 def observe(
     records: Sequence[FlightRecord], card: Card, model: Model, forming: Forming = Forming.MATCHED
 ) -> Observations:
-    """Reconstruct the coefficients of every record and lay the manoeuvres end to end.
-
-    Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
-
-    Args:
-        records: one a manoeuvre; `matched` brings them to a common rate (`flight.common_rate`).
-        card: aircraft, sensors, sums.
-        model: the effects whose channels are needed.
-        forming: `matched` or `published`.
-    """
+    """Reconstruct the coefficients of every record, one a manoeuvre, and lay the manoeuvres end to end."""
+    # Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     names = named_apart(records)
     forming = Forming(forming)
     if forming is Forming.MATCHED:
         records = at_common_rate(records)
-    values = _fixed_values(model)
+    values = dict(model.fixed)
+    for effect in model.effects:
+        free = [p.name for p in effect.parameters if p.name not in values]
+        if effect.stage <= Stage.AIRCRAFT and free:
+            raise InputError(
+                f"effect {effect.name} changes the record or the aircraft itself, so {', '.join(free)} cannot be "
+                "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
+            )
     aircraft = model.actual_aircraft(values, card.aircraft)
     parts, offset = [], 0
     for record in records:
@@ -178,16 +169,3 @@ def _formed(
     else:
         signals = condition_joined(channels, *ends)
     return signals, stacked_coefficients(signals, aircraft, model.coefficients)
-
-
-def _fixed_values(model: Model) -> dict[str, Any]:
-    """The model's fixed values; effects before the coefficients must have no free parameter."""
-    fixed = dict(model.fixed)
-    for effect in model.effects:
-        free = [p.name for p in effect.parameters if p.name not in fixed]
-        if effect.stage <= Stage.AIRCRAFT and free:
-            raise InputError(
-                f"effect {effect.name} changes the record or the aircraft itself, so {', '.join(free)} cannot be "
-                "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
-            )
-    return fixed

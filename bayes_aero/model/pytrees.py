@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import fields
 from typing import Any
 
 import jax
 
 from bayes_aero.flight.aircraft import Aircraft
-
-_NAMES = tuple(field.name for field in fields(Aircraft))
-
-
-def _parts(aircraft: Aircraft) -> tuple[list[tuple[Any, Any]], None]:
-    return [(jax.tree_util.GetAttrKey(name), getattr(aircraft, name)) for name in _NAMES], None
+from bayes_aero.model.joined_records import Flights
 
 
-def _whole(_: None, parts: Iterable[Any]) -> Aircraft:
-    """An aircraft without the constructor's checks, because JAX replaces numbers by tracers."""
-    aircraft = object.__new__(Aircraft)
-    for name, part in zip(_NAMES, parts, strict=True):
-        object.__setattr__(aircraft, name, part)
-    return aircraft
+def _register(kind: type, static: Collection[str] = ()) -> None:
+    names = [field.name for field in fields(kind) if field.name not in static]
+
+    def parts(whole: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+        leaves = [(jax.tree_util.GetAttrKey(name), getattr(whole, name)) for name in names]
+        return leaves, tuple(getattr(whole, name) for name in static)
+
+    def whole(known: tuple[Any, ...], leaves: Any) -> Any:
+        """Without the constructor's checks, because JAX replaces numbers by tracers."""
+        made = object.__new__(kind)
+        for name, part in zip((*names, *static), (*leaves, *known), strict=True):
+            object.__setattr__(made, name, part)
+        return made
+
+    jax.tree_util.register_pytree_with_keys(kind, parts, whole)
 
 
-jax.tree_util.register_pytree_with_keys(Aircraft, _parts, _whole)
+_register(Aircraft)
+_register(Flights, ("lengths", "names", "held"))

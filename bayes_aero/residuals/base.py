@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import Recorded, cuts_of
+from bayes_aero.model.joined_records import Flights, cuts_of
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.units import number
@@ -25,13 +25,18 @@ class ResidualModel(ABC):
     An implementation is a dataclass (with JAX an `equinox.Module`) with the fields `flights` and `model`.
     """
 
-    flights: Recorded
+    flights: Flights
     model: Model
 
     def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
         """The same model on flights with these channels."""
         flights = replace(self.flights, channels=dict(channels))  # pyright: ignore[reportArgumentType]
         return replace(self, flights=flights)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def nameless(self):
+        """The same without names of the flights, so that records of any name share compiled programs."""
+        return replace(self, flights=self.flights.nameless)  # pyright: ignore[reportArgumentType]
 
     @property
     @abstractmethod

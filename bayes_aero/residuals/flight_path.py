@@ -7,7 +7,7 @@ nearly linear in the errors of its sensors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_records import Joined, Recorded
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
@@ -30,12 +30,12 @@ STEP = 1e-6  # of the differences: of a parameter's prior standard deviation, an
 RECORD_STAGES = (Stage.CHANNEL, Stage.AIRCRAFT)  # stages that change the flight path
 
 
-def flight_path(flights: Recorded) -> tuple[str, ...]:
+def flight_path(flights: Flights) -> tuple[str, ...]:
     """Flight-path outputs of these flights; none where they rolled and the bank angle is unknown."""
     return () if rolled_unseen(flights) else path_outputs(flights.channels)
 
 
-def rolled_unseen(flights: Recorded) -> bool:
+def rolled_unseen(flights: Flights) -> bool:
     """Whether a roll rate, less its mean, changes a bank angle that was not recorded."""
     if "phi" in flights.channels or "p" not in flights.channels:
         return False
@@ -50,17 +50,11 @@ def differences(
     scales: Mapping[str, AnyArray],
     sines: tuple[AnyArray, ...] | None = None,
 ) -> Float[AnyArray, "n c"]:
-    """Recorded minus integrated, in units of the recorded channels.
-
-    Integrals begin at what was recorded first: times a scale that varies, another begin would be no constant.
-
-    Args:
-        outputs: flight-path outputs to form.
-        s: corrected signals (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`.
-        aircraft: with its corrected constants.
-        scales: derivatives of the corrected channels by the recorded ones; 1 where a channel is not named.
-        sines: see `path_rates`.
-    """
+    """Recorded minus integrated flight-path `outputs`, in units of the recorded channels."""
+    # Of corrected signals `s` (n,) with `p_dot`, `q_dot`, `r_dot` and the marks of `effect.Stage`, and the corrected
+    # constants of the aircraft. `scales`: derivatives of the corrected channels by the recorded ones; 1 where a channel
+    # is not named. `sines`: see `path_rates`. Integrals begin at what was recorded first: times a scale that varies,
+    # another begin would be no constant.
     rates = path_rates(as_symmetric(s), aircraft, sines)
     grown = {name: s[name] - s[name][s["first"]] for name in outputs}
     residuals = [
@@ -74,7 +68,7 @@ def differences(
 class FlightPathError(Blockwise):
     """Residuals of the flight path of `flights` under `model`; only effects of `RECORD_STAGES` change them."""
 
-    flights: Joined
+    flights: Flights
     model: Model
     path: tuple[str, ...]
 
@@ -84,11 +78,10 @@ class FlightPathError(Blockwise):
         return self.path
 
     @classmethod
-    def of(cls, flights: Recorded, model: Model) -> FlightPathError:
+    def of(cls, flights: Flights, model: Model) -> FlightPathError:
         """`flights` under `model`; without outputs where there is no flight path."""
         channels = {name: np.asarray(x) for name, x in as_symmetric(flights.channels).items()}
-        plain = Joined(channels, flights.aircraft, flights.manoeuvre, flights.time, flights.lengths, flights.names)
-        return cls(plain, model, flight_path(flights))
+        return cls(replace(flights, channels=channels), model, flight_path(flights))
 
     def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
         """Residuals of blocks; there are no further signals."""
@@ -110,6 +103,11 @@ class FlightPathError(Blockwise):
         return residual, slope
 
     @cached_property
+    def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
+        """Residuals by parameter vector, the latest last."""
+        return {}
+
+    @cached_property
     def _recorded_slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
         """Angular accelerations as recorded."""
         ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
@@ -120,67 +118,43 @@ class FlightPathError(Blockwise):
         """Sine and cosine of angles as recorded."""
         return {name: (np.sin(self.flights.channels[name]), np.cos(self.flights.channels[name])) for name in ANGLES}
 
-    def _sines_of(self, signals: Mapping[str, np.ndarray]) -> tuple[Float[np.ndarray, " n"], ...]:
-        """Sine and cosine of corrected angles; those of uncorrected angles are stored."""
-        return tuple(
-            x
-            for name in ANGLES
-            for x in (
-                self._sines[name]
-                if signals[name] is self.flights.channels[name]
-                else (np.sin(signals[name]), np.cos(signals[name]))
-            )
-        )
-
     @cached_property
     def _on_record(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.model.acting if e.stage in RECORD_STAGES)
-
-    @cached_property
-    def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
-        """Residuals by parameter vector, the latest last."""
-        return {}
 
     def _residual(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
         """Residuals at a parameter vector, read only; stored, because searches repeat the same vectors."""
         key = theta.tobytes()
         residual = self._cache.pop(key, None)
-        if residual is None:
-            residual = self._evaluate(theta)
-            residual.flags.writeable = False
-        self._cache[key] = residual
-        while len(self._cache) > CACHE_SIZE:
-            del self._cache[next(iter(self._cache))]
-        return residual
-
-    def _evaluate(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "m c"]:
+        if residual is not None:
+            self._cache[key] = residual
+            return residual
         f, values = self.flights, self.model.values(theta)
         present = tuple(e for e in self._on_record if not e.absent_in(values))
         model = Model(present, tuple(p for e in present for p in e.parameters), axes=tuple(Axis))
         signals = _as_numpy(model.corrected(values, f.channels, f.aircraft))
-        ends = [f.channels[name] for name in ("dt", "first", "last")]
+        ends, scales, sines = [f.channels[name] for name in ("dt", "first", "last")], {}, []
+        same = {name: signals[name] is x for name, x in f.channels.items()}
         for name in RATES:
-            same = signals[name] is f.channels[name]
-            signals[f"{name}_dot"] = self._recorded_slopes[name] if same else differentiate_joined(signals[name], *ends)
-        scales = self._scales(model, values, signals)
-        residuals = differences(
-            self.outputs, signals, model.actual_aircraft(values, f.aircraft), scales, self._sines_of(signals)
-        )
-        return self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
-
-    def _scales(
-        self, model: Model, values: Mapping[str, Any], corrected: Mapping[str, np.ndarray]
-    ) -> dict[str, Float[np.ndarray, " n"]]:
-        """Derivatives of the corrected channels by the recorded ones."""
-        f, scales = self.flights, {}
-        for name in (name for name in self.outputs if corrected[name] is not f.channels[name]):
+            own = self._recorded_slopes[name] if same[name] else differentiate_joined(signals[name], *ends)
+            signals[f"{name}_dot"] = own
+        for name in ANGLES:
+            sines += self._sines[name] if same[name] else (np.sin(signals[name]), np.cos(signals[name]))
+        for name in (name for name in self.outputs if not same[name]):  # derivatives by the recorded channels
             step = STEP * float(np.max(np.abs(f.channels[name])))
             up, down = (
                 _as_numpy(model.corrected(values, {**f.channels, name: f.channels[name] + by}, f.aircraft))[name]
                 for by in (step, -step)
             )
             scales[name] = (up - down) / (2.0 * step)
-        return scales
+        aircraft = model.actual_aircraft(values, f.aircraft)
+        residuals = differences(self.outputs, signals, aircraft, scales, tuple(sines))
+        residual = self.block(np.stack([smooth_joined(x, *ends[1:]) for x in residuals.T], axis=1))
+        residual.flags.writeable = False
+        self._cache[key] = residual
+        while len(self._cache) > CACHE_SIZE:
+            del self._cache[next(iter(self._cache))]
+        return residual
 
 
 def _as_numpy(channels: Mapping[str, Any]) -> dict[str, np.ndarray]:

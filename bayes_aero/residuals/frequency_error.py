@@ -38,11 +38,8 @@ ROUNDING = 1e-9  # of the product of a frequency and a time
 
 
 def lines_in(band: Band, n: int, dt: float, name: str) -> Float[np.ndarray, " f"]:
-    """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz.
-
-    Raises:
-        InputError: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
-    """
+    """Frequencies in `band` at which a record of `n` samples is transformed: multiples of 1/(n dt), Hz."""
+    # `InputError`: the band is empty, goes beyond half the sampling rate, or holds no line of this record.
     low, high, seconds = *band, n * dt
     if not (math.isfinite(high) and 0.0 < low < high):
         raise InputError(f"the band {low:g} to {high:g} Hz is empty; give a low frequency above 0 and a higher one")
@@ -124,12 +121,19 @@ class FrequencyError(InBand, EquationError):
         return cls(flights, model, whole.measuring, (), _rows(flights, band))
 
 
+_residual = eqx.filter_jit(lambda responses, theta: responses.residual(theta))
+
+
+@eqx.filter_jit
+def _slopes(responses: LinearFrequencyError, theta, directions):
+    residual, slope = jax.linearize(responses.residual, theta)
+    return residual, jax.vmap(slope)(directions)
+
+
 class LinearFrequencyError(InBand, eqx.Module):
-    """Equation error of a linear card in a band: derivatives of recorded states, and further outputs.
+    """Equation error of a linear card in a band: derivatives of recorded states, and further outputs."""
 
-    States and inputs of the right-hand sides are the recorded ones.
-    """
-
+    # States and inputs of the right-hand sides are the recorded ones.
     flights: Flights
     dynamics: LinearDynamics = eqx.field(static=True)
     rows: tuple[Float[np.ndarray, "_ _"], ...]
@@ -161,14 +165,13 @@ class LinearFrequencyError(InBand, eqx.Module):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals at these parameters."""
-        return _evaluate(replace(self, flights=self.flights.nameless), jnp.asarray(theta)), {}
+        return _residual(self.nameless, jnp.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in these directions."""
-        nameless = replace(self, flights=self.flights.nameless)
-        residual, slope = _slopes(nameless, jnp.asarray(theta), jnp.asarray(directions))
+        residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
     def system_and_inputs(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
@@ -190,31 +193,18 @@ class LinearFrequencyError(InBand, eqx.Module):
         return self.block(jnp.concatenate([derivatives - rates, *more], axis=1))
 
 
-@eqx.filter_jit
-def _evaluate(responses: LinearFrequencyError, theta):
-    return responses.residual(theta)
-
-
-@eqx.filter_jit
-def _slopes(responses: LinearFrequencyError, theta, directions):
-    residual, slope = jax.linearize(responses.residual, theta)
-    return residual, jax.vmap(slope)(directions)
-
-
 # --- Output error of linear cards in the frequency domain, without integration.
 # Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7. The form for sampled records is our own:
 # it has no error of quadrature, and the ends of a record need not be in trim.
 
 
 class LinearFrequencyOutputError(LinearFrequencyError):
-    """Output error of a linear card in a band: recorded minus computed transforms of the outputs.
+    """Output error of a linear card in a band: recorded minus computed transforms of the outputs."""
 
-    With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the last
-    is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no integration,
-    which would diverge for an unstable aircraft, and is exact for any record. The change of the state over a record
-    begins with the recorded one; it and a drift of each output are free in every fit.
-    """
-
+    # With inputs linear between samples, x_{i+1} = P x_i + G u_i + H u_{i+1}. Its transform over the samples but the
+    # last is (z - P) X = (G + H z) U - z (x_end - x_begin - H (u_end - u_begin)), z = exp(j w dt). So it needs no
+    # integration, which would diverge for an unstable aircraft, and is exact for any record. The change of the state
+    # over a record begins with the recorded one; it and a drift of each output are free in every fit.
     changes: Float[np.ndarray, "w s"]  # of the states, by manoeuvre
 
     @classmethod
@@ -281,7 +271,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         z = jnp.exp(1j * phase)[:, None, None]
         A, B = system.matrix[:s, :s], system.matrix[:s, s:]
         C, D = system.matrix[s:, :s], system.matrix[s:, s:]
-        P, G, H = _first_order_hold(A, B, dt)
+        i = B.shape[1]
+        big = jnp.zeros((s + 2 * i, s + 2 * i))  # x_{j+1} = P x_j + G u_j + H u_{j+1} for u linear between samples
+        big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
+        step = expm(big)[:s]
+        P, G, H = step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
         end = np.sqrt(2.0 / n) * (change - H @ U[1])
         drive = U[0][..., None]
         X = jnp.linalg.solve(z * jnp.eye(s) - P, (G + H * z) @ drive - z * end[:, None])[..., 0]
@@ -289,8 +283,8 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         values = self.dynamics.values(theta)
         late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
         found = {name: X[:, i] for i, name in enumerate(self.states)}
-        for i, name in enumerate(system.read):
-            found[name] = read[:, i] + found.get(name, 0.0)
+        for row, name in enumerate(system.read):
+            found[name] = read[:, row] + found.get(name, 0.0)
         delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
         return jnp.stack([found[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
 
@@ -299,15 +293,6 @@ def _complex(parts: Array | np.ndarray) -> Array:
     """Lines from their real parts, then imaginary parts."""
     parts, half = jnp.asarray(parts), len(parts) // 2
     return parts[:half] + 1j * parts[half:]
-
-
-def _first_order_hold(A: Float[Array, "s s"], B: Float[Array, "s i"], dt: Array) -> tuple[Array, Array, Array]:
-    """P, G and H of x_{i+1} = P x_i + G u_i + H u_{i+1} for x' = A x + B u with u linear between samples."""
-    s, i = B.shape
-    big = jnp.zeros((s + 2 * i, s + 2 * i))
-    big = big.at[:s, :s].set(A * dt).at[:s, s : s + i].set(B * dt).at[s : s + i, s + i :].set(jnp.eye(i))
-    step = expm(big)[:s]
-    return step[:, :s], step[:, s : s + i] - step[:, s + i :], step[:, s + i :]
 
 
 @eqx.filter_jit

@@ -1,12 +1,10 @@
-"""Output error: recorded minus simulated channels, in windows with an initial state each.
-
-It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
-"""
+"""Residuals of trajectories: output error, innovations of a filter, and what terms added to a coefficient do there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, cached_property
 from typing import Any
 
 import equinox as eqx
@@ -15,12 +13,32 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.dynamics.aircraft import POINTS, EffectSystem
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
+from bayes_aero.dynamics.innovations import (
+    InputDerivatives,
+    Observed,
+    Observer,
+    StateDerivatives,
+    derivatives_by_input,
+    input_innovations,
+    linearise,
+    observer_derivatives,
+    observer_of,
+    run_observer,
+    state_derivatives,
+)
+from bayes_aero.dynamics.kalman import Filtered
+from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
+from bayes_aero.dynamics.system import motion
+from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, WINDOW, ResidualModel
+
+# --- Output error: recorded minus simulated channels, in windows with an initial state each.
+# It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
 
 
 class OutputError(ResidualModel, eqx.Module):
@@ -48,8 +66,8 @@ class OutputError(ResidualModel, eqx.Module):
         return eqx.tree_at(lambda f: f.flights, self.windows, self.flights)
 
     @property
-    def nameless(self) -> OutputError:
-        """The same without names of the flights; see `Flights.nameless`."""
+    def nameless(self):
+        """The same without names of the flights and of their windows."""
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property
@@ -84,7 +102,7 @@ class OutputError(ResidualModel, eqx.Module):
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
         """Residuals of the windows from their measured initial states."""
-        return _evaluate(self.nameless, jnp.asarray(theta)), {}
+        return _residual(self.nameless, jnp.asarray(theta), jnp.zeros(len(self.windows.dynamics.start))), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
@@ -97,10 +115,11 @@ class OutputError(ResidualModel, eqx.Module):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to the initial state of each window."""
         keep = [self.outputs.index(name) for name in outputs]
-        initial_directions = np.eye(len(self.windows.dynamics.start))
-        starts = range(0, len(initial_directions), DIRECTIONS_PER_CALL)
-        parts = [self._state_slopes(theta, initial_directions[i : i + DIRECTIONS_PER_CALL]) for i in starts]
-        slope = np.concatenate(parts)[:, :, keep]  # s m c
+        states, rest = len(self.windows.dynamics.start), np.zeros((DIRECTIONS_PER_CALL, len(theta)))
+        directions = np.eye(-(-states // DIRECTIONS_PER_CALL) * DIRECTIONS_PER_CALL, states)
+        parts = np.split(directions, len(directions) // DIRECTIONS_PER_CALL)  # by the program of `slopes`
+        found = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
+        slope = -np.concatenate(found)[:states][:, :, keep]  # s m c
         window = self.stretch
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))
@@ -108,15 +127,6 @@ class OutputError(ResidualModel, eqx.Module):
             mine = window == w
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
-
-    def _state_slopes(
-        self, theta: Float[np.ndarray, " k"], initial_directions: Float[np.ndarray, "d s"]
-    ) -> Float[np.ndarray, "d m c"]:
-        """Minus the derivatives in directions of the initial state, by the program of `slopes`."""
-        along = np.zeros((DIRECTIONS_PER_CALL, initial_directions.shape[1]))
-        along[: len(initial_directions)] = initial_directions
-        arguments = map(jnp.asarray, (theta, np.zeros((DIRECTIONS_PER_CALL, len(theta))), along))
-        return -np.asarray(_slopes(self.nameless, *arguments)[1])[: len(initial_directions)]
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
@@ -129,9 +139,7 @@ class OutputError(ResidualModel, eqx.Module):
         return simulate(self.flown, theta, departure).trajectory.states
 
 
-@eqx.filter_jit
-def _evaluate(responses: OutputError, theta):
-    return responses.residual(theta, jnp.zeros(len(responses.windows.dynamics.start)))
+_residual = eqx.filter_jit(lambda responses, theta, shared: responses.residual(theta, shared))
 
 
 @eqx.filter_jit
@@ -140,3 +148,279 @@ def _slopes(responses: OutputError, theta, directions, initial_directions):
     point = (theta, jnp.zeros(initial_directions.shape[1]))
     one = lambda *d: jax.jvp(responses.residual, point, d)  # noqa: E731
     return jax.vmap(one, out_axes=(None, 0))(directions, initial_directions)
+
+
+# --- Filter error: innovations of whole manoeuvres, the errors of one-step predictions by a Kalman filter.
+# The gains are those of an extended Kalman filter at one set of parameters; they are held while the parameters vary.
+# The innovations of a correct model are white, also in turbulence. An effect that the model lacks correlates them with
+# its input. Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5.
+
+PART = 5.0  # s; our choice: some twenty neighbouring innovations and more, and a minute has a dozen parts
+
+
+class FilterError(OutputError):
+    """Whitened innovations, m samples."""
+
+    # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
+    # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
+    by: Observer
+    stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
+    averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
+
+    @classmethod
+    def after(
+        cls,
+        cut: SegmentTrajectories,
+        theta: Float[np.ndarray, " k"],
+        R: Float[np.ndarray, " c"],
+        found: Filtered,
+        dynamics: AircraftDynamics,
+    ) -> FilterError:
+        """Innovations of a filtered record (`cut`) under extended dynamics, at the filter's `theta`, `R` and result."""
+        # The dynamics may lack states of the filter, such as gusts without intensity, and have two separation points
+        # where the filter has one, with which both move while the effects are neutral.
+        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
+        dynamics, states = dynamics.for_filter(), cut.dynamics.states
+        own = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
+        rows = np.array([states.index(name) for name in own])
+        by = Observer(by.gain[:, :, rows], by.whitening)
+        cut, place = replace(cut, dynamics=dynamics), np.flatnonzero(cut.inside)
+        return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)
+
+    @property
+    def manoeuvre(self) -> Int[np.ndarray, " m"]:
+        """Which manoeuvre each sample belongs to."""
+        return self.flights.manoeuvre[self.windows.index.ravel()[self.place]]
+
+    @property
+    def seconds(self) -> float:
+        """Sample time, s."""
+        return float(np.median(self.windows.dt))
+
+    def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
+        return x.reshape(-1, *x.shape[2:])[self.place]
+
+    @property
+    def jackknife_blocks(self) -> Int[np.ndarray, " m"]:
+        """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
+        manoeuvre, begin, found = self.manoeuvre, 0, np.zeros(len(self.place), int)
+        for k in range(int(manoeuvre[-1]) + 1):
+            own = np.flatnonzero(manoeuvre == k)
+            count = max(round(len(own) * self.seconds / PART), 1)
+            found[own] = begin + np.arange(len(own)) * count // len(own)
+            begin += count
+        return found
+
+    def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
+        """Whitened innovations at these parameters."""
+        e = run_observer(self.flown, theta, self.by).innovation
+        return self.whitened(theta, e[..., None])[..., 0]
+
+    def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
+        """Whitened, in units of the recorded channels."""
+        return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e / scale[..., None]))
+
+    def slopes(
+        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
+        """Residuals and minus their derivatives in these directions, along the path of the observer."""
+        return self.slopes_at(theta)(directions)
+
+    def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
+        """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
+        path, known = self.path_at(theta)
+
+        def slopes(directions):
+            residual, slope = _filter_slopes(self.nameless, jnp.asarray(theta), path, known, jnp.asarray(directions))
+            return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
+
+        return slopes
+
+    def path_at(self, theta: Float[np.ndarray, " k"]) -> tuple[Observed, StateDerivatives]:
+        """The path of the observer at these parameters, and derivatives by the state along it."""
+        return _path(self.nameless, jnp.asarray(theta))
+
+    def whitened(self, theta: Any, e: Float[Array, "w n c d"]) -> Float[Array, "m c d"]:
+        """Changes of the innovations as they change the residuals."""
+        return self._whitened(e, prepare(self.flown, theta).scale)
+
+    def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:  # noqa: ARG002
+        """None: the filter estimates the initial state."""
+        return np.zeros((len(self.place), len(outputs), 0))
+
+
+_observer = eqx.filter_jit(observer_of)
+
+
+@eqx.filter_jit
+def _path(responses: FilterError, theta):
+    path = run_observer(responses.flown, theta, responses.by)
+    return path, state_derivatives(responses.flown, theta, path.before, path.after)
+
+
+@eqx.filter_jit
+def _filter_slopes(responses: FilterError, theta, path, known, directions):
+    lin = linearise(responses.flown, theta, path.before, path.after, directions, known)
+    e = path.innovation[..., None]
+    # A scale error changes the noise of the record with its signal; without this term it would fit noise.
+    grown = e * lin.scale_drive / lin.scale[..., None]
+    found = responses._whitened(
+        jnp.concatenate([e, observer_derivatives(lin, responses.by) - grown], axis=-1), lin.scale
+    )
+    return found[..., 0], found[..., 1:]
+
+
+# --- What a flight makes of something added to a coefficient: to first order, for whatever is a function of the flight.
+# A term theta phi(x) of a coefficient changes the residuals, to first order in theta, as phi along the flight without
+# it does where it is prescribed: added to the coefficient as an input, linear between samples. So one compiled program
+# has the sensitivities to all terms.
+
+Signals = Mapping[str, np.ndarray]
+Made = Callable[[Signals], Float[np.ndarray, "d n"]]
+"""Functions of the flight: d series of one value for every sample, from its signals."""
+
+
+@cache
+def _adding(coefficient: str) -> Effect:
+    """The effect that adds an input to a coefficient; always the same object, for models are hashed."""
+    channel = channel_of(coefficient)
+    return Effect(
+        name=channel,
+        kind=Kind.AERODYNAMICS,
+        stage=Stage.TOTAL,
+        claim=f"{coefficient} has an addition that is prescribed.",
+        parameters=(),
+        channels=(channel,),
+        increments=lambda v, s, a, known: {coefficient: s[channel]},  # noqa: ARG005
+        example=Example({}, {channel: 0.1}, {coefficient: 0.1}, "it adds what it is given"),
+        source="definition",
+    )
+
+
+def channel_of(coefficient: str) -> str:
+    """The input that is added to a coefficient."""
+    return f"added_{coefficient}"
+
+
+_states = eqx.filter_jit(lambda responses, theta: responses.states(theta))
+_by_input = eqx.filter_jit(derivatives_by_input)
+
+
+@eqx.filter_jit
+def _added_slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array], directions: Mapping[str, Array]):
+    still = jnp.zeros(len(responses.windows.dynamics.start))
+
+    def residual(added):
+        channels = {**responses.flights.channels, **added}
+        return eqx.tree_at(lambda r: r.flights.channels, responses, channels).residual(theta, still)
+
+    return jax.vmap(lambda d: jax.jvp(residual, (zeros,), (d,))[1])(dict(directions))
+
+
+@eqx.filter_jit
+def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
+    prepared = prepare(responses.flown, theta)
+
+    def at_sample(x, u):
+        assert isinstance(prepared.system, EffectSystem)
+        signals = prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}
+        return {name: s for name, s in signals.items() if not isinstance(s, tuple) and jnp.ndim(s) == 0}
+
+    return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
+
+
+class AddedCoefficients:
+    """Residuals of flights under inputs that are added to the coefficients, at fixed parameters `theta`."""
+
+    def __init__(self, responses: OutputError, theta: Float[np.ndarray, " k"]) -> None:
+        model = responses.model.extended(*map(_adding, responses.model.coefficients))
+        nothing = jnp.zeros(responses.flights.n)
+        self.zeros = {channel_of(name): nothing for name in model.coefficients}
+        flights = replace(responses.flights, channels={**responses.flights.channels, **self.zeros})
+        dynamics = responses.windows.dynamics
+        assert isinstance(dynamics, AircraftDynamics)
+        dynamics = replace(dynamics, model=model)
+        windows = replace(responses.windows, dynamics=dynamics, flights=flights)
+        self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
+        self.theta = jnp.asarray(theta)
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """Signals of the flow, X and the marks along the simulated flight, each (n,); samples of no window repeat."""
+        return self.along(_states(self.responses, self.theta))
+
+    def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
+        """The same along any path of the windows."""
+        windows, flights = self.responses.windows, self.responses.flights
+        found = _signals(self.responses, self.theta, states)
+        real = np.asarray(windows.inside)
+        place, n = np.asarray(windows.index)[real], flights.n
+        latest = np.full(n, -1)
+        latest[place] = np.arange(len(place))
+        latest = np.maximum.accumulate(latest)
+        laid = {name: np.asarray(x)[real][latest] for name, x in found.items()}
+        marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
+        return {name: x for name, x in laid.items() if name not in self.zeros} | marks
+
+    def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
+        """Minus the derivatives of the residuals by the factors of series that are added to a coefficient."""
+        series = made(self.signals())
+        size, found = DIRECTIONS_PER_CALL, []
+        for begin in range(0, len(series), size):
+            part = series[begin : begin + size]
+            wide = jnp.zeros((size, series.shape[1])).at[: len(part)].set(part)
+            rest = jnp.zeros_like(wide)
+            directions = {name: wide if name == channel_of(coefficient) else rest for name in self.zeros}
+            found.append(-np.asarray(_added_slopes(self.responses, self.theta, self.zeros, directions))[: len(part)])
+        return np.concatenate(found)
+
+
+# --- What a filter does not foresee of something added to a coefficient: to first order, its gains held.
+# A term theta phi(x) of a coefficient acts where the filter stands: on the outputs at the state before a sample's
+# correction, and on the motion from the state after it to the next sample, along which phi is taken as linear.
+# Neither holds noise of the innovation that it changes. The filter is linear in it, so that all terms of a library
+# are columns of one recurrence. Source: Jazwinski, *Stochastic Processes and Filtering Theory*, 1970, ch. 8 (the
+# linearised filter).
+
+COLUMNS = 64  # at a time
+
+
+@eqx.filter_jit
+def _innovation_slopes(
+    responses: FilterError, theta: Any, known: StateDerivatives, own: InputDerivatives, series: Float[Array, "2 d n"]
+) -> Float[Array, "m c d"]:
+    flown = responses.flown
+    before, after = (jnp.moveaxis(x[:, flown.index], 0, -1) for x in series)  # w n d
+    return responses.whitened(theta, input_innovations(flown, theta, known, own, responses.by, before, after))
+
+
+class AddedToFilter(AddedCoefficients):
+    """Innovations under inputs that are added to the coefficients, at fixed parameters `theta`, gains held."""
+
+    def __init__(self, responses: FilterError, theta: Float[np.ndarray, " k"]) -> None:
+        super().__init__(responses, theta)
+        self.path, self.known = responses.path_at(theta)
+
+    @cached_property
+    def predicted(self) -> dict[str, np.ndarray]:
+        """Signals where each sample's outputs are predicted, by the samples before."""
+        return self.along(self.path.before)
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """Signals of the flow, X and the marks along the predictions, each (n,)."""
+        return self.predicted
+
+    def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
+        """Minus the derivatives of the whitened innovations; arguments as of `AddedCoefficients.slopes`."""
+        responses = self.responses
+        assert isinstance(responses, FilterError)
+        direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
+        own = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
+        series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
+        found = []
+        for begin in range(0, series.shape[1], COLUMNS):
+            part = series[:, begin : begin + COLUMNS]
+            wide = np.zeros((2, COLUMNS, series.shape[2]))
+            wide[:, : part.shape[1]] = part
+            slope = _innovation_slopes(responses, self.theta, self.known, own, jnp.asarray(wide))
+            found.append(-np.moveaxis(np.asarray(slope), -1, 0)[: part.shape[1]])
+        return np.concatenate(found)

@@ -34,13 +34,13 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
     """`sample_ensemble` or `sample_nuts`, as `identify` runs them; their burn-in always counts."""
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Run:
-        from bayes_aero.inference.posterior.laplace import Mode, ModeStatus
+        from bayes_aero.inference.posterior.laplace import ModeStatus, PosteriorMode
         from bayes_aero.model.density import Density
         from bayes_aero.model.noise import Colour, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))
-        mode = Mode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
+        mode = PosteriorMode(problem.u, problem.factor, problem.posterior(problem.u), ModeStatus.CONVERGED)
         if engine == "emcee":
             from bayes_aero.inference.posterior.ensemble import EnsembleLength as Length
             from bayes_aero.inference.posterior.ensemble import sample_ensemble as sample

@@ -66,7 +66,7 @@ def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
 
     from bayes_aero.inference.gp.emulator import ReducedData
     from bayes_aero.inference.gp.kernel import Priors
-    from bayes_aero.inference.gp.sampling import log_density
+    from bayes_aero.inference.gp.posterior import log_density
 
     rng = np.random.default_rng(2)
     x, theta = rng.standard_normal((12, 2)), rng.normal(-0.5, 0.3, 7)

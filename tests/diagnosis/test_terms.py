@@ -35,9 +35,7 @@ from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
-from bayes_aero.residuals.added_coefficients import AddedCoefficients, AddedToFilter
-from bayes_aero.residuals.filter_error import FilterError
-from bayes_aero.residuals.output_error import OutputError
+from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 
 # Terms that nobody listed: the library by hand, the effect file that states one, and what is refused
 AIRCRAFT = Aircraft(

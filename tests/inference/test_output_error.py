@@ -26,7 +26,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import LinearFit, calibration
-from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, Priors
+from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, NormalPriors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.model.joined_channels import join
@@ -114,7 +114,7 @@ def test_the_extrapolation_of_initial_states_is_exact_where_the_system_is_linear
     rng = np.random.default_rng(4132)
     theta = np.array([SHORT_PERIOD_TRUTH[p.name] for p in flown.dynamics.free])
     w, s = flown.index.shape[0], len(flown.dynamics.states)
-    equations, steps = NormalEquations(flown, Priors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
+    equations, steps = NormalEquations(flown, NormalPriors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
     here, there = equations.evaluate(theta, steps[0]), equations.evaluate(theta, steps[0] + steps[1])
     found = equations.extrapolate(here, np.zeros(len(theta)), steps[1])
     assert abs(there.cost - here.cost) > 1.0

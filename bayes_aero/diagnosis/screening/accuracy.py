@@ -23,7 +23,7 @@ from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
 from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.model.joined_records import Recorded
+from bayes_aero.model.joined_records import Flights
 from bayes_aero.parameter import Parameter
 
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
@@ -70,12 +70,12 @@ def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
     return bool(implausible(effect, {n: size for n, size in told.items() if math.isfinite(size.mean)}))
 
 
-def recording_noise(flights: Recorded) -> dict[str, float]:
+def recording_noise(flights: Flights) -> dict[str, float]:
     """Standard deviation of the white part of every recorded channel, SI (see `noise_of`)."""
     return {name: noise_of(*by_manoeuvre(np.asarray(flights.channels[name]), flights)) for name in flights.recorded}
 
 
-def filtered_channels(flights: Recorded) -> tuple[str, ...]:
+def filtered_channels(flights: Flights) -> tuple[str, ...]:
     """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
     # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
     found = []

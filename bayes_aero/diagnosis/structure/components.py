@@ -19,9 +19,7 @@ from bayes_aero.diagnosis.terms.library import QUANTITIES, THRUST, ProductTerm, 
 from bayes_aero.inference.covariance import ORDER
 from bayes_aero.physics.coefficient_names import LATERAL
 from bayes_aero.physics.filters import smooth_joined
-from bayes_aero.residuals.added_coefficients import AddedCoefficients, AddedToFilter
-from bayes_aero.residuals.filter_error import FilterError
-from bayes_aero.residuals.output_error import OutputError
+from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 OVER_TIME = "time, period "

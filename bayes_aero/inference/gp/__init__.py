@@ -3,7 +3,6 @@
 from bayes_aero.inference.gp.fit import GPFit, Prediction, fit_gp
 from bayes_aero.inference.gp.kernel import FLAT, HyperPrior, Priors
 from bayes_aero.inference.gp.optimum import MapStatus
-from bayes_aero.inference.gp.posterior import Budget
-from bayes_aero.inference.gp.sampling import SampleStatus
+from bayes_aero.inference.gp.posterior import Budget, SampleStatus
 
 __all__ = ["FLAT", "Budget", "GPFit", "HyperPrior", "MapStatus", "Prediction", "Priors", "SampleStatus", "fit_gp"]

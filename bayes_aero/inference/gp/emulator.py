@@ -2,7 +2,7 @@
 
 `logdet` and the logarithmic Cholesky factor of `gram` are smooth functions of u = (log l_1..d, log g), d + 1 numbers;
 every exact evaluation gives their values and all first derivatives, so a few tens of evaluations determine a full
-cubic. `reweight.py` measures the error of the stand-in on exact evaluations and removes it.
+cubic. `posterior.reweight` measures the error of the stand-in on exact evaluations and removes it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,10 @@ class ExactPoint(NamedTuple):
 
 
 class Emulator(eqx.Module):
-    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1).
+    """Polynomial stand-in of degree <= 4 in the whitened t: coefficients of s_a s_b, where s = (t, 1) x (t, 1)."""
 
-    Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
-    shape does not depend on the degree, so that one compiled sampler serves every round.
-    """
-
+    # Each monomial keeps one place in that tensor, the others are zero: dense products beat gathers in XLA, and the
+    # shape does not depend on the degree, so that one compiled sampler serves every round.
     centre: Float[Array, " u"]
     whiten: Float[Array, "u u"]
     coefficients: Float[Array, "pairs pairs outputs"]
@@ -75,8 +73,7 @@ def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.
     def pack(logdet, diagonal, factor):
         return np.concatenate([[logdet], diagonal, factor[rows]])
 
-    value = pack(point.stats.logdet, np.log(np.diag(lower)), lower)
-    slopes = []
+    value, slopes = pack(point.stats.logdet, np.log(np.diag(lower)), lower), []
     if point.gradient is None:
         return value, np.full((point.u.size, value.size), np.nan)
     for d_logdet, d_gram in zip(point.gradient.logdet, point.gradient.gram, strict=True):
@@ -85,11 +82,6 @@ def outputs(point: ExactPoint) -> tuple[Float[np.ndarray, " outputs"], Float[np.
         d_lower = lower @ (np.tril(inner, -1) + 0.5 * np.diag(np.diag(inner)))
         slopes.append(pack(d_logdet, np.diag(d_lower) / np.diag(lower), d_lower))
     return value, np.array(slopes)
-
-
-def monomials(d: int, degree: int) -> Int[np.ndarray, "terms degree"]:
-    """Factor indices of every monomial in d variables up to `degree`, padded with d (which stands for 1)."""
-    return np.array(list(combinations_with_replacement(range(d + 1), degree)))
 
 
 def design(
@@ -112,10 +104,8 @@ def design(
 def fit_emulator(
     points: list[ExactPoint], log_posterior: Float[np.ndarray, " points"], degree: int = DEGREE
 ) -> Emulator:
-    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine.
-
-    The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
-    """
+    """Weighted least squares on values and gradients of `points`, with the highest degree that they determine."""
+    # The weight of a point follows from its `log_posterior`. Coordinates are whitened by the points near the best one.
     u, gap = np.array([p.u for p in points]), np.max(log_posterior) - log_posterior
     d = u.shape[1]
     near = gap <= max(SUPPORT_GAP, np.sort(gap)[min(3 * d, gap.size - 1)])
@@ -123,9 +113,10 @@ def fit_emulator(
     whiten = solve_triangular(root, np.eye(d), lower=True)
     t = (u - centre) @ whiten.T
     rows = sum(1 if p.gradient is None else d + 1 for p in points)
-    while degree > 1 and ROWS_PER_TERM[degree] * len(monomials(d, degree)) > rows:
+    while degree > 1 and ROWS_PER_TERM[degree] * math.comb(d + degree, degree) > rows:
         degree -= 1
-    powers = monomials(d, degree)
+    # Factor indices of every monomial up to this degree, padded with d (which stands for 1).
+    powers = np.array(list(combinations_with_replacement(range(d + 1), degree)))
     values, slopes = zip(*(outputs(p) for p in points), strict=True)
     by_t = np.einsum("jk,pjz->kpz", root, np.array(slopes)).reshape(d * len(u), -1)
     weight = np.tile(1.0 / (1.0 + gap / SUPPORT_GAP) ** 2, d + 1)[:, None]
@@ -147,7 +138,7 @@ def fit_emulator(
 # y'K^-1 y follow exactly, by the matrix determinant and inversion lemmas, from
 # logdet = log|R| and gram = [F y]' R^-1 [F y], (d + 2) x (d + 2),
 # which depend on u = (log l_1..d, log g) alone. So the expensive function has d + 1 arguments, not 2d + 3, and
-# smooth, small outputs; the other hyperparameters cost microseconds (`density.py`).
+# smooth, small outputs; the other hyperparameters cost microseconds (`optimum.slopes`).
 # The gradient is analytic. With V = R^-1 [F y]: d gram = -V' dR V, and d logdet = tr(R^-1 dR). The SE part has
 # dR/dlog l_k = SE o (x_ik - x_jk)^2 (elementwise), and sum_ij M_ij (x_ik - x_jk)^2 for a symmetric M needs only M's
 # row sums and M x: no n x n x p array is ever formed. LAPACK potrf + potri, n^3 flops together.
@@ -194,37 +185,26 @@ class ReducedGradient(NamedTuple):
     gram: Float[np.ndarray, "u m m"]
 
 
-class Factor(NamedTuple):
-    """Lower Cholesky factor of R and V = R^-1 [F y] (n, m); None if R has none."""
-
-    lower: Float[np.ndarray, "n n"] | None
-    v: Float[np.ndarray, "n m"] | None
-
-
-def factorise(u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarray, "n n"] | None = None) -> Factor:
-    """Cholesky factor of R at u = (log l, log g); `se` is SE(l) where the caller has it already."""
+def factorise(
+    u: Float[np.ndarray, " u"], data: ReducedData, se: Float[np.ndarray, "n n"] | None = None
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n m"]] | None:
+    """Lower Cholesky factor of R at u = (log l, log g), and R^-1 [F y]; None if R has none. `se`: SE(l), if known."""
     d = data.x.shape[1]
-    if se is None:
-        x = data.x / np.exp(u[:d])
-        r = scaled_distance_kernel(x, x)
-    else:
-        r = se.copy()
+    x = data.x / np.exp(u[:d])
+    r = scaled_distance_kernel(x, x) if se is None else se.copy()
     np.fill_diagonal(r, 1.0 + np.exp(u[d]))
     # r is symmetric and C-ordered, so its transpose is the Fortran array that LAPACK overwrites without a copy.
     lower, info = dpotrf(r.T, lower=1, clean=1, overwrite_a=1)
-    if info != 0:
-        return Factor(None, None)
-    v, _ = dpotrs(lower, data.fy, lower=1)
-    return Factor(lower, v)
+    return None if info != 0 else (lower, dpotrs(lower, data.fy, lower=1)[0])
 
 
-def _stats(factor: Factor, data: ReducedData) -> ReducedStats:
-    m = data.fy.shape[1]
-    if factor.lower is None or factor.v is None:
+def _stats(factor: tuple[np.ndarray, np.ndarray] | None, data: ReducedData) -> ReducedStats:
+    if factor is None:
+        m = data.fy.shape[1]
         return ReducedStats(np.nan, np.full((m, m), np.nan), ok=False)
-    gram = data.fy.T @ factor.v
-    logdet = 2.0 * float(np.sum(np.log(np.diagonal(factor.lower))))
-    return ReducedStats(logdet, 0.5 * (gram + gram.T))
+    lower, v = factor
+    gram = data.fy.T @ v
+    return ReducedStats(2.0 * float(np.sum(np.log(np.diagonal(lower)))), 0.5 * (gram + gram.T))
 
 
 def reduced_stats(u: Float[np.ndarray, " u"], data: ReducedData) -> ReducedStats:
@@ -234,29 +214,25 @@ def reduced_stats(u: Float[np.ndarray, " u"], data: ReducedData) -> ReducedStats
 
 def stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[ReducedStats, ReducedGradient]:
     """logdet, gram and their derivatives with respect to u: one factorisation and one inversion."""
-    with blas_threads(data.n):
-        return _stats_and_gradient(u, data)
-
-
-def _stats_and_gradient(u: Float[np.ndarray, " u"], data: ReducedData) -> tuple[ReducedStats, ReducedGradient]:
     d, m = data.x.shape[1], data.fy.shape[1]
-    x, g = data.x / np.exp(u[:d]), float(np.exp(u[d]))
-    se = scaled_distance_kernel(x, x)
-    factor = factorise(u, data, se)
-    stats = _stats(factor, data)
     d_logdet, d_gram = np.full(d + 1, np.nan), np.full((d + 1, m, m), np.nan)
-    if factor.lower is None or factor.v is None:
-        return stats, ReducedGradient(d_logdet, d_gram)
-    v = factor.v
-    xv = [x[:, [k]] * v for k in range(d)]
-    se_v = se @ np.concatenate([v, *xv], axis=1)
-    for k in range(d):
-        cross = (x[:, [k]] * xv[k]).T @ se_v[:, :m]
-        d_gram[k] = 2.0 * xv[k].T @ se_v[:, m * (k + 1) : m * (k + 2)] - cross - cross.T
-    d_gram[d] = -g * v.T @ v
-    inverse, _ = dpotri(factor.lower, lower=1, overwrite_c=1)
-    d_logdet[d] = g * np.trace(inverse)
-    half = np.multiply(inverse.T, se, out=se)  # one triangle of R^-1 o SE, the other is zero
-    d_logdet[:d] = 2.0 * ((x * x).T @ (half.sum(axis=0) + half.sum(axis=1)))
-    d_logdet[:d] -= 4.0 * np.einsum("ij,ij->j", x, half @ x)
+    with blas_threads(data.n):
+        x, g = data.x / np.exp(u[:d]), float(np.exp(u[d]))
+        se = scaled_distance_kernel(x, x)
+        factor = factorise(u, data, se)
+        stats = _stats(factor, data)
+        if factor is None:
+            return stats, ReducedGradient(d_logdet, d_gram)
+        lower, v = factor
+        xv = [x[:, [k]] * v for k in range(d)]
+        se_v = se @ np.concatenate([v, *xv], axis=1)
+        for k in range(d):
+            cross = (x[:, [k]] * xv[k]).T @ se_v[:, :m]
+            d_gram[k] = 2.0 * xv[k].T @ se_v[:, m * (k + 1) : m * (k + 2)] - cross - cross.T
+        d_gram[d] = -g * v.T @ v
+        inverse, _ = dpotri(lower, lower=1, overwrite_c=1)
+        d_logdet[d] = g * np.trace(inverse)
+        half = np.multiply(inverse.T, se, out=se)  # one triangle of R^-1 o SE, the other is zero
+        d_logdet[:d] = 2.0 * ((x * x).T @ (half.sum(axis=0) + half.sum(axis=1)))
+        d_logdet[:d] -= 4.0 * np.einsum("ij,ij->j", x, half @ x)
     return stats, ReducedGradient(d_logdet, d_gram)

@@ -24,8 +24,14 @@ from bayes_aero.inference.compiled_programs import blas_threads
 from bayes_aero.inference.gp.emulator import ReducedData, factorise
 from bayes_aero.inference.gp.kernel import Priors, Scaling, noise_to_signal, scaled_distance_kernel
 from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
-from bayes_aero.inference.gp.posterior import Budget, Sampled, posterior_tree, sample_posterior, systematic_resample
-from bayes_aero.inference.gp.sampling import SampleStatus
+from bayes_aero.inference.gp.posterior import (
+    Budget,
+    Sampled,
+    SampleStatus,
+    posterior_tree,
+    sample_posterior,
+    systematic_resample,
+)
 
 MAX_SAMPLES = 8000
 Matrix = Float[np.ndarray, "n d"] | Float[jax.Array, "n d"]
@@ -34,23 +40,18 @@ Vector = Float[np.ndarray, " n"] | Float[jax.Array, " n"]
 
 @dataclass(frozen=True, eq=False)
 class GPFit:
-    """A trained GP.
-
-    `optima`: the distinct optima found, best first. `status`: result of the sampling (`.value` is advice).
-    `posterior`: DataTree with posterior, sample_stats, prior and proposal groups, hyperparameters in physical
-    units; None unless the status is accepted. `draws` (S, 2d + 3): the posterior's theta, log scaled, equal weight.
-    """
+    """A trained GP."""
 
     input_names: tuple[str, ...]
     output_name: str
     scaling: Scaling
     priors: Priors
     data: ReducedData
-    optima: tuple[Optimum, ...]
-    status: SampleStatus
+    optima: tuple[Optimum, ...]  # the distinct ones found, best first
+    status: SampleStatus  # result of the sampling (`.value` is advice)
     sampled: Sampled | None
-    draws: Float[np.ndarray, "draws p"] | None
-    posterior: xr.DataTree | None
+    draws: Float[np.ndarray, "draws p"] | None  # the posterior's theta, log scaled, equal weight
+    posterior: xr.DataTree | None  # hyperparameters in physical units (`posterior_tree`); None unless accepted
 
     @property
     def map(self) -> dict[str, np.ndarray]:
@@ -86,10 +87,11 @@ class GPFit:
             count = min(draws, len(self.draws))
             thetas = self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
         x_new = self.scaling.inputs(X_new)
-        parts = [gaussian_parts(t, self.data, x_new) for t in thetas]
+        with blas_threads(self.data.n):
+            parts = [gaussian_parts(t, self.data, x_new) for t in thetas]
         means, latent = (np.array(p) for p in zip(*parts, strict=True))
         rms = self.scaling.rms
-        return mixture(rms * means, rms**2 * latent, rms**2 * np.exp(2.0 * thetas[:, -1]))
+        return Prediction.of_mixture(rms * means, rms**2 * latent, rms**2 * np.exp(2.0 * thetas[:, -1]))
 
 
 def fit_gp(
@@ -113,7 +115,8 @@ def fit_gp(
     """
     X, y = np.asarray(X, float), np.asarray(y, float)
     names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
-    _check(X, y, names)
+    if len(X) > MAX_SAMPLES:
+        raise InputError(too_many(len(X)))
     if sample and not priors.proper:
         raise InputError("A flat hyperparameter prior is improper: set sample=False or give proper priors.")
     scaling = Scaling.of(X, y, names)
@@ -134,41 +137,17 @@ def fit_gp(
         elif sample:
             sampled = sample_posterior(optima[0], data, priors, budget=budget, seed=seed, tell=tell)
             status = sampled.status
-            optima = _with_mode_of_draws(optima, sampled, data, priors)
     if sampled is not None and sampled.weighted is not None and status is SampleStatus.accepted:
-        at = systematic_resample(sampled.weighted.log_weight, seed)
-        draws = sampled.weighted.theta.reshape(-1, sampled.weighted.theta.shape[-1])[at]
+        weighted = sampled.weighted
+        flat = weighted.theta.reshape(-1, weighted.theta.shape[-1])
+        best = flat[int(np.argmax(weighted.exact))]  # perhaps near an optimum that the starts did not find
+        if np.max(np.abs(noise_to_signal(best) - optima[0].u)) > SAME_OPTIMUM:
+            another = maximise(noise_to_signal(best), data, priors, w=best[: len(names) + 2])
+            optima = tuple(distinct([*optima, another], len(optima) + 1))
+        at = systematic_resample(weighted.log_weight, seed)
+        draws = flat[at]
         tree = posterior_tree(sampled, at, scaling, priors, names, output_name, seed)
     return GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
-
-
-def _with_mode_of_draws(
-    optima: tuple[Optimum, ...], sampled: Sampled, data: ReducedData, priors: Priors
-) -> tuple[Optimum, ...]:
-    """The optima, and the optimum near the best exact draw if it is a new one, which the starts did not find."""
-    weighted = sampled.weighted
-    if weighted is None or sampled.status is not SampleStatus.accepted:
-        return optima
-    theta = weighted.theta.reshape(-1, weighted.theta.shape[-1])[int(np.argmax(weighted.exact))]
-    if np.max(np.abs(noise_to_signal(theta) - optima[0].u)) <= SAME_OPTIMUM:
-        return optima
-    another = maximise(noise_to_signal(theta), data, priors, w=theta[: data.x.shape[1] + 2])
-    return tuple(distinct([*optima, another], len(optima) + 1))
-
-
-def _check(X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise `InputError` for data that cannot be fitted."""
-    if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
-        raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
-    n, d = X.shape
-    if n < 2 * d + 4:
-        raise InputError(f"{n} samples cannot determine {2 * d + 3} hyperparameters; give more samples.")
-    if n > MAX_SAMPLES:
-        raise InputError(too_many(n))
-    for name, column in (*zip(names, X.T, strict=True), ("output", y)):
-        if not np.all(np.isfinite(column)):
-            at = int(np.flatnonzero(~np.isfinite(column))[0])
-            raise InputError(f"{name} is not finite at sample {at}; remove or repair that sample.")
 
 
 def too_many(n: int) -> str:
@@ -190,21 +169,41 @@ LEVELS = (0.5, 0.9, 0.95)
 
 
 class Prediction(NamedTuple):
-    """Predictive distribution at n points, in the unit of the output.
+    """Predictive distribution at n points, in the unit of the output."""
 
-    `mean`, `sd` (n,) of a new measurement; `latent_sd` (n,) of the function without noise; `low`, `high`
-    (levels, n) the ends of the central intervals of `levels`. `component_mean`, `component_sd` (draws, n) are the
-    Gaussians of the mixture, for whoever wants another functional of it.
-    """
-
-    mean: Float[np.ndarray, " n"]
+    mean: Float[np.ndarray, " n"]  # of a new measurement, as `sd`
     sd: Float[np.ndarray, " n"]
-    latent_sd: Float[np.ndarray, " n"]
-    levels: tuple[float, ...]
+    latent_sd: Float[np.ndarray, " n"]  # of the function without noise
+    levels: tuple[float, ...]  # of the central intervals from `low` to `high`
     low: Float[np.ndarray, "levels n"]
     high: Float[np.ndarray, "levels n"]
-    component_mean: Float[np.ndarray, "draws n"]
+    component_mean: Float[np.ndarray, "draws n"]  # of the Gaussians of the mixture
     component_sd: Float[np.ndarray, "draws n"]
+
+    @classmethod
+    def of_mixture(
+        cls,
+        means: Float[np.ndarray, "draws n"],
+        latent: Float[np.ndarray, "draws n"],
+        noise: Float[np.ndarray, " draws"],
+    ) -> Prediction:
+        """Equal-weight mixture of Gaussians with `means`, latent variances and noise variances."""
+        between, sds = means.var(axis=0), np.sqrt(latent + noise[:, None])
+        sd = np.sqrt(between + np.mean(sds**2, axis=0))
+
+        def quantile(probability: float) -> np.ndarray:
+            """By bisection: the cdf is monotone and the ends bracket every component's quantile."""
+            low, high = (means - 9.0 * sds).min(axis=0), (means + 9.0 * sds).max(axis=0)
+            for _ in range(50):
+                middle = 0.5 * (low + high)
+                below = ndtr((middle - means) / sds).mean(axis=0) < probability
+                low, high = np.where(below, middle, low), np.where(below, high, middle)
+            return 0.5 * (low + high)
+
+        tails = [(1.0 - level) / 2.0 for level in LEVELS]
+        low, high = (np.array([quantile(p) for p in ps]) for ps in (tails, [1.0 - tail for tail in tails]))
+        latent_sd = np.sqrt(between + latent.mean(axis=0))
+        return cls(means.mean(axis=0), sd, latent_sd, LEVELS, low, high, means, sds)
 
     def coverage(self, measured: Float[np.ndarray, " n"]) -> dict[float, float]:
         """Share of `measured` inside each central interval, by level."""
@@ -216,59 +215,23 @@ class Prediction(NamedTuple):
 def gaussian_parts(
     theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units.
-
-    With R, F, D of `reduced.py`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
-    Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
-    """
-    with blas_threads(data.n):
-        return _gaussian_parts(theta, data, x_new)
-
-
-def _gaussian_parts(
-    theta: Float[np.ndarray, " p"], data: ReducedData, x_new: Float[np.ndarray, "k d"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    d = data.x.shape[1]
-    factor = factorise(noise_to_signal(theta), data)
-    if factor.lower is None or factor.v is None:
+    """Mean and variance of the latent function at scaled inputs x_new (k, d), in scaled output units."""
+    # With R, F, D of `emulator`, S = R^-1 F (D^-1 + F'R^-1 F)^-1 and k_*: the explicit-basis form (Rasmussen and
+    # Williams 2006, eq. 2.42) with a proper prior D on the basis. One factorisation and one triangular solve.
+    d, factor = data.x.shape[1], factorise(noise_to_signal(theta), data)
+    if factor is None:
         raise np.linalg.LinAlgError("covariance not positive definite at an accepted draw")
+    lower, v = factor
     length, sf2 = np.exp(theta[d + 2 : 2 * d + 2]), np.exp(2.0 * theta[d + 1])
     root = np.exp(theta[: d + 1] - theta[d + 1])
     basis = data.fy[:, : d + 1] * root
-    v_basis, v_y = factor.v[:, : d + 1] * root, factor.v[:, d + 1]
+    v_basis, v_y = v[:, : d + 1] * root, v[:, d + 1]
     inner = (cholesky(np.eye(d + 1) + basis.T @ v_basis, lower=True), True)
     weight = cho_solve(inner, basis.T @ v_y)  # posterior mean of the basis weights, in units of root
     cross = scaled_distance_kernel(data.x / length, x_new / length)  # (n, k)
     new = np.column_stack([np.ones(len(x_new)), x_new]) * root
     mean = new @ weight + cross.T @ (v_y - v_basis @ weight)
-    rest = new - cross.T @ v_basis
-    extra = solve_triangular(inner[0], rest.T, lower=True)
-    half = solve_triangular(factor.lower, cross, lower=True, check_finite=False)
+    extra = solve_triangular(inner[0], (new - cross.T @ v_basis).T, lower=True)
+    half = solve_triangular(lower, cross, lower=True, check_finite=False)
     variance = 1.0 - np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", extra, extra)
     return mean, sf2 * np.maximum(variance, 0.0)
-
-
-def mixture(
-    means: Float[np.ndarray, "draws n"], latent: Float[np.ndarray, "draws n"], noise: Float[np.ndarray, " draws"]
-) -> Prediction:
-    """Equal-weight mixture of Gaussians with `means`, latent variances and noise variances."""
-    mean = means.mean(axis=0)
-    between = means.var(axis=0)
-    sds = np.sqrt(latent + noise[:, None])
-    sd = np.sqrt(between + np.mean(sds**2, axis=0))
-    tails = np.array([(1.0 - level) / 2.0 for level in LEVELS])
-    low = np.array([_quantile(means, sds, tail) for tail in tails])
-    high = np.array([_quantile(means, sds, 1.0 - tail) for tail in tails])
-    return Prediction(mean, sd, np.sqrt(between + latent.mean(axis=0)), LEVELS, low, high, means, sds)
-
-
-def _quantile(
-    means: Float[np.ndarray, "draws n"], sds: Float[np.ndarray, "draws n"], probability: float
-) -> Float[np.ndarray, " n"]:
-    """Quantile of the mixture by bisection: its cdf is monotone and the ends bracket every component's quantile."""
-    low, high = (means - 9.0 * sds).min(axis=0), (means + 9.0 * sds).max(axis=0)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        below = ndtr((middle - means) / sds).mean(axis=0) < probability
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return 0.5 * (low + high)

@@ -46,10 +46,8 @@ def noise_to_signal(theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " u"]:
 
 
 def scaled_distance_kernel(a: Float[np.ndarray, "n d"], b: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
-    """exp(-1/2 |a - b|^2) for inputs already divided by their length scales; one n x m array, worked in place.
-
-    |a - b|^2 is expanded, a.b - a.a/2 - b.b/2; rounding can leave it barely positive, hence the clip at zero.
-    """
+    """exp(-1/2 |a - b|^2) for inputs already divided by their length scales; one n x m array, worked in place."""
+    # |a - b|^2 is expanded, a.b - a.a/2 - b.b/2; rounding can leave it barely positive, hence the clip at zero.
     e = a @ b.T
     e -= 0.5 * np.einsum("ij,ij->i", a, a)[:, None]
     e -= 0.5 * np.einsum("ij,ij->i", b, b)
@@ -68,8 +66,17 @@ class Scaling:
     rms: float
 
     @classmethod
-    def of(cls, X: Float[np.ndarray, "n d"], y: Float[np.ndarray, " n"], names: tuple[str, ...]) -> "Scaling":
-        """Scaling of training inputs (n, d) and output (n,); a constant input or a zero output is refused."""
+    def of(cls, X: np.ndarray, y: np.ndarray, names: tuple[str, ...]) -> "Scaling":
+        """Scaling of training inputs (n, d) and output (n,); data that cannot be fitted are refused."""
+        if X.ndim != 2 or y.shape != X.shape[:1] or len(names) != X.shape[1]:
+            raise InputError(f"Inputs {X.shape}, output {y.shape} and {len(names)} input names do not go together.")
+        n, d = X.shape
+        if n < 2 * d + 4:
+            raise InputError(f"{n} samples cannot determine {2 * d + 3} hyperparameters; give more samples.")
+        for name, column in (*zip(names, X.T, strict=True), ("output", y)):
+            if not np.all(np.isfinite(column)):
+                at = int(np.flatnonzero(~np.isfinite(column))[0])
+                raise InputError(f"{name} is not finite at sample {at}; remove or repair that sample.")
         mean, sd, rms = X.mean(axis=0), X.std(axis=0), float(np.sqrt(np.mean(y**2)))
         flat = sd <= 1e-12 * (np.abs(mean) + np.max(np.abs(X), axis=0))
         if np.any(flat):
@@ -84,11 +91,9 @@ class Scaling:
         return (X - self.mean) / self.sd
 
     def physical(self, theta: Float[np.ndarray, "*draws p"]) -> dict[str, np.ndarray]:
-        """Hyperparameters in physical units, from log scaled theta (..., 2d + 3).
-
-        `constant`, `signal`, `noise`: unit of the output. `linear` (..., d): sd of the slope about the training
-        mean, output unit per input unit. `length_scale` (..., d): unit of the input.
-        """
+        """Hyperparameters in physical units, from log scaled theta (..., 2d + 3)."""
+        # `constant`, `signal`, `noise`: unit of the output. `linear` (..., d): sd of the slope about the training mean,
+        # output unit per input unit. `length_scale` (..., d): unit of the input.
         d, x = self.sd.size, np.exp(theta)
         return {
             "constant": np.asarray(x[..., 0] * self.rms),
@@ -99,7 +104,7 @@ class Scaling:
         }
 
 
-# --- Hyperparameter priors q(theta), all in one place, in the scaled units of `kernel.py`.
+# --- Hyperparameter priors q(theta), all in one place, in the scaled units of this module.
 # Each prior speaks of a positive hyperparameter x (a standard deviation or a length scale); the engine works with t
 # = log x, so every density here carries the Jacobian x. Scaled units: inputs have training mean 0 and sd 1, the
 # output has training rms 1, so that one set of numbers serves every coefficient and no prior depends on units.
@@ -181,9 +186,7 @@ class Priors:
         "half-normal on sds after the Stan User's Guide, Gaussian processes, 'Priors for marginal sd'",
     )
     signal: HyperPrior = HyperPrior(
-        "half-normal",
-        1.0,
-        source="our choice, as for the linear part: the non-linear part is not larger than y",
+        "half-normal", 1.0, source="our choice, as for the linear part: the non-linear part is not larger than y"
     )
     length: HyperPrior = HyperPrior(
         "log-normal",
@@ -203,15 +206,13 @@ class Priors:
 
     @classmethod
     def quasi_steady(cls) -> "Priors":
-        """For quasi-steady coefficients of a manoeuvre: no feature much finer than the flown range of an input.
-
-        The likelihood takes its errors for white and everywhere alike. In flight they are neither: on the ATTAS
-        records the error of CD is 5 times larger in the stall than before it, nearly all of it buffet at 7.7 Hz,
-        which is no function of alpha, elevator, pitch rate or airspeed. With n in the thousands that likelihood
-        outbids any weak prior by hundreds of nats to explain buffet by short length scales, and the process then
-        swings between the samples of a steep passage. So the lower end has to be as steep as the data's push is:
-        a Frechet density charges (6/l)^10 nats for a length scale of l sd.
-        """
+        """For quasi-steady coefficients of a manoeuvre: no feature much finer than the flown range of an input."""
+        # The likelihood takes its errors for white and everywhere alike. In flight they are neither: on the ATTAS
+        # records the error of CD is 5 times larger in the stall than before it, nearly all of it buffet at 7.7 Hz,
+        # which is no function of alpha, elevator, pitch rate or airspeed. With n in the thousands that likelihood
+        # outbids any weak prior by hundreds of nats to explain buffet by short length scales, and the process then
+        # swings between the samples of a steep passage. So the lower end has to be as steep as the data's push is: a
+        # Frechet density charges (6/l)^10 nats for a length scale of l sd.
         length = HyperPrior(
             "frechet",
             6.0,
@@ -238,7 +239,7 @@ class Priors:
             self.constant.log_density(theta[0])
             + jnp.sum(self.linear.log_density(theta[1 : d + 1]))
             + self.signal.log_density(theta[d + 1])
-            + jnp.sum(self.length.log_density(theta[d + 2 : 2 * d + 2]))
+            + jnp.sum(self.length.log_density(theta[length_slice(d)]))
             + self.noise.log_density(theta[2 * d + 2])
         )
 

@@ -19,8 +19,6 @@ from scipy.optimize import minimize
 from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, ReducedStats, stats_and_gradient
 from bayes_aero.inference.gp.kernel import HyperPrior, Priors, length_slice, noise_to_signal
 
-__all__ = ["MapStatus", "Optimum", "curvature", "find_map", "maximise"]
-
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision
 SCREEN_SIZE, MIDDLE_SIZE = 300, 1000
@@ -63,9 +61,8 @@ class _NotPositiveDefiniteError(Exception):
     """R has no Cholesky factor at this u."""
 
 
-class Profile:
-    """max over w of log q + log p(y | w, u), remembering the last w as the next start
-    and every exact evaluation in `points`."""
+class ProfilePosterior:
+    """max over w of log q + log p(y | w, u); `w` is the next start, `points` has every exact evaluation."""
 
     def __init__(self, data: ReducedData, priors: Priors, w: Float[np.ndarray, " w"] | None = None):
         self.data, self.priors, self.n = data, priors, float(data.n)
@@ -103,11 +100,9 @@ def maximise(
     max_iterations: int = 60,
     tolerance: float = 1e-9,
 ) -> Optimum:
-    """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior.
-
-    Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
-    """
-    profile = Profile(data, priors, w)
+    """Local optimum from u (and w) by L-BFGS-B over u; `tolerance` is relative in the log posterior."""
+    # Where a guess of the Laplace `covariance` of u is at hand, BFGS starts from it: half the evaluations.
+    profile = ProfilePosterior(data, priors, w)
     box = np.array([LENGTH_BOUNDS] * (u.size - 1) + [NOISE_BOUNDS])
     best: tuple[float, np.ndarray, np.ndarray] | None = None
 
@@ -194,22 +189,18 @@ def find_map(
         found = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in found]
         found = distinct(found, polish)
     tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
-    found = [_polish(o, middle, data, priors) for o in found[:polish]]
-    return distinct(found, polish)
-
-
-def _polish(optimum: Optimum, middle: ReducedData, data: ReducedData, priors: Priors) -> Optimum:
-    """The optimum of all points from that of the thinned ones, whose curvature grows with n."""
-    w = optimum.theta[: optimum.u.size + 1]
-    if data.n == middle.n or optimum.status is not MapStatus.converged:
-        return maximise(optimum.u, data, priors, w=w)
-    covariance, _ = curvature(optimum, middle, priors)
-    return maximise(optimum.u, data, priors, w=w, covariance=covariance * middle.n / data.n)
+    whole = []
+    for o in found[:polish]:
+        guess = None
+        if data.n > middle.n and o.status is MapStatus.converged:  # the curvature grows with n
+            guess = curvature(o, middle, priors)[0] * middle.n / data.n
+        whole.append(maximise(o.u, data, priors, w=o.theta[: d + 2], covariance=guess))
+    return distinct(whole, polish)
 
 
 def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Float[np.ndarray, "u u"], list[ExactPoint]]:
     """Laplace covariance of u (standard deviation at most 1.5 in undetermined directions), and its exact points."""
-    profile = Profile(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
+    profile = ProfilePosterior(data, priors, optimum.theta[: data.x.shape[1] + 2].copy())
     u = optimum.u
     _, base, _ = profile(u)
     rows = [(profile(u + step)[1] - base) / DIFFERENCE_STEP for step in DIFFERENCE_STEP * np.eye(u.size)]
@@ -219,7 +210,7 @@ def curvature(optimum: Optimum, data: ReducedData, priors: Priors) -> tuple[Floa
 
 
 # --- The most probable s0, s_i and sf at given length scales and noise-to-signal ratio, by Newton's method.
-# The density is `density.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
+# The density is `posterior.small_posterior`, of a dozen unknowns at most and asked for tens of thousands of times:
 # calls into compiled code, and compiling it anew for every number of inputs, would cost more than the sums. With r =
 # s/sf, B = 1 + r G r and y = B^-1 r b (G and b are parts of the gram, Rasmussen and Williams, sec. 2.7)
 # d log p/d log s_i = y_i^2/sf^2 - 1 + (B^-1)_ii,
@@ -290,10 +281,8 @@ def slopes(
 def best_sizes(
     w: Float[np.ndarray, " k"], u: Float[np.ndarray, " u"], stats: ReducedStats, n: float, priors: Priors
 ) -> tuple[Float[np.ndarray, " k"], Slopes]:
-    """w at the top of the posterior at u, from a start `w`, within `SD_BOUNDS`; and the posterior there.
-
-    Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
-    """
+    """w at the top of the posterior at u, from a start `w`, within `SD_BOUNDS`; and the posterior there."""
+    # Curvatures count by their size, so that the step leads uphill where the posterior is not concave, too.
     low, high = SD_BOUNDS
     w = np.clip(w, low, high)
     at, radius = slopes(w, u, stats, n, priors), FIRST_STEP
@@ -306,7 +295,10 @@ def best_sizes(
         promised, length = g @ step, np.max(np.abs(step))
         step *= min(1.0, radius / max(length, 1e-300))
         there = np.clip(w + step, low, high)
-        new = _slopes_or_none(there, u, stats, n, priors)
+        try:
+            new = slopes(there, u, stats, n, priors)
+        except np.linalg.LinAlgError:  # sds too far apart for double precision
+            new = None
         if new is not None and new.value >= at.value:
             w, at, radius = there, new, min(2.0 * radius, MAX_STEP)
         else:
@@ -314,10 +306,3 @@ def best_sizes(
         if promised < GAIN_TOLERANCE * max(1e3, abs(at.value)) or radius < MIN_STEP:
             break
     return w, at
-
-
-def _slopes_or_none(w, u, stats, n, priors) -> Slopes | None:
-    try:
-        return slopes(w, u, stats, n, priors)
-    except np.linalg.LinAlgError:  # sds too far apart for double precision
-        return None

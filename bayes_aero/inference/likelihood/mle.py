@@ -38,11 +38,31 @@ MIN_X_RANGE = 0.05  # range of the separation point over a record below which th
 
 @dataclass(frozen=True)
 class _Descent:
-    theta: Float[np.ndarray, " k"]
-    cost: float
+    point: GaussNewtonPoint
     converged: bool
     iterations: int
-    active: np.ndarray
+    active: np.ndarray  # whether a parameter is at a bound
+
+    @property
+    def theta(self) -> Float[np.ndarray, " k"]:
+        """The estimate."""
+        return self.point.theta
+
+    @property
+    def cost(self) -> float:
+        """Infinite where the fit is not defined."""
+        regular = np.isfinite(self.point.cost) and np.all(np.isfinite(self.point.information))
+        return self.point.cost if regular else np.inf
+
+    def regular(self, data: Data) -> bool:
+        """Whether the separation point varies in the fit, and its break angle is not at a bound."""
+        if not np.isfinite(self.cost):
+            return False
+        breaks = [p.role is Role.BREAK_ANGLE for p in data.model.free]
+        if not any(breaks):
+            return True
+        X = np.asarray(evaluate(data, jnp.asarray(self.theta))[2])
+        return not bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
 
 
 def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
@@ -55,10 +75,8 @@ def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
 
 
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
-    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set.
-
-    Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
-    """
+    """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
+    # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
     data = data_of(model, observations)
     lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
     point = full_steps(data, np.clip(start, lower, upper), lower, upper, TOLERANCE, MAX_ITERATIONS)
@@ -66,13 +84,13 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
     for iteration in range(point.steps + 1, MAX_ITERATIONS + 1):
         theta, A, g = point.theta, point.information, point.gradient
         if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
-            return _Descent(theta, np.inf, False, iteration, active)
+            return _Descent(point, False, iteration, active)
         active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
         free = np.flatnonzero(~active)
         newton = solve(A[np.ix_(free, free)], g[free], 0.0)
         gain = 0.5 * newton @ g[free]
         if gain < TOLERANCE:
-            return _Descent(theta, point.cost, True, iteration, active)
+            return _Descent(point, True, iteration, active)
         steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
         damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
         for step in chain(steps, damped):
@@ -82,30 +100,9 @@ def descend(model: Model, observations: Observations, start: Float[np.ndarray, "
             if found.cost < point.cost:
                 break
         else:
-            return _Descent(theta, point.cost, bool(gain < 1e-5), iteration, active)
+            return _Descent(point, bool(gain < 1e-5), iteration, active)
         point = found
-    return _Descent(point.theta, point.cost, False, MAX_ITERATIONS, active)
-
-
-def _starts(model: Model, count: int, seed: int) -> list[np.ndarray]:
-    """The card's start, then draws from the priors inside the bounds."""
-    rng = np.random.default_rng(seed)
-    starts = [np.array([p.start for p in model.free])]
-    for _ in range(count):
-        draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
-        starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
-    return starts
-
-
-def _degenerate(model: Model, observations: Observations, descent: _Descent) -> bool:
-    """Whether the separation point is constant in the fit, or its break angle is at a bound."""
-    if not np.isfinite(descent.cost):
-        return True
-    breaks = [p.role is Role.BREAK_ANGLE for p in model.free]
-    if not any(breaks):
-        return False
-    X = np.asarray(evaluate(data_of(model, observations), jnp.asarray(descent.theta))[2])
-    return bool(np.any(descent.active & breaks) or np.ptp(X) < MIN_X_RANGE)
+    return _Descent(point, False, MAX_ITERATIONS, active)
 
 
 def fit_mle(
@@ -116,43 +113,30 @@ def fit_mle(
     start: Float[np.ndarray, " k"] | None = None,
     seed: int = 0,
 ) -> MleResult:
-    """Maximum-likelihood estimate of the model's free parameters.
-
-    Starts from `start` (default: the card's) and from `extra_starts` prior draws. The result is the optimum with the
-    smallest det R among those in which the separation point varies.
-    """
-    starts = _starts(model, extra_starts, seed)
-    if start is not None:
-        starts[0] = np.asarray(start, float)
+    """Maximum-likelihood estimate of the model's free parameters."""
+    # Starts from `start` (default: the card's) and from `extra_starts` draws of the priors, inside the bounds. The
+    # result is the optimum with the smallest det R among those in which the separation point varies.
+    rng, data = np.random.default_rng(seed), data_of(model, observations)
+    starts = [np.array([p.start for p in model.free]) if start is None else np.asarray(start, float)]
+    for _ in range(extra_starts):
+        draw = [float(p.prior.sample(rng, 1)[0]) for p in model.free]
+        starts.append(np.array([np.clip(x, *p.bounds) for x, p in zip(draw, model.free, strict=True)]))
     runs = [descend(model, observations, s) for s in starts]
-    regular = [not _degenerate(model, observations, run) for run in runs]
+    regular = [run.regular(data) for run in runs]
     usable = [run for run, good in zip(runs, regular, strict=True) if good and run.converged]
     usable = usable or [run for run, good in zip(runs, regular, strict=True) if good] or runs
-    best = min(usable, key=lambda run: run.cost)
     table = tuple(
         (run.cost, "degenerate" if not good else "converged" if run.converged else "not converged")
         for run, good in zip(runs, regular, strict=True)
     )
-    return _result(model, observations, best, any(regular), table)
-
-
-def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
-    """Fits of single manoeuvres by name; none where there is only one, or more than `MAX_SEPARATE_FITS`.
-
-    Each length of a manoeuvre is compiled again, which takes some seconds.
-    """
-    count = len(observations.names)
-    manoeuvres = range(count) if 1 < count <= MAX_SEPARATE_FITS else range(0)
-    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in manoeuvres}
+    return _result(data, observations, min(usable, key=lambda run: run.cost), any(regular), table)
 
 
 def _result(
-    model: Model, observations: Observations, best: _Descent, regular: bool, table: Sequence[tuple[float, str]]
+    data: Data, observations: Observations, best: _Descent, regular: bool, table: tuple[tuple[float, str], ...]
 ) -> MleResult:
-    data = data_of(model, observations)
-    point = full_steps(data, best.theta, best.theta, best.theta, TOLERANCE, 0)
-    R, A = point.R, point.information
-    residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(best.theta)))
+    model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
+    residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(theta)))
     measured = np.asarray(observations.measured)
     scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
     eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
@@ -160,9 +144,9 @@ def _result(
     inverse = np.full_like(A, np.nan)
     if not singular:
         inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
-    corrected, blocks = robust_covariance(
-        inverse, S, R, residual, observations.manoeuvre, np.asarray(observations.start), observations.dt
-    )
+    start = np.asarray(observations.start)
+    corrected, blocks = robust_covariance(inverse, S, R, residual, observations.manoeuvre, start, observations.dt)
+    sd = np.sqrt(np.diag(corrected))
     if not regular:
         status = MleStatus.STALL_NOT_IDENTIFIED
     elif singular:
@@ -171,14 +155,10 @@ def _result(
         status = MleStatus.NOT_CONVERGED
     else:
         status = MleStatus.AT_BOUND if best.active.any() else MleStatus.CONVERGED
-    inside = ~np.asarray(observations.start)[1:]
-    lag1 = {
-        name: float(np.sum(r[1:][inside] * r[:-1][inside]) / np.sum(r**2))
-        for name, r in zip(observations.coefficients, residual.T, strict=True)
-    }
+    inside, by_coefficient = ~start[1:], dict(zip(observations.coefficients, residual.T, strict=True))
     return MleResult(
         parameters=model.free,
-        estimate=best.theta,
+        estimate=theta,
         covariance=inverse,
         corrected=corrected,
         R=R,
@@ -187,17 +167,20 @@ def _result(
         at_bound=tuple(n for n, a in zip(model.names, best.active, strict=True) if a),
         eigenvalues=eigenvalues,
         separation=(float(X.min()), float(X.max())),
-        fit={
-            n: score(measured[:, i], measured[:, i] - residual[:, i]) for i, n in enumerate(observations.coefficients)
-        },
-        lag1=lag1,
-        starts=tuple(table),
+        fit={n: score(z, z - r) for (n, r), z in zip(by_coefficient.items(), measured.T, strict=True)},
+        lag1={n: float(np.sum(r[1:][inside] * r[:-1][inside]) / np.sum(r**2)) for n, r in by_coefficient.items()},
+        starts=table,
         blocks=blocks,
-        active_bounds=active_bounds(
-            model.free, best.theta, point.gradient, inverse, np.sqrt(np.diag(corrected)), best.active
-        ),
-        conflicts=prior_conflicts(model.free, best.theta, np.sqrt(np.diag(corrected))) if best.converged else (),
+        active_bounds=active_bounds(model.free, theta, best.point.gradient, inverse, sd, best.active),
+        conflicts=prior_conflicts(model.free, theta, sd) if best.converged else (),
     )
+
+
+def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 0) -> dict[str, MleResult]:
+    """Fits of single manoeuvres by name; none where there is only one, or more than `MAX_SEPARATE_FITS`."""
+    count = len(observations.names)
+    manoeuvres = range(count) if 1 < count <= MAX_SEPARATE_FITS else range(0)
+    return {observations.names[i]: fit_mle(model, observations.only(i), seed=seed) for i in manoeuvres}
 
 
 # --- Bias of the estimates by noise of the recorded signals, and estimates without it.
@@ -210,29 +193,26 @@ PAIRS = 5  # of records with the same noise added and subtracted, so that the li
 def without_noise_bias(
     mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
 ) -> MleResult:
-    """The estimate without the bias by recording noise; the corrected covariance includes the squared bias.
-
-    White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
-    formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about the
-    bias that the recorded noise has caused. This holds to first order; the covariance therefore includes the squared
-    bias. A fit that has not converged, with or without the added noise, is returned unchanged.
-
-    Args:
-        mle: the fit to the coefficients of `records`, formed as `matched`.
-        records: the fitted records.
-        card: of the records.
-        model: the fitted model.
-        seed: of the added noise.
-
-    Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
-    """
+    """The fit `mle` to the matched coefficients of `records` without the bias by recording noise."""
+    # White noise with the standard deviation of each channel's noise is added to the records, and the coefficients are
+    # formed and fitted again. The bias is proportional to the variance of the noise, so the estimate changes by about
+    # the bias that the recorded noise has caused. This holds to first order; the corrected covariance therefore
+    # includes the squared bias. A fit that has not converged, with or without the added noise, is returned unchanged.
+    # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if mle.status is not MleStatus.CONVERGED:
         return mle
     moves, rng = [], np.random.default_rng(seed)
+    sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
     for _ in range(PAIRS):
-        noise = [_noise(record, rng) for record in records]
+        noise = [
+            {name: sd * rng.standard_normal(record.n) for name, sd in own.items() if sd > 0.0}
+            for record, own in zip(records, sizes, strict=True)
+        ]
         for sign in (1.0, -1.0):
-            noisier = [_added(record, one, sign) for record, one in zip(records, noise, strict=True)]
+            noisier = [
+                replace(record, channels={**record.channels, **{n: record[n] + sign * x for n, x in own.items()}})
+                for record, own in zip(records, noise, strict=True)
+            ]
             found = descend(model, observe(noisier, card, model, Forming.MATCHED), mle.estimate)
             if not found.converged or found.active.any():
                 return mle
@@ -241,17 +221,6 @@ def without_noise_bias(
     bounds = np.array([p.bounds for p in model.free]).T
     estimate = np.clip(mle.estimate - bias, *bounds)
     return replace(mle, estimate=estimate, bias=bias, corrected=mle.corrected + np.outer(bias, bias))
-
-
-def _noise(record: FlightRecord, rng: np.random.Generator) -> dict[str, Float[np.ndarray, " n"]]:
-    """White noise with the standard deviation of each channel's noise."""
-    sizes = {name: noise_of(x) for name, x in record.channels.items()}
-    return {name: sd * rng.standard_normal(record.n) for name, sd in sizes.items() if sd > 0.0}
-
-
-def _added(record: FlightRecord, noise: dict[str, Float[np.ndarray, " n"]], sign: float) -> FlightRecord:
-    channels = {name: x + sign * noise[name] if name in noise else x for name, x in record.channels.items()}
-    return replace(record, channels=channels)
 
 
 # --- Compiled functions of the maximum-likelihood fit: sensitivities of the model, and full Gauss-Newton steps.
@@ -275,7 +244,7 @@ def data_of(model: Model, observations: Observations) -> Data:
     return Data(signals, observations.measured, observations.aircraft, model)
 
 
-class Point(NamedTuple):
+class GaussNewtonPoint(NamedTuple):
     """The fit at `theta` after `steps` steps. The gradient is that of the log-likelihood at constant R."""
 
     theta: Float[np.ndarray, " k"]
@@ -287,11 +256,9 @@ class Point(NamedTuple):
 
 
 def _sensitivities(data: Data, theta: Float[Array, " k"]):
-    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,).
-
-    One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
-    compiled once. Parameters come before samples, so that matrix products are contiguous.
-    """
+    """Per coefficient the residual (n,) and the sensitivities S (k, n); and the separation point (n,)."""
+    # One parameter at a time, so that JAX omits derivatives that are zero or constant; what the parameters share is
+    # compiled once. Parameters come before samples, so that matrix products are contiguous.
     values = data.model.values(theta)
 
     def predict(name: str, x: Float[Array, ""]) -> tuple[list[Array], Array]:
@@ -318,7 +285,7 @@ def full_steps(
     upper: Float[np.ndarray, " k"],
     tolerance: float,
     max_steps: int,
-) -> Point:
+) -> GaussNewtonPoint:
     """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
 
     Gauss-Newton neglects the model's curvature, so its last steps shrink by a constant factor; Anderson acceleration
@@ -327,9 +294,8 @@ def full_steps(
     With `max_steps` = 0 only `start` is evaluated.
     """
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
-    found = _full_steps(data, *arguments)
-    theta, cost, R, information, gradient, steps = map(np.asarray, found)
-    return Point(theta, float(cost), R, information, gradient, int(steps))
+    theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
+    return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))
 
 
 @eqx.filter_jit

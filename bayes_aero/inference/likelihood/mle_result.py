@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter, Role
@@ -97,9 +97,8 @@ class MleResult:
     def strong_correlations(self, limit: float = 0.9) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose estimates are correlated beyond `limit` in size."""
         rows, columns = np.triu_indices(len(self.names), 1)
-        pairs = (
-            (self.names[i], self.names[j], float(self.correlation[i, j])) for i, j in zip(rows, columns, strict=True)
-        )
+        names, found = self.names, self.correlation
+        pairs = [(names[i], names[j], float(found[i, j])) for i, j in zip(rows, columns, strict=True)]
         return sorted((pair for pair in pairs if abs(pair[2]) > limit), key=lambda pair: -abs(pair[2]))
 
     def warnings(self) -> list[str]:
@@ -121,12 +120,9 @@ class MleResult:
             )
         for name, value, bound in zip(self.names, self.estimate, self.crb, strict=True):
             if bound > 0.5 * abs(value):
-                near = bound < 10.0 * abs(value)  # at a bound of zero a share of the estimate is infinite
-                size = (
-                    f"{bound / abs(value):.0%} of it"
-                    if near
-                    else f"{number(bound, 2)}, its estimate {number(value, 2)}"
-                )
+                size = f"{number(bound, 2)}, its estimate {number(value, 2)}"
+                if bound < 10.0 * abs(value):  # at a bound of zero a share of the estimate is infinite
+                    size = f"{bound / abs(value):.0%} of it"
                 sentences.append(f"{name} is not identified: its Cramer-Rao standard error is {size}.")
         bias = np.zeros(len(self.names)) if self.bias is None else self.bias
         for name, error, sd in zip(self.names, bias, self.crb_corrected, strict=True):
@@ -148,43 +144,32 @@ MIN_SHIFT = 1.0  # corrected standard errors; smaller changes of other estimates
 
 @dataclass(frozen=True)
 class PriorConflict:
-    """A prior (mean, standard deviation), the estimate by likelihood alone, and their distance in combined standard
-    errors."""
+    """A prior that the record contradicts."""
 
     name: str
     unit: str
-    prior: tuple[float, float]
-    likelihood: tuple[float, float]
-    distance: float
+    prior: tuple[float, float]  # mean, standard deviation
+    likelihood: tuple[float, float]  # the estimate by likelihood alone, standard error
+    distance: float  # in combined standard errors
     source: str
 
 
 @dataclass(frozen=True)
 class ActiveBound:
-    """A parameter at its bound.
-
-    `unbounded` is the estimate without the bound, `shifts` are the changes of the other estimates without it in
-    corrected standard errors; both to first order.
-    """
+    """A parameter at its bound."""
 
     name: str
     unit: str
     bound: float
     lower: bool
-    unbounded: float
-    shifts: Mapping[str, float]
+    unbounded: float  # the estimate without the bound, to first order
+    shifts: Mapping[str, float]  # of the other estimates without it, in corrected standard errors, to first order
 
 
 def prior_conflicts(
     parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
 ) -> tuple[PriorConflict, ...]:
-    """Priors that the data contradict, the strongest conflict first.
-
-    Args:
-        parameters: the free ones.
-        estimate: by likelihood alone.
-        deviation: its standard error, corrected for the residuals' autocorrelation.
-    """
+    """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
     found = []
     for p, x, sd in zip(parameters, estimate, deviation, strict=True):
         if p.prior.family == "uniform" or not np.isfinite(sd):
@@ -196,9 +181,8 @@ def prior_conflicts(
             scatter = sd * p.prior.location / x
         distance = abs(difference) / np.hypot(scatter, wide)
         if distance > CONFLICT_LIMIT:
-            found.append(
-                PriorConflict(p.name, p.unit, (mean, wide), (float(x), float(sd)), float(distance), p.prior.source)
-            )
+            both = (mean, wide), (float(x), float(sd))
+            found.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
     return tuple(sorted(found, key=lambda c: -c.distance))
 
 
@@ -210,28 +194,18 @@ def active_bounds(
     deviation: Float[np.ndarray, " k"],
     active: Sequence[bool] | np.ndarray,
 ) -> tuple[ActiveBound, ...]:
-    """Effect of each active bound on the estimates.
-
-    Args:
-        parameters: the free ones.
-        estimate: with the bounds.
-        gradient: of the log-likelihood; zero except for the active parameters.
-        inverse: of the information, active parameters included.
-        deviation: corrected standard errors.
-        active: whether a parameter is at its bound.
-    """
+    """Effect of each active bound on the estimates."""
+    # `gradient` of the log-likelihood: zero except for the active parameters. `inverse` of the information, active
+    # parameters included. `deviation`: corrected standard errors.
     found = []
     for i in map(int, np.flatnonzero(active)):
         step = inverse[:, i] * gradient[i]
         if not np.isfinite(step).all():
             step = np.zeros_like(step)
         moves = {p.name: float(step[j] / deviation[j]) for j, p in enumerate(parameters) if j != i and deviation[j] > 0}
-        shifts = {name: x for name, x in moves.items() if abs(x) > MIN_SHIFT}
-        p, lower = parameters[i], bool(gradient[i] < 0.0)
-        ordered = dict(sorted(shifts.items(), key=lambda item: -abs(item[1])))
-        found.append(
-            ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, float(estimate[i] + step[i]), ordered)
-        )
+        shifts = sorted(((n, x) for n, x in moves.items() if abs(x) > MIN_SHIFT), key=lambda item: -abs(item[1]))
+        p, lower, free = parameters[i], bool(gradient[i] < 0.0), float(estimate[i] + step[i])
+        found.append(ActiveBound(p.name, p.unit, p.bounds[0 if lower else 1], lower, free, dict(shifts)))
     return tuple(found)
 
 
@@ -248,19 +222,12 @@ MAX_RELATIVE_ERROR = 0.2  # standard error over estimate from which an estimate 
 
 @dataclass(frozen=True)
 class Inseparable:
-    """Parameters in one near dependency.
-
-    Attributes:
-        names: the parameters, the one with the largest variance inflation first.
-        units: of each.
-        estimates: of each, with its corrected standard error.
-        wider: factor by which the unknown others widen each interval.
-    """
+    """Parameters in one near dependency, the one with the largest variance inflation first."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    estimates: tuple[tuple[float, float], ...]
-    wider: tuple[float, ...]
+    estimates: tuple[tuple[float, float], ...]  # with corrected standard errors
+    wider: tuple[float, ...]  # factor by which the unknown others widen each interval
 
 
 def inseparable(
@@ -270,18 +237,9 @@ def inseparable(
     covariance: Float[np.ndarray, "k k"],
     deviation: Float[np.ndarray, " k"],
 ) -> tuple[Inseparable, ...]:
-    """Sets of parameters that the record cannot separate, at least one of them with a large relative error.
-
-    Args:
-        names: of the parameters.
-        units: of the parameters.
-        estimate: of each.
-        covariance: of Cramer and Rao, (k, k); a parameter without variance is known.
-        deviation: standard errors corrected for autocorrelated residuals, (k,).
-
-    Returns:
-        The sets, the one with the largest variance inflation first.
-    """
+    """Sets of parameters that the record cannot separate, at least one of them with a large relative error."""
+    # The set with the largest variance inflation comes first. `covariance` of Cramer and Rao: a parameter without
+    # variance is known. `deviation`: standard errors corrected for autocorrelated residuals.
     if not np.isfinite(covariance).all():
         return ()
     white = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -293,13 +251,20 @@ def inseparable(
     inflation = np.maximum(np.diag(information), 1.0)
     partial = information / np.sqrt(np.outer(inflation, inflation))  # of unit diagonal: but for signs, correlations
     values, vectors = np.linalg.eigh(partial)
-    parts = vectors**2 / np.maximum(values, 1e-13)
-    shares = parts / parts.sum(axis=1, keepdims=True)
+    shares = vectors**2 / np.maximum(values, 1e-13)
+    shares = shares / shares.sum(axis=1, keepdims=True)
     vague = deviation > MAX_RELATIVE_ERROR * np.abs(estimate)
     near = np.sqrt(values[-1] / np.maximum(values, 1e-13)) > INDEX
     inside = (shares[:, near].sum(axis=1) > VARIANCE_SHARE) & (np.sqrt(inflation) > MIN_WIDENING)
+    # Members are connected by their partial correlations: within a dependency of any size these are near one, and the
+    # eigenvectors of equally near dependencies are arbitrary mixtures.
+    members, linked = [int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL
+    parts: list[list[int]] = []
+    for i in members:
+        mine = [part for part in parts if any(linked[i, j] for j in part)]
+        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
     found = []
-    for own in _dependencies([int(i) for i in np.argsort(-inflation) if inside[i]], np.abs(partial) > MIN_PARTIAL):
+    for own in (sorted(part, key=members.index) for part in parts if len(part) > 1):
         at = [int(free[i]) for i in own]
         if any(vague[at]):
             found.append(
@@ -311,16 +276,3 @@ def inseparable(
                 )
             )
     return tuple(found)
-
-
-def _dependencies(members: Sequence[int], linked: Bool[np.ndarray, "k k"]) -> list[list[int]]:
-    """Members connected by their partial correlations.
-
-    Within a dependency of any size partial correlations are near one; the eigenvectors of equally near dependencies are
-    arbitrary mixtures.
-    """
-    parts: list[list[int]] = []
-    for i in members:
-        mine = [part for part in parts if any(linked[i, j] for j in part)]
-        parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
-    return [sorted(part, key=members.index) for part in parts if len(part) > 1]

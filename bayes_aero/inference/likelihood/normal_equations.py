@@ -42,21 +42,17 @@ def initial_state_sd(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
 
 
 @dataclass(frozen=True)
-class Priors:
-    """Normal priors: mean and precision of theta (k,), precision of the corrections of the initial states (s,).
+class NormalPriors:
+    """Normal priors; the precisions are times `weight`, the variance inflation of coloured residuals (0: none)."""
 
-    The precisions are multiplied by `weight`, the variance inflation of coloured residuals; 0: no priors. `fixed`: the
-    initial states are not corrected.
-    """
-
-    mean: Float[np.ndarray, " k"]
+    mean: Float[np.ndarray, " k"]  # of theta
     precision: Float[np.ndarray, " k"]
-    states: Float[np.ndarray, " s"]
+    states: Float[np.ndarray, " s"]  # precision of the corrections of the initial states
     weight: float = 1.0
-    fixed: bool = False
+    fixed: bool = False  # the initial states are not corrected
 
     @classmethod
-    def of(cls, flown: SegmentTrajectories, weight: float, without: Collection[str] = ()) -> Priors:
+    def of(cls, flown: SegmentTrajectories, weight: float, without: Collection[str] = ()) -> NormalPriors:
         """Normal approximations of all priors, times `weight`; the parameters `without` have no prior."""
         pairs = np.array([p.prior.normal for p in flown.dynamics.free]).reshape(-1, 2)
         deviations = initial_state_sd(flown.dynamics)
@@ -66,17 +62,12 @@ class Priors:
 
 
 class InnerProducts(NamedTuple):
-    """Inner products of residuals and sensitivities of w segments, c outputs, k parameters and s initial states.
+    """Inner products of residuals and sensitivities of w segments, c outputs, k parameters and s initial states."""
 
-    `gram` (w, c, 1 + k + s, 1 + k + s): products; the residual comes first. `count` (w,): samples. `inside`: share of
-    the samples inside the envelope. `columns`: residuals and sensitivities, (w, n, c, 1 + k + s), in parts along w,
-    divided by the noise growth.
-    """
-
-    gram: Float[np.ndarray, "w c j j"]
-    count: Float[np.ndarray, " w"]
-    inside: float
-    columns: tuple[np.ndarray, ...]
+    gram: Float[np.ndarray, "w c j j"]  # j = 1 + k + s: the residual comes first
+    count: Float[np.ndarray, " w"]  # samples
+    inside: float  # share of the samples inside the envelope
+    columns: tuple[np.ndarray, ...]  # residuals and sensitivities (w, n, c, j) over the noise growth, in parts along w
 
 
 @eqx.filter_jit
@@ -96,13 +87,11 @@ def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], depar
 
 
 class NormalEquations:
-    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores.
+    """Normal equations of one set of segments, evaluated at many points; the segments are divided among the cores."""
 
-    XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
-    part without samples is not simulated.
-    """
-
-    def __init__(self, flown: SegmentTrajectories, prior: Priors):
+    # XLA runs a scan on one core. The first evaluation takes the parts one by one, so that only one thread compiles. A
+    # part without samples is not simulated.
+    def __init__(self, flown: SegmentTrajectories, prior: NormalPriors):
         w = len(flown.index)
         size = -(-w // min(w, os.cpu_count() or 1))
         self.prior = prior
@@ -163,7 +152,7 @@ class Point(NamedTuple):
 
 
 def _point(
-    theta: np.ndarray, departure: np.ndarray, products: InnerProducts, prior: Priors, noise_growth: float
+    theta: np.ndarray, departure: np.ndarray, products: InnerProducts, prior: NormalPriors, noise_growth: float
 ) -> Point:
     """`noise_growth`: sum of its logarithms over all samples and outputs, a term of the likelihood."""
     gram, total = products.gram, products.count.sum()
@@ -185,27 +174,13 @@ class EliminatedStates(NamedTuple):
     gradient: Float[np.ndarray, "w s"]
     gain: float
 
-    @classmethod
-    def fixed(cls, w: int, s: int, k: int) -> EliminatedStates:
-        """Initial states that are not corrected."""
-        return cls(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
-
     def step(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, "w s"]:
         """Optimal step of the initial states (w, s) for a step of theta (k,)."""
         return np.einsum("wij,wj->wi", self.inverse, self.gradient - self.cross @ theta)
 
 
-def _cholesky(own: Float[np.ndarray, "w s s"]) -> Float[np.ndarray, "w s s"]:
-    """Cholesky factors; regularised where rounding makes the matrix of an unstable flight indefinite."""
-    own = own + np.eye(own.shape[-1]) * (own == 0.0)  # a state without information and prior is not corrected
-    try:
-        return np.linalg.cholesky(own)
-    except np.linalg.LinAlgError:
-        return np.linalg.cholesky(own + REGULARISATION * own * np.eye(own.shape[-1]))
-
-
 def reduced_equations(
-    point: Point, prior: Priors
+    point: Point, prior: NormalPriors
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"], EliminatedStates]:
     """Information and gradient of theta with the initial states eliminated, including the priors."""
     A, g, states = segment_equations(point, prior)
@@ -214,18 +189,24 @@ def reduced_equations(
 
 
 def segment_equations(
-    point: Point, prior: Priors
+    point: Point, prior: NormalPriors
 ) -> tuple[Float[np.ndarray, "w k k"], Float[np.ndarray, "w k"], EliminatedStates]:
     """Information and gradient of theta by segment with the initial states eliminated, without the priors of theta."""
     k = len(point.theta)
     N = np.einsum("wcij,c->wij", point.products.gram, 1.0 / point.R)
     if prior.fixed:
         w, s = point.departure.shape
-        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], EliminatedStates.fixed(w, s, k)
+        states = EliminatedStates(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
+        return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], states
     own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # Cholesky factors keep the digits of A - cross' own^-1 cross where a trial is unstable.
-    L = _cholesky(own)
+    one = np.eye(own.shape[-1])
+    own = own + one * (own == 0.0)  # a state without information and prior is not corrected
+    try:
+        L = np.linalg.cholesky(own)
+    except np.linalg.LinAlgError:  # rounding makes the matrix of an unstable flight indefinite
+        L = np.linalg.cholesky(own + REGULARISATION * own * one)
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
     A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
     g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import minimize_scalar
 
-from bayes_aero.dynamics.flight import Dynamics, EffectDynamics
+from bayes_aero.dynamics.flight import EffectDynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
 from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import TINY, NormalEquations, Priors, reduced_equations
+from bayes_aero.inference.likelihood.normal_equations import TINY, NormalEquations, NormalPriors, reduced_equations
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus, result_at
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, fit_prediction_error
 from bayes_aero.parameter import Prior
@@ -44,10 +44,8 @@ def trajectories(flown: SegmentTrajectories, theta: Float[Array, " k"], departur
 def one_by_one(
     flown: SegmentTrajectories, theta: Float[Array, " k"], departure: Float[Array, "w s"]
 ) -> tuple[tuple[str, ...], dict[int, Simulated]]:
-    """Names of all recorded outputs, and `trajectories` with them of each segment that has samples.
-
-    One program serves any number of segments and any choice of outputs.
-    """
+    """Names of all recorded outputs, and `trajectories` with them of each segment that has samples."""
+    # One program serves any number of segments and any choice of outputs.
     shown = tuple(n for n in flown.dynamics.outputs if n in flown.flights.channels)
     wide = replace(flown, outputs=shown)
     rows = map(int, np.flatnonzero(flown.inside.any(axis=1)))
@@ -66,38 +64,35 @@ def fit_output_error(
     biases: Mapping[str, Prior] | None = None,
     stopped: Callable[[], bool] | None = None,
 ) -> OutputErrorResult:
-    """Fit all segments together from one start.
-
-    Args:
-        flown: segments of flights.
-        start: parameters, (k,); default: the starting values of the model.
-        departure: corrections of the measured initial states to start from, (w, s), SI; default: none.
-        held: parameters that are not estimated, and their values.
-        prior_weight: factor on all priors; 0 leaves them out, those of the initial states too.
-        without: parameters without a prior.
-        max_iterations: largest number of steps.
-        biases: outputs with a constant error in each manoeuvre, and the priors of these errors. The errors are further
-            parameters (`bias_output_1` and so on) after those of the model.
-        stopped: called before each step; True ends the fit there, not converged.
-    """
+    """Fit all segments together from one start."""
+    # `departure`: corrections of the measured initial states to start from, SI. `held`: parameters that are not
+    # estimated, and their values. `prior_weight`: factor on all priors; 0 leaves them out, those of the initial states
+    # too. `without`: parameters without a prior. `biases`: outputs with a constant error in each manoeuvre, and its
+    # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
+    # there, not converged.
     if biases:
         own = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
         if start is not None and len(start) == own:
             start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
-    free, held = flown.dynamics.free, held or {}
+    free, held, prior = flown.dynamics.free, held or {}, NormalPriors.of(flown, prior_weight, without)
     lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
-    prior = Priors.of(flown, prior_weight, without)
-    theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
-    theta = np.array([held.get(p.name, x) for p, x in zip(free, theta, strict=True)])
+    begin = [p.start for p in free] if start is None else np.asarray(start, float)
+    theta = np.array([held.get(p.name, x) for p, x in zip(free, begin, strict=True)])
     held_mask = np.array([p.name in held for p in free], bool)
     lower, upper = np.where(held_mask, theta, lower), np.where(held_mask, theta, upper)
     prior = replace(prior, mean=np.where(held_mask, theta, prior.mean))  # held parameters add nothing to the cost
-    w, s = flown.index.shape[0], len(flown.dynamics.start)
+    departure = np.zeros((len(flown.index), len(flown.dynamics.start))) if departure is None else departure
     equations = NormalEquations(flown, prior)
-    point = equations.evaluate(np.clip(theta, lower, upper), np.zeros((w, s)) if departure is None else departure)
-    damping, converged, active = FIRST_DAMPING, False, np.zeros(len(free), bool)
-    count = 0
+    point = equations.evaluate(np.clip(theta, lower, upper), departure)
+    damping, converged, active, count = FIRST_DAMPING, False, np.zeros(len(free), bool), 0
+
+    def bounded(part: np.ndarray) -> np.ndarray:
+        """A step of the moving parameters, of all of them and within the bounds."""
+        step = np.zeros(len(free))
+        step[moving] = part
+        return np.clip(point.theta + step, lower, upper) - point.theta
+
     while count < max_iterations and math.isfinite(point.cost) and not (stopped and stopped()):
         count += 1
         A, g, states = reduced_equations(point, prior)
@@ -108,28 +103,22 @@ def fit_output_error(
         if 0.0 <= gain < max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0)):
             converged = True
             if gain < TOLERANCE:
-                step = np.zeros(len(free))
-                step[moving] = newton
-                step = np.clip(point.theta + step, lower, upper) - point.theta
+                step = bounded(newton)
                 point = equations.extrapolate(point, step, states.step(step))
             break
-        accepted = None
         for _ in range(12):
-            step = np.zeros(len(free))
-            step[moving] = solve(A[np.ix_(moving, moving)], g[moving], damping)
-            step = np.clip(point.theta + step, lower, upper) - point.theta
+            step = bounded(solve(A[np.ix_(moving, moving)], g[moving], damping))
             new = equations.evaluate(point.theta + step, point.departure + states.step(step))
             expected = step @ g - 0.5 * step @ A @ step + states.gain
             ratio = (point.cost - new.cost) / max(expected, TINY)
             if new.cost < point.cost and ratio > MIN_GAIN_RATIO:
-                accepted = new
                 break
             damping = max(MIN_DAMPING, 4.0 * damping)
-        if accepted is None:
+        else:
             converged = bool(0.0 <= gain < 1e-2 * max(1.0, prior_weight))
             break
         damping = damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
-        point = accepted
+        point = new
     return result_at(flown, point, prior, converged=converged, iterations=count, active=active, held=held_mask)
 
 
@@ -142,11 +131,9 @@ def fit_cascade(
     without: Collection[str] = (),
     biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
-    """Fit the short windows of the first stage from every start, then each later stage from the best fit so far.
-
-    Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide slow
-    errors of the model. The last stage should therefore be whole manoeuvres.
-    """
+    """Fit the short windows of the first stage from every start, then each later stage from the best fit so far."""
+    # Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide
+    # slow errors of the model. The last stage should therefore be whole manoeuvres.
     options = {"held": held, "prior_weight": prior_weight, "without": without, "biases": biases}
     first = [fit_output_error(stages[0], start=s, max_iterations=MAX_EARLY_ITERATIONS, **options) for s in starts]
     best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
@@ -166,10 +153,8 @@ MIN_SHARE = 0.1  # of these starting values, below which a fit never starts
 
 
 def disturbed(flown: SegmentTrajectories) -> SegmentTrajectories:
-    """The same segments in gusts; linear systems have no gusts.
-
-    Where the model has buffet, the noise of the sensors does not grow as the flow separates.
-    """
+    """The same segments in gusts; linear systems have no gusts."""
+    # Where the model has buffet, the noise of the sensors does not grow as the flow separates.
     dynamics = flown.dynamics
     if not isinstance(dynamics, EffectDynamics):
         return flown
@@ -192,48 +177,24 @@ def fit_disturbed(
     exact: bool = True,
     similar: PredictionErrorResult | None = None,
 ) -> tuple[SegmentTrajectories, PredictionErrorResult]:
-    """Fit with process noise, from the estimates of output error.
-
-    States that a sensor measures have process noise of their own; gusts have theirs; other states have none.
-
-    Args:
-        flown: segments of flights.
-        estimate: parameters of output error, (k,).
-        R: variances of its residuals, (c,), SI.
-        priors: whether the parameters' priors count.
-        exact: as of `fit_prediction_error`.
-        similar: a fit of a model that differs by one effect; gusts and noise start from its estimates.
-
-    Returns:
-        The segments in gusts, and the fit.
-    """
+    """Fit with process noise, from the estimates of output error (k,) and the variances R of its residuals (c,), SI."""
+    # States that a sensor measures have process noise of their own; gusts have theirs; other states have none. Gusts
+    # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
     gusty, outputs = disturbed(flown), flown.outputs
+    names, states = gusty.dynamics.names, gusty.dynamics.states
     known = dict(zip(flown.dynamics.names, estimate, strict=True))
     start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
-    first = FIRST_F if gusty.dynamics.names == flown.dynamics.names else FIRST_F_GUSTS
-    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in gusty.dynamics.states])
+    first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
+    F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
     R = FIRST_R * R
-    if similar is not None:
-        start, F, R = _start_from(similar, gusty.dynamics, start, F)
+    if similar is not None:  # none so small that the likelihood is flat
+        known = dict(zip(similar.names, map(float, similar.estimate), strict=True))
+        known = {n: x for n, x in known.items() if n in gusty.dynamics.disturbance_parameters}
+        start = np.array([max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(names, start, strict=True)])
+        noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
+        F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
     return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)
-
-
-def _start_from(
-    similar: PredictionErrorResult, dynamics: Dynamics, start: Float[np.ndarray, " k"], F: Float[np.ndarray, " s"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], Float[np.ndarray, " c"]]:
-    """Gusts, process noise and measurement noise of a similar fit, none so small that the likelihood is flat."""
-    known = {
-        n: float(x)
-        for n, x in zip(similar.names, similar.estimate, strict=True)
-        if n in dynamics.disturbance_parameters
-    }
-    noise = dict(zip(similar.states, similar.F, strict=True))
-    start = np.array(
-        [max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(dynamics.names, start, strict=True)]
-    )
-    F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(dynamics.states, F, strict=True)])
-    return start, F, similar.R
 
 
 # --- Growth of the residuals of simulated outputs with flow separation, by buffet and by errors of the stall model.
@@ -275,24 +236,23 @@ class SeparatedFlow:
         used = self.inside.copy()
         if without is not None:
             used[without] = False
-        return np.array([_growth(self.residual[used, c], self.separated[used]) for c in range(self.residual.shape[2])])
+        separated = self.separated[used]
+
+        def growth(residual: np.ndarray) -> float:
+            """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X)."""
+            # Autocorrelation of the residuals increases the error of b, but does not bias it.
+
+            def cost(b: float) -> float:
+                size = 1.0 + b * separated
+                return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
+
+            if not residual.any():  # no error, or no output
+                return 0.0
+            found: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")  # it has no types of its own
+            return float(found.x) if found.fun < cost(0.0) else 0.0
+
+        return np.array([growth(x) for x in self.residual[used].T])
 
     def noise_growth(self, without: int | None = None) -> Float[np.ndarray, "w n c"]:
         """1 + b (1 - X), (w, n, c)."""
         return 1.0 + self.growths(without) * self.separated[:, :, None]
-
-
-def _growth(residual: Float[np.ndarray, " m"], separated: Float[np.ndarray, " m"]) -> float:
-    """Maximum-likelihood b >= 0 of normal residuals with standard deviation proportional to 1 + b (1 - X).
-
-    Autocorrelation of the residuals increases the error of b, but does not bias it.
-    """
-
-    def cost(b: float) -> float:
-        size = 1.0 + b * separated
-        return 0.5 * np.log(np.mean((residual / size) ** 2)) + np.mean(np.log(size))
-
-    if not residual.any():  # no error, or no output
-        return 0.0
-    found: Any = minimize_scalar(cost, bounds=(0.0, MAX_GROWTH), method="bounded")  # it has no types of its own
-    return float(found.x) if found.fun < cost(0.0) else 0.0

@@ -8,12 +8,12 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.inference.covariance import BLOCK, LinearFit, calibration, corrected_covariance, means
 from bayes_aero.inference.likelihood.mle_result import Inseparable, inseparable
-from bayes_aero.inference.likelihood.normal_equations import Point, Priors, reduced_equations
+from bayes_aero.inference.likelihood.normal_equations import NormalPriors, Point, reduced_equations
 from bayes_aero.parameter import Parameter
 
 THINNING = 5  # samples averaged for the autocorrelation of the residuals
@@ -53,7 +53,7 @@ class OutputErrorResult:
     cost: float
     covariance: Float[np.ndarray, "k k"]
     information: Float[np.ndarray, "k k"]
-    priors: Priors
+    priors: NormalPriors
     rms: Float[np.ndarray, "w c"]
     status: OutputErrorStatus
     iterations: int
@@ -90,7 +90,7 @@ class OutputErrorResult:
         found = np.full(len(scale), np.inf)
         part = self.information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
         values, vectors = np.linalg.eigh(part)
-        if len(values) and values[0] > 1e-13:
+        if len(values) and values[0] > SINGULAR:
             found[known] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[known]
         return found
 
@@ -146,31 +146,10 @@ class OutputErrorResult:
         return tuple(n for n, sd, own in zip(self.names, self.sd, prior, strict=True) if sd > PRIOR_RATIO * own)
 
 
-def _is_semidefinite(A: Float[np.ndarray, "k k"]) -> bool:
-    """Whether the matrix is positive semidefinite; rounding may make that of an unstable flight indefinite."""
-    size = np.diag(A)
-    if not np.all(size > 0.0):
-        return False
-    return bool(np.linalg.eigvalsh(A / np.sqrt(np.outer(size, size)))[0] > INDEFINITE)
-
-
-def _undetermined(A: Float[np.ndarray, "k k"], moving: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    """The `moving` parameters in singular directions of an information matrix without priors."""
-    size = np.diag(A)
-    found = moving & (size <= 0.0)
-    informed = np.flatnonzero(moving & (size > 0.0))
-    if not len(informed):
-        return found
-    scale = np.sqrt(size[informed])
-    values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
-    found[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
-    return found
-
-
 def result_at(
     flown: SegmentTrajectories,
     point: Point,
-    prior: Priors,
+    prior: NormalPriors,
     *,
     converged: bool,
     iterations: int,
@@ -183,7 +162,9 @@ def result_at(
     if math.isfinite(point.cost):
         found, _, states = reduced_equations(point, prior)
         informed = (np.diag(found) > 0.0) | (prior.precision > 0.0)  # a parameter without prior may have no information
-        if _is_semidefinite(found[np.ix_(informed, informed)]):
+        part = found[np.ix_(informed, informed)]
+        size = np.diag(part)  # rounding may make the matrix of an unstable flight indefinite
+        if np.all(size > 0.0) and np.linalg.eigvalsh(part / np.sqrt(np.outer(size, size)))[0] > INDEFINITE:
             A, eliminated = found, states.inverse @ states.cross
     free = flown.dynamics.free
     at_bound = tuple(p.name for p, a in zip(free, active & ~held, strict=True) if a)
@@ -195,7 +176,12 @@ def result_at(
         status = OutputErrorStatus.AT_BOUND if at_bound else OutputErrorStatus.CONVERGED
     columns = np.concatenate(point.products.columns)[:w]
     residual = columns[..., 0] * flown.noise_growth
-    lost = _undetermined(A, ~held & (prior.precision == 0.0))
+    bare, size = ~held & (prior.precision == 0.0), np.diag(A)
+    lost, informed = bare & (size <= 0.0), np.flatnonzero(bare & (size > 0.0))
+    if len(informed):  # those in singular directions of an information matrix without priors
+        scale = np.sqrt(size[informed])
+        values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
+        lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
     known = ~held & ~lost
     moving = np.ix_(known, known)
     scale = np.sqrt(np.diag(A)[known])

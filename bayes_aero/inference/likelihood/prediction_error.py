@@ -101,11 +101,9 @@ def _evaluate(flown, point, start_deviation, k, s):
 
 @eqx.filter_jit
 def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
-    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time.
-
-    The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in the
-    filter linearised along the path.
-    """
+    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time."""
+    # The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in
+    # the filter linearised along the path.
     unit = jnp.eye(len(point))
     means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
     lin = linearise(flown, point[:k], path.predicted, path.state, unit[means, :k])
@@ -157,8 +155,7 @@ def fit_prediction_error(
         F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
         R: variances of the measurement noise to start from, (c,), SI.
         start: parameters, (k,); default: the starting values of the model.
-        start_deviation: standard deviation of the measured initial state, (s,), SI; default: that of flight-test
-            sensors, 0 where the segments begin at a fixed state.
+        start_deviation: of the measured initial state, (s,), SI; default: of flight-test sensors, 0 of a fixed state.
         held: parameters that are not estimated, and their values.
         priors: whether the parameters' priors count.
         exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
@@ -180,8 +177,7 @@ def fit_prediction_error(
     status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
     if not math.isfinite(current.cost):
         status = PredictionErrorStatus.DIVERGED
-    k, s, moving = problem.k, problem.s, problem.moving
-    covariance = covariance_of(current.information, moving)
+    k, s = problem.k, problem.s
     return PredictionErrorResult(
         tuple(p.name for p in free),
         flown.dynamics.states,
@@ -189,7 +185,7 @@ def fit_prediction_error(
         point[:k],
         np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
         np.exp(point[k + s :]),
-        covariance,
+        covariance_of(current.information, problem.moving),
         problem.prior_cost(point) - current.cost,
         current.cost,
         problem.path(point)[1],
@@ -198,11 +194,23 @@ def fit_prediction_error(
     )
 
 
-def _resolutions(flown: SegmentTrajectories) -> list[float]:
-    """Resolution of each recorded output, SI; the finest of several manoeuvres."""
-    flights = flown.flights
-    own = [np.flatnonzero(flights.manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-    return [min(quantum(np.asarray(flights.channels[name])[rows]) for rows in own) for name in flown.outputs]
+@runtime_checkable
+class Problem(Protocol):
+    """A cost to be minimised over j variables."""
+
+    # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
+    @property
+    def moving(self) -> Bool[np.ndarray, " j"]: ...
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "j 2"]: ...
+
+    @property
+    def step_limit(self) -> Float[np.ndarray, " j"]: ...
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """The cost at a point."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -215,6 +223,7 @@ class _Problem:
     mean: Float[np.ndarray, " j"]
     precision: Float[np.ndarray, " j"]
     bounds: Float[np.ndarray, "j 2"]
+    step_limit: Float[np.ndarray, " j"]
     _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
 
     @classmethod
@@ -235,10 +244,13 @@ class _Problem:
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
-        rounding = [step**2 / ROUNDING_DIVISOR for step in _resolutions(flown)]
-        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, variance) for variance in rounding)]
+        channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
+        own = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        steps = [min(quantum(np.asarray(channels[name])[rows]) for rows in own) for name in flown.outputs]  # the finest
+        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
-        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds)
+        limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
+        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds, limit)
 
     @property
     def k(self) -> int:
@@ -249,11 +261,6 @@ class _Problem:
     def s(self) -> int:
         """Number of states."""
         return len(self.flown.dynamics.states)
-
-    @property
-    def step_limit(self) -> Float[np.ndarray, " j"]:
-        """Largest change of each variable in one step: `LOG_STEP_LIMIT` for logarithms, none for parameters."""
-        return np.where(np.arange(len(self.moving)) < self.k, np.inf, LOG_STEP_LIMIT)
 
     def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
         """Minus the log of the priors, but for a constant."""
@@ -272,9 +279,12 @@ class _Problem:
             self._last[key] = float(cost), found
         return self._last[key]
 
-    def evaluate(self, point: Float[np.ndarray, " j"]) -> Evaluation:
-        """Cost, gradient and expected information."""
-        return self._with_priors(point, _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s))
+    def evaluate(self, point: Float[np.ndarray, " j"], held: tuple[Array, ...] | None = None) -> Evaluation:
+        """Cost, gradient and expected information; `held`: those of the likelihood, where they are known."""
+        likelihood = held or _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+        cost, gradient, information = (np.asarray(x) for x in likelihood)
+        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
+        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
 
     def evaluate_held_gains(self, point: Float[np.ndarray, " j"]) -> Evaluation:
         """Cost, gradient and information without the derivatives of the gains by the parameters of the motion."""
@@ -283,12 +293,7 @@ class _Problem:
         means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
         path = self.path(point)[1]
         likelihood = _evaluate_held_gains(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
-        return self._with_priors(point, likelihood)
-
-    def _with_priors(self, point: Float[np.ndarray, " j"], likelihood: tuple[Array, Array, Array]) -> Evaluation:
-        cost, gradient, information = (np.asarray(x) for x in likelihood)
-        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
-        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
+        return self.evaluate(point, likelihood)
 
 
 # --- Fisher scoring with Levenberg-Marquardt damping, step limits and bounds.
@@ -312,30 +317,6 @@ class Evaluation(NamedTuple):
     information: Float[np.ndarray, "j j"]
 
 
-@runtime_checkable
-class Problem(Protocol):
-    """A cost to be minimised over j variables."""
-
-    @property
-    def moving(self) -> Bool[np.ndarray, " j"]:
-        """Which variables are estimated; the others are held."""
-        ...
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "j 2"]:
-        """Lower and upper bound of each variable."""
-        ...
-
-    @property
-    def step_limit(self) -> Float[np.ndarray, " j"]:
-        """Largest change of each variable in one step."""
-        ...
-
-    def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """The cost at a point."""
-        ...
-
-
 def minimise(
     problem: Problem,
     point: Float[np.ndarray, " j"],
@@ -344,22 +325,11 @@ def minimise(
     *,
     approximate: bool = False,
 ) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
-    """Minimise the cost until the expected gain of a step is below `tolerance`.
-
-    An approximate gradient cannot correct the curvature, and a step with an actual gain below `tolerance` ends the
-    search. Its Newton steps are truncated at their limits: a noise variance that falls together with all other
-    variables, far from the minimum, may end at zero, where the cost is flat.
-
-    Args:
-        problem: cost, bounds and step limits.
-        point: start, (j,).
-        evaluate: cost, gradient and information at a point.
-        tolerance: gain in cost.
-        approximate: whether the gradient of `evaluate` is approximate.
-
-    Returns:
-        The last point, its evaluation, whether the search converged, and the number of steps.
-    """
+    """Minimise the cost until the expected gain of a step is below `tolerance`."""
+    # An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
+    # `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
+    # with all other variables, far from the minimum, may end at zero, where the cost is flat. Returns the last point,
+    # its evaluation, whether the search converged, and the number of steps.
     current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
     moving, converged, curvature = problem.moving, False, current.information
     while steps < MAX_ITERATIONS and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
@@ -408,11 +378,9 @@ def bfgs_update(
 def bounded_step(
     A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
 ) -> Float[np.ndarray, " j"]:
-    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside.
-
-    Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
-    change all the others.
-    """
+    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside."""
+    # Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
+    # change all the others.
     scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     values, vectors = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
     determined = values > SINGULAR * np.max(values, initial=0.0)
@@ -432,11 +400,9 @@ def truncated_step(
 
 
 def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
-    """Inverse of the information of the estimated variables; zero for held ones and those without information.
-
-    The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
-    beside angles in radians.
-    """
+    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
+    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
+    # beside angles in radians.
     known = moving & (np.diag(information) > 0.0)
     block = information[np.ix_(known, known)]
     scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))

@@ -45,21 +45,16 @@ def pit_of(run: Identification) -> PitResult | None:
 
 
 def pit(density: Density, x: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n c"]:
-    """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient.
-
-    Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
-    """
+    """Posterior probability of less than what was measured, from draws `x` as rows; by sample and coefficient."""
     kept = x[np.linspace(0, len(x) - 1, min(len(x), DRAWS)).astype(int)]
-    return np.asarray(_mean(density, jnp.asarray(kept)))
+    return np.asarray(_mean_probability(density, jnp.asarray(kept)))
 
 
 @eqx.filter_jit
-def _mean(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
-    def add(total, row):
-        return total + ndtr(density.standardised(row)), None
-
-    total, _ = jax.lax.scan(add, jnp.zeros_like(density.observations.measured), x)
-    return total / len(x)
+def _mean_probability(density: Density, x: Float[Array, "m k"]) -> Float[Array, "n c"]:
+    # Noise is normal given the parameters, so each draw's probability is exact and their mean has no steps of 1/m.
+    add = lambda total, row: (total + ndtr(density.standardised(row)), None)  # noqa: E731
+    return jax.lax.scan(add, jnp.zeros_like(density.observations.measured), x)[0] / len(x)
 
 
 def histogram(values: Float[np.ndarray, " n"]) -> Histogram:
@@ -97,15 +92,13 @@ class Dependence(Enum):
 
 
 def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame:
-    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`).
-
-    All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is about
-    0.01 for some thousand draws.
-    """
+    """A row per parameter: sensitivity to the prior, to the likelihood, and the conclusion (`Dependence`)."""
+    # All priors are scaled together. `posterior` is one of `density`. The Monte Carlo error of the sensitivities is
+    # about 0.01 for some thousand draws.
     tree = posterior.tree["posterior"].to_dataset()
     step = max(1, tree.sizes["chain"] * tree.sizes["draw"] // PRIOR_SENSITIVITY_DRAWS)
     x = np.stack([np.asarray(tree[name])[:, ::step] for name in density.names], axis=-1)
-    prior, likelihood = (np.asarray(values) for values in _parts(density, jnp.asarray(x)))
+    prior, likelihood = (np.asarray(values) for values in _prior_and_likelihood(density, jnp.asarray(x)))
     groups = {
         "posterior": {name: x[..., i] for i, name in enumerate(density.names)},
         "log_prior": {"all": prior},
@@ -115,17 +108,13 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
     found = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
     rows = {name: {part: float(found[part][name]) for part in found} for name in density.names}
     table = pd.DataFrame.from_dict(rows, orient="index")
-    table["says"] = [_dependence(*row).value for row in table.to_numpy()]
+    by = {(False, True): Dependence.DATA, (True, True): Dependence.BOTH, (True, False): Dependence.PRIOR}
+    decided = (tuple(row >= SENSITIVITY_LIMIT) for row in table.to_numpy())
+    table["says"] = [by.get(row, Dependence.NEITHER).value for row in decided]
     return table
 
 
-def _dependence(prior: float, likelihood: float) -> Dependence:
-    if likelihood >= SENSITIVITY_LIMIT:
-        return Dependence.BOTH if prior >= SENSITIVITY_LIMIT else Dependence.DATA
-    return Dependence.PRIOR if prior >= SENSITIVITY_LIMIT else Dependence.NEITHER
-
-
 @eqx.filter_jit
-def _parts(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Float[Array, "chain draw"], ...]:
+def _prior_and_likelihood(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Array, Array]:
     one = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
     return jax.lax.map(lambda chain: jax.lax.map(one, chain), x)

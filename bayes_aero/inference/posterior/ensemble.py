@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayes_aero.inference.compiled_programs import cores
-from bayes_aero.inference.posterior.laplace import Mode
+from bayes_aero.inference.posterior.laplace import PosteriorMode
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
 from bayes_aero.model.density import Density, LogDensity
 from bayes_aero.progress import Progress
@@ -58,7 +58,7 @@ class _IndependenceProposal:
 class _Target:
     """The density as emcee calls it; non-finite values are counted, not hidden."""
 
-    def __init__(self, density: LogDensity, mode: Mode) -> None:
+    def __init__(self, density: LogDensity, mode: PosteriorMode) -> None:
         self.density, self.rejected = density, 0
         self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
 
@@ -67,65 +67,6 @@ class _Target:
         bad = ~np.isfinite(value)
         self.rejected += int(bad.sum())
         return np.where(bad, -np.inf, value)
-
-
-def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
-    """A sampler that has not moved yet."""
-    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
-    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
-    sampler.random_state = np.random.RandomState(seed).get_state()  # emcee takes this generator only
-    return sampler
-
-
-def _burn_in(
-    target: _Target, walkers: int, ensembles: int, seed: int
-) -> tuple[Float[np.ndarray, "ensemble walker k"], _IndependenceProposal]:
-    """Starting points of the ensembles, and the proposal fitted to their draws of the burn-in.
-
-    The fit is repeated while it increases the acceptance much: a skewed posterior takes several rounds.
-    """
-    size = target.density.size
-    begin = np.random.default_rng(seed).standard_normal((ensembles, walkers, size)) * 0.5
-    proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
-    for number in range(ROUNDS):
-        samplers = [_sampler(target, walkers, proposal, _seed(seed, i, number)) for i in range(ensembles)]
-        _advance(samplers, BURN_IN, begin)
-        begin = np.stack([np.asarray(s.get_chain())[-1] for s in samplers])
-        found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in samplers])
-        accepted = float(np.mean([s.acceptance_fraction for s in samplers]))
-        proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
-        if accepted < MIN_ACCEPTANCE_GAIN * before:
-            break
-        before = accepted
-    return begin, proposal
-
-
-def _seed(seed: int, ensemble: int, number: int) -> int:
-    """A different seed for every run, within the range of the generator."""
-    return (1000 * seed + 10 * ensemble + number) % 2**32
-
-
-def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
-    """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
-    starts = [None] * len(samplers) if begin is None else list(begin)
-    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
-        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
-
-
-def _autocorrelation_time(samplers: list[emcee.EnsembleSampler]) -> float:
-    """Autocorrelation time of the slowest parameter in steps, over the walkers of all ensembles; infinite where it is
-    not defined, as when a walker has never moved."""
-    chain = np.concatenate([np.asarray(s.get_chain()) for s in samplers], axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
-    return slowest if np.isfinite(slowest) else np.inf
-
-
-def _chains(samplers: list[emcee.EnsembleSampler], thin: int) -> Float[np.ndarray, "chain draw k"]:
-    """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
-    autocorrelation of each walker."""
-    chains = [np.asarray(s.get_chain(thin=thin)) for s in samplers]
-    return np.stack([np.swapaxes(chain, 0, 1).reshape(-1, chain.shape[2]) for chain in chains])
 
 
 class EnsembleLength(NamedTuple):
@@ -137,9 +78,67 @@ class EnsembleLength(NamedTuple):
     walkers: int | None = None
 
 
+def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
+    """A sampler that has not moved yet."""
+    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
+    random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
+    sampler.random_state = random.get_state()
+    return sampler
+
+
+def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
+    """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
+    starts = [None] * len(samplers) if begin is None else list(begin)
+    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
+        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
+
+
+class _Ensembles:
+    """Independent ensembles after their burn-in and their first steps."""
+
+    def __init__(self, density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength) -> None:
+        self.target, self.walkers, size = _Target(density, mode), length.walkers or 2 * (density.size + 2), density.size
+        begin = np.random.default_rng(seed).standard_normal((length.ensembles, self.walkers, size)) * 0.5
+        proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
+        seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
+        for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
+            self.samplers = [_sampler(self.target, self.walkers, proposal, s + number) for s in seeds]
+            _advance(self.samplers, BURN_IN, begin)
+            begin = np.stack([np.asarray(s.get_chain())[-1] for s in self.samplers])
+            found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in self.samplers])
+            accepted = float(np.mean([s.acceptance_fraction for s in self.samplers]))
+            proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
+            if accepted < MIN_ACCEPTANCE_GAIN * before:
+                break
+            before = accepted
+        self.samplers = [_sampler(self.target, self.walkers, proposal, s + ROUNDS) for s in seeds]
+        _advance(self.samplers, STEPS_PER_CALL, begin)
+
+    @property
+    def autocorrelation_time(self) -> float:
+        """Of the slowest parameter in steps; infinite where it is not defined, as when a walker has never moved."""
+        chain = np.concatenate([np.asarray(s.get_chain()) for s in self.samplers], axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+        return slowest if np.isfinite(slowest) else np.inf
+
+    def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
+        """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
+        autocorrelation of each walker; log-density and walker of every draw."""
+        chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
+        lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
+        ensembles, walkers, draws = lp.shape
+        stats = {
+            "lp": lp.reshape(ensembles, -1),
+            "walker": np.tile(np.repeat(np.arange(walkers), draws), (ensembles, 1)),
+        }
+        return np.swapaxes(chains, 1, 2).reshape(ensembles, -1, chains.shape[3]), stats
+
+
 def sample_ensemble(
     density: LogDensity,
-    mode: Mode,
+    mode: PosteriorMode,
     *,
     seed: int = 0,
     length: EnsembleLength = EnsembleLength(),
@@ -153,44 +152,30 @@ def sample_ensemble(
     called after every `STEPS_PER_CALL` steps.
     """
     began = time.perf_counter()
-    walkers = length.walkers or 2 * (density.size + 2)
-    target = _Target(density, mode)
-    begin, proposal = _burn_in(target, walkers, length.ensembles, seed)
-    samplers = [_sampler(target, walkers, proposal, _seed(seed, i, ROUNDS)) for i in range(length.ensembles)]
-    _advance(samplers, STEPS_PER_CALL, begin)
+    ensembles = _Ensembles(density, mode, seed, length)
     while True:
-        tau = _autocorrelation_time(samplers)
-        steps = samplers[0].iteration
+        tau, steps = ensembles.autocorrelation_time, ensembles.samplers[0].iteration
         if progress:
             progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
         if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
             thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
-            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(_chains(samplers, thin)))))
+            v, stats = ensembles.draws(thin)
+            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
             marginals = diagnose(x, density.names)
             if converged(marginals) or steps >= length.max_steps:
                 break
-        _advance(samplers, STEPS_PER_CALL)
-    drawn = Drawn("emcee", x, _stats(samplers, thin), marginals)
+        _advance(ensembles.samplers, STEPS_PER_CALL)
+    drawn = Drawn("emcee", x, stats, marginals)
     posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
     posterior.tree.attrs |= {
         "steps": steps,
         "thinned_by": thin,
         "autocorrelation_time": tau,
-        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
-        "non_finite_densities": target.rejected,
-        "walkers": walkers,
+        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in ensembles.samplers])),
+        "non_finite_densities": ensembles.target.rejected,
+        "walkers": ensembles.walkers,
     }
     return posterior
-
-
-def _stats(samplers: list[emcee.EnsembleSampler], thin: int) -> dict[str, np.ndarray]:
-    """Log-density and walker of every draw, in the order of `_chains`."""
-    lp = [np.asarray(s.get_log_prob(thin=thin)).T for s in samplers]
-    walkers, draws = lp[0].shape
-    return {
-        "lp": np.stack([one.ravel() for one in lp]),
-        "walker": np.tile(np.repeat(np.arange(walkers), draws), (len(samplers), 1)),
-    }
 
 
 # --- A posterior from the draws of a sampler: marginals with diagnostics, and predictions.
@@ -219,14 +204,8 @@ def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -
     for i, name in enumerate(names):
         flat = draws[..., i].ravel()
         low, high = np.quantile(flat, [0.025, 0.975])
-        found[name] = Marginal(
-            mean=float(flat.mean()),
-            sd=float(flat.std(ddof=1)),
-            ci95=(float(low), float(high)),
-            ess_bulk=float(ess[name]),
-            ess_tail=float(tail[name]),
-            rhat=float(rhat[name]),
-        )
+        own = float(flat.mean()), float(flat.std(ddof=1)), (float(low), float(high))
+        found[name] = Marginal(*own, *(float(x[name]) for x in (ess, tail, rhat)))
     return found
 
 
@@ -248,12 +227,10 @@ def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m
 
 
 def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True) -> Posterior:
-    """Turn draws of x into a `Posterior`.
-
-    The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
-    thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
-    samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
-    """
+    """Turn draws of x into a `Posterior`."""
+    # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
+    # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
+    # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
     names, draws = density.names, drawn.x
     groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
     if drawn.stats:
@@ -263,8 +240,21 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
     dims: dict[str, list[str]] = {}
     if predictive and isinstance(density, Density):
-        groups |= _sample_groups(density, draws, prior, rng)
-        dims = {name: ["instant"] for name in density.model.coefficients}
+        (chains, length, size), outputs, n = draws.shape, density.model.coefficients, density.observations.n
+        most = PREDICTIVE_VALUES // (len(outputs) * chains * n)
+        kept = min(PREDICTIVE_DRAWS, length, max(2, most))
+        thin = np.linspace(0, length - 1, kept).astype(int)
+        white = jnp.asarray(rng.standard_normal((chains * kept, n, len(outputs))))
+        loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), white)
+        _, before = _predictive(density, jnp.asarray(prior[: chains * kept]), white)
+        parts = {"log_likelihood": loglik, "posterior_predictive": replicated, "prior_predictive": before}
+        for group, values in parts.items():
+            leading = (1, chains * kept) if group == "prior_predictive" else (chains, kept)
+            array = np.asarray(values, np.float32).reshape(*leading, n, len(outputs))
+            groups[group] = {name: array[..., i] for i, name in enumerate(outputs)}
+        measured = np.asarray(density.observations.measured)
+        groups["observed_data"] = {name: measured[:, i] for i, name in enumerate(outputs)}
+        dims = {name: ["instant"] for name in outputs}
     tree = azb.from_dict(groups, dims=dims)
     tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
     for parameter in density.parameters:
@@ -274,27 +264,3 @@ def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, pr
     status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
     status = PosteriorStatus.DIVERGENT if drawn.divergent else status
     return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)
-
-
-def _sample_groups(
-    density: Density, draws: np.ndarray, prior: np.ndarray, rng: np.random.Generator
-) -> dict[str, dict[str, np.ndarray]]:
-    (chains, length, size), names = draws.shape, density.model.coefficients
-    most = PREDICTIVE_VALUES // (len(names) * chains * density.observations.n)
-    kept = min(PREDICTIVE_DRAWS, length, max(2, most))
-    thin = np.linspace(0, length - 1, kept).astype(int)
-    shape = (chains, kept, density.observations.n, len(names))
-    white = rng.standard_normal((chains * kept, *shape[2:]))
-    loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), jnp.asarray(white))
-    _, prior_replicated = _predictive(density, jnp.asarray(prior[: chains * kept]), jnp.asarray(white))
-
-    def split(values: Array, leading: tuple[int, int]) -> dict[str, np.ndarray]:
-        array = np.asarray(values, np.float32).reshape(*leading, *shape[2:])
-        return {name: array[..., i] for i, name in enumerate(names)}
-
-    return {
-        "log_likelihood": split(loglik, shape[:2]),
-        "posterior_predictive": split(replicated, shape[:2]),
-        "prior_predictive": split(prior_replicated, (1, chains * kept)),
-        "observed_data": {name: np.asarray(density.observations.measured[:, i]) for i, name in enumerate(names)},
-    }

@@ -14,7 +14,6 @@ from scipy import optimize
 
 from bayes_aero.inference.likelihood.mle_result import MleResult
 from bayes_aero.model.density import LogDensity
-from bayes_aero.parameter import Prior
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
@@ -32,17 +31,14 @@ class ModeStatus(Enum):
 
 
 @dataclass(frozen=True)
-class Mode:
-    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there.
-
-    `other_share` is the share of the probability of other modes that `search_modes` found.
-    """
+class PosteriorMode:
+    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there."""
 
     u: Float[np.ndarray, " k"]
     factor: Float[np.ndarray, "k k"]
     log_density: float
     status: ModeStatus
-    other_share: float = 0.0
+    other_share: float = 0.0  # of the probability, in other modes that `search_modes` found
 
     @property
     def log_mass(self) -> float:
@@ -59,86 +55,73 @@ def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
     return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
 
 
-def value_and_gradient(density: LogDensity, u: Float[np.ndarray, " k"]) -> tuple[float, Float[np.ndarray, " k"]]:
-    """Log-density and its gradient at `u`."""
-    value, slope = _value_and_gradient(density, jnp.asarray(u))
-    return float(value), np.asarray(slope)
+@dataclass
+class _Point:
+    """A point of a density, with the log-density and its gradient there."""
 
+    density: LogDensity
+    u: np.ndarray
 
-def _usable(value: float, slope: np.ndarray) -> bool:
-    return bool(np.isfinite(value) and np.isfinite(slope).all())
+    def __post_init__(self) -> None:
+        value, slope = _value_and_gradient(self.density, jnp.asarray(self.u))
+        self.value, self.slope = float(value), np.asarray(slope)
 
+    @property
+    def usable(self) -> bool:
+        """Whether the density is finite here, and its gradient."""
+        return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
 
-def _curvature(density: LogDensity, u: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Negative Hessian by central differences of the exact gradient; symmetric by construction."""
-    rows = []
-    for i in range(len(u)):
-        move = np.zeros_like(u)
-        move[i] = step[i]
-        forward, backward = (value_and_gradient(density, u + sign * move)[1] for sign in (1.0, -1.0))
-        rows.append((backward - forward) / (2.0 * step[i]))
-    H = np.array(rows)
-    return (H + H.T) / 2.0
+    def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
+        # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+        # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
+        rows = []  # central differences of the exact gradient
+        for move, size in zip(np.diag(step), step, strict=True):
+            forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
+            rows.append((backward - forward) / (2.0 * size))
+        H = (np.array(rows) + np.array(rows).T) / 2.0
+        known = np.isfinite(H).all(axis=1)
+        if not known.all():  # no density nearby in that direction: the largest curvature is taken
+            largest = np.abs(np.diag(H)[known]).max(initial=1.0)
+            H = np.where(np.outer(known, known), H, np.diag(np.where(known, 0.0, largest)))
+        own = np.abs(np.diag(H))
+        scale = np.sqrt(np.maximum(own, MIN_RELATIVE_CURVATURE**2 * own.max()))
+        eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+        floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
+        covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
+        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
 
+    def climb(self, factor: np.ndarray) -> _Point:
+        """Where L-BFGS leads on coordinates scaled by `factor`."""
 
-def _factor(H: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Lower Cholesky factor of |H|^-1; true if H is positive definite.
+        def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
+            at = _Point(self.density, self.u + factor @ v)
+            return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
 
-    Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
-    Newton), so absolute values are taken; a lower limit keeps flat directions finite.
-    """
-    known = np.isfinite(H).all(axis=1)
-    if not known.all():  # no density nearby in that direction: the largest curvature is taken
-        H = np.where(
-            np.outer(known, known), H, np.diag(np.where(known, 0.0, np.abs(np.diag(H)[known]).max(initial=1.0)))
-        )
-    own = np.abs(np.diag(H))
-    scale = np.sqrt(np.maximum(own, MIN_RELATIVE_CURVATURE**2 * own.max()))
-    eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
-    covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
-    return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
-
-
-def _maximise(density: LogDensity, u: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """L-BFGS on coordinates scaled by `factor`."""
-
-    def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = value_and_gradient(density, u + factor @ v)
-        if not _usable(value, slope):
-            return 1e300, np.zeros(len(u))
-        return -value, -factor.T @ slope
-
-    found = optimize.minimize(negative, np.zeros(len(u)), jac=True, method="L-BFGS-B", options={"maxiter": 200})
-    return u + factor @ found.x
+        begin = np.zeros(len(self.u))
+        found = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+        return _Point(self.density, self.u + factor @ found.x)
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
-    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals.
-
-    Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
-    """
+    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals."""
+    # Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
     deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
     estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
     start = []
     for p in density.parameters:
         kind, _, coefficient = p.name.partition("_")
         value = p.start
-        if p.name in estimate:
-            value = _precision_weighted(estimate[p.name], bound[p.name], p.prior)
+        if p.name in estimate:  # the prior mean where the standard error is infinite
+            mean, wide = p.prior.normal
+            share = 1.0 / (1.0 + (bound[p.name] / wide) ** 2) if np.isfinite(bound[p.name]) else 0.0
+            value = mean + share * (estimate[p.name] - mean)
         if kind == "sigma" and coefficient in deviation:
             value = deviation[coefficient]
         elif kind == "rho" and coefficient in mle.lag1:
             value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
         start.append(inside(value, p.bounds))
     return np.array(start)
-
-
-def _precision_weighted(estimate: float, deviation: float, prior: Prior) -> float:
-    """Precision-weighted mean of an estimate and its prior; the prior mean where the standard error is infinite."""
-    mean, wide = prior.normal
-    share = 1.0 / (1.0 + (deviation / wide) ** 2) if np.isfinite(deviation) else 0.0
-    return mean + share * (estimate - mean)
 
 
 def inside(value: float, bounds: tuple[float, float]) -> float:
@@ -148,50 +131,43 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return float(np.clip(value, lower + margin, upper - margin))
 
 
-def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> Mode:
-    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds).
-
-    Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
-    """
-    u = np.asarray(density.unconstrain(jnp.asarray(start, float)))
-    value, slope = value_and_gradient(density, u)
-    step = np.full(len(u), 1e-4)
+def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> PosteriorMode:
+    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds)."""
+    # Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
+    at = _Point(density, np.asarray(density.unconstrain(jnp.asarray(start, float))))
+    step = np.full(len(at.u), 1e-4)
     for _ in range(rounds):
-        factor, positive_definite = _factor(_curvature(density, u, step))
+        factor, positive_definite = at.factor(step)
         step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
-        move = factor @ (factor.T @ slope)
-        gain = 0.5 * float(slope @ move)
+        move = factor @ (factor.T @ at.slope)
+        gain = 0.5 * float(at.slope @ move)
         if positive_definite and gain < 1e-7:
-            return Mode(u, factor, float(value), ModeStatus.CONVERGED)
-        trial = u + move
-        new, new_slope = value_and_gradient(density, trial)
-        if not (_usable(new, new_slope) and new > value + 0.5 * gain):
-            trial = _maximise(density, u, factor)
-            new, new_slope = value_and_gradient(density, trial)
-        if not (_usable(new, new_slope) and new > value):
+            return PosteriorMode(at.u, factor, at.value, ModeStatus.CONVERGED)
+        trial = _Point(density, at.u + move)
+        if not (trial.usable and trial.value > at.value + 0.5 * gain):
+            trial = at.climb(factor)
+        if not (trial.usable and trial.value > at.value):
             break
-        u, value, slope = trial, new, new_slope
-    factor, positive_definite = _factor(_curvature(density, u, step))
-    near = 0.5 * float(slope @ factor @ (factor.T @ slope)) < 1e-3
+        at = trial
+    factor, positive_definite = at.factor(step)
+    near = 0.5 * float(at.slope @ factor @ (factor.T @ at.slope)) < 1e-3
     status = ModeStatus.FLAT if not positive_definite else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
-    return Mode(u, factor, float(value), status)
+    return PosteriorMode(at.u, factor, at.value, status)
 
 
 def search_modes(
     density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = PRIOR_DRAWS
-) -> Mode:
-    """The mode with most of the probability, of the modes reached from `start` and from prior draws.
-
-    A sampler that starts in one mode does not find the others and still reports convergence. They are therefore sought
-    before. Fewer draws are used where there are many `samples`.
-    """
+) -> PosteriorMode:
+    """The mode with most of the probability, of the modes reached from `start` and from prior draws."""
+    # A sampler that starts in one mode does not find the others and still reports convergence. They are therefore
+    # sought before. Fewer draws are used where there are many `samples`.
     count = max(MIN_DRAWS, min(draws, MAX_SAMPLES_TIMES_DRAWS // max(samples, 1)))
     others = density.sample_prior(np.random.default_rng([seed, 9]), count)
     found = [find_mode(density, x) for x in (start, *others)]
     positive_definite = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
     if not positive_definite:
         return max(found, key=lambda mode: mode.log_density)
-    distinct: list[Mode] = []
+    distinct: list[PosteriorMode] = []
     for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
         if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
             distinct.append(mode)
@@ -201,7 +177,7 @@ def search_modes(
     return replace(found[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
 
 
-def other_modes(mode: Mode, where: str) -> tuple[str, ...]:
+def other_modes(mode: PosteriorMode, where: str) -> tuple[str, ...]:
     """A sentence where other modes have more than `MIN_OTHER_SHARE` of the probability."""
     if mode.other_share < MIN_OTHER_SHARE:
         return ()

@@ -31,7 +31,7 @@ from bayes_aero.inference.posterior.ensemble import (
     diagnose,
     sample_ensemble,
 )
-from bayes_aero.inference.posterior.laplace import Mode, find_mode, inside
+from bayes_aero.inference.posterior.laplace import PosteriorMode, find_mode, inside
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.model.density import LogDensity
 from bayes_aero.parameter import Parameter, Prior
@@ -44,19 +44,13 @@ FIRST_STEP = 0.5  # on the scale of the curvature at the mode, where no metric i
 FIELDS = ("diverging", "num_steps", "accept_prob", "potential_energy")
 
 
-def _potential(density: LogDensity, centre: Float[Array, " k"], factor: Float[Array, "k k"]):
-    """Of whitened coordinates."""
-    return lambda v: -density(centre + factor @ v)
-
-
 class WarmUp(NamedTuple):
-    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too.
+    """Steps; acceptance to which the step size is adapted; whether a dense metric is adapted, too."""
 
-    A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of 75
-    draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is adapted
-    here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the step.
-    """
-
+    # A metric of few steps is worse than the curvature at the mode, on whose scale the chains begin: the covariance of
+    # 75 draws of 26 independent normal coordinates has deviations of 0.4 to 1.6. Without a metric the step size is
+    # adapted here, because NumPyro takes it from the last tenth of a short warm-up, which it begins with ten times the
+    # step.
     steps: int = 500
     acceptance: float = 0.95
     metric: bool = True
@@ -75,16 +69,19 @@ class Chain(NamedTuple):
 
 @cache
 def _kernel(warmup: WarmUp):
-    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain.
-
-    One for each warm-up, which the kernel stores when it starts.
-    """
+    """NumPyro's functional NUTS, with the data as arguments: MCMC would compile again for every data set and chain."""
+    # One for each warm-up, which the kernel stores when it starts.
     del warmup
-    return hmc(potential_fn_gen=_potential, algo="NUTS")
+    potential = lambda density, centre, factor: lambda v: -density(centre + factor @ v)  # noqa: E731
+    return hmc(potential_fn_gen=potential, algo="NUTS")
+
+
+Target = tuple[LogDensity, Array, Array]
+"""A density, with the centre and the factor of its whitened coordinates."""
 
 
 @eqx.filter_jit
-def _start_chain(target: tuple[LogDensity, Array, Array], warmup: WarmUp, key: Array, v: Float[Array, " k"]) -> Chain:
+def _start_chain(target: Target, warmup: WarmUp, key: Array, v: Float[Array, " k"]) -> Chain:
     begin, _ = _kernel(warmup)
     key, _ = jax.random.split(key)  # as numpyro's NUTS does: the same draws
     setting: Any = {"target_accept_prob": warmup.acceptance, "model_args": target, "rng_key": key}
@@ -98,7 +95,7 @@ def _start_chain(target: tuple[LogDensity, Array, Array], warmup: WarmUp, key: A
 
 @eqx.filter_jit
 def _draw_steps(
-    target: tuple[LogDensity, Array, Array], warmup: WarmUp, adapting: Array, chain: Chain
+    target: Target, warmup: WarmUp, adapting: Array, chain: Chain
 ) -> tuple[Chain, tuple[Array, dict[str, Array]]]:
     _, sample = _kernel(warmup)
     _, update = dual_averaging()
@@ -124,18 +121,16 @@ class NutsLength(NamedTuple):
 
 def sample_nuts(
     density: LogDensity,
-    mode: Mode,
+    mode: PosteriorMode,
     *,
     seed: int = 0,
     length: NutsLength = NutsLength(),
     progress: Progress | None = None,
     predictive: bool = True,
 ) -> Posterior:
-    """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them.
-
-    Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
-    chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
-    """
+    """Sample in blocks until every parameter reaches the targets of ESS and R-hat, at most `max_blocks` of them."""
+    # Works on coordinates whitened by the curvature at the mode; starts are drawn from that Laplace approximation, each
+    # chain its own, so that R-hat can see a second mode nearby. `progress(text, share)` is called after every block.
     began = time.perf_counter()
     chains = _Chains(density, mode, length, seed)
     most = length.max_blocks * BLOCK_DRAWS
@@ -149,14 +144,12 @@ def sample_nuts(
             progress(f"NUTS: {x.shape[1]} draws a chain, ESS {least:.0f}", 1.0 if done else x.shape[1] / most)
         if done:
             break
-    statistics = {name: np.concatenate([f[name] for f in chains.statistics], axis=1) for name in FIELDS}
     stats = {
-        "diverging": statistics["diverging"],
-        "n_steps": statistics["num_steps"],
-        "acceptance_rate": statistics["accept_prob"],
-        "lp": -statistics["potential_energy"],
+        name: np.concatenate([f[field] for f in chains.statistics], axis=1)
+        for name, field in zip(("diverging", "n_steps", "acceptance_rate", "lp"), FIELDS, strict=True)
     }
-    divergent = float(statistics["diverging"].mean()) > DIVERGENT_SHARE
+    stats["lp"] = -stats["lp"]
+    divergent = float(stats["diverging"].mean()) > DIVERGENT_SHARE
     drawn = Drawn("nuts", x, stats, marginals, divergent)
     return assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
 
@@ -164,7 +157,7 @@ def sample_nuts(
 class _Chains:
     """Chains after their warm-up, with draws `x` and the statistics of NUTS."""
 
-    def __init__(self, density: LogDensity, mode: Mode, length: NutsLength, seed: int) -> None:
+    def __init__(self, density: LogDensity, mode: PosteriorMode, length: NutsLength, seed: int) -> None:
         self.density, self.mode, self.warmup = density, mode, length.warmup
         self.x: list[np.ndarray] = []
         self.statistics: list[dict[str, np.ndarray]] = []
@@ -186,9 +179,8 @@ class _Chains:
             self.chains = [chain for chain, _ in ends]
             v = np.stack([np.asarray(drawn) for _, (drawn, _) in ends])
             self.x.append(np.asarray(constrain_draws(self.density, jnp.asarray(self.mode.unwhiten(v)))))
-            self.statistics.append(
-                {name: np.stack([np.asarray(statistics[name]) for _, (_, statistics) in ends]) for name in FIELDS}
-            )
+            every = [statistics for _, (_, statistics) in ends]
+            self.statistics.append({name: np.stack([np.asarray(one[name]) for one in every]) for name in FIELDS})
 
     def _advance(self, chains: list[Chain], *, adapting: bool) -> list[tuple[Chain, tuple[Array, dict[str, Array]]]]:
         with ThreadPoolExecutor(max(1, min(len(chains), cores()))) as pool:
@@ -210,69 +202,45 @@ KNEE_OF_INTENSITY = 0.05  # of the prior's width
 SPREAD = 2.0  # standard deviation of the logarithm of a process or measurement noise: a factor of 50 either way, 95 %
 
 
-class NoiseLevels(NamedTuple):
-    """Medians of the priors: process noise by state (s,), 0 where there is none, and standard deviations of the
-    measurement noise by output (c,); SI."""
-
-    process: tuple[float, ...]
-    measurement: tuple[float, ...]
-
-    @classmethod
-    def of(cls, R: Float[np.ndarray, " c"], outputs: tuple[str, ...], states: tuple[str, ...]) -> NoiseLevels:
-        """From the residual variances of output error, by `FIRST_F` and `FIRST_R` as at the start of the fit. States
-        without a sensor have no process noise."""
-        sd = dict(zip(outputs, map(float, np.sqrt(R)), strict=True))
-        return cls(
-            tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in states),
-            tuple(float(np.sqrt(FIRST_R)) * sd[name] for name in outputs),
-        )
-
-
 class InnovationsDensity(LogDensity):
     """Parameters: the dynamics' free ones, F_state (process noise), sigma_output (measurement noise)."""
 
     flown: SegmentTrajectories
     deviation: tuple[float, ...] = eqx.field(static=True)  # of the measured initial state
-    levels: NoiseLevels = eqx.field(static=True)
-
-    @property
-    def noise_label(self) -> str:
-        """White in the states and in the measurements."""
-        return "white, of states and measurements"
+    # Medians of the priors: process noise by state (0 where there is none), standard deviations of the measurement
+    # noise by output; SI.
+    process: tuple[float, ...] = eqx.field(static=True)
+    measurement: tuple[float, ...] = eqx.field(static=True)
+    noise_label = "white, of states and measurements"  # pyright: ignore[reportAssignmentType]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Of the dynamics, of the process noise, of the measurement noise."""
-        states, outputs = self.flown.dynamics.states, self.flown.outputs
+        dynamics = self.flown.dynamics
+        own = []
+        for p in dynamics.free:
+            intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
+            own.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
         process = [
-            _noise(
-                f"F_{name}", f"process noise of {name}, in its unit per square root of a second", level, KNEE_OF_PROCESS
-            )
-            for name, level in zip(states, self.levels.process, strict=True)
-            if level > 0.0
+            _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
+            for name, x in zip(dynamics.states, self.process, strict=True)
+            if x > 0.0
         ]
         measurement = [
-            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", level, KNEE_OF_MEASUREMENT)
-            for name, level in zip(outputs, self.levels.measurement, strict=True)
+            _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
+            for name, x in zip(self.flown.outputs, self.measurement, strict=True)
         ]
-        return (*map(self._with_knee, self.flown.dynamics.free), *process, *measurement)
-
-    def _with_knee(self, parameter: Parameter) -> Parameter:
-        """An intensity, whose posterior may reach zero, with a knee; any other parameter as it is."""
-        prior = parameter.prior
-        if parameter.name not in self.flown.dynamics.disturbance_parameters or prior.family != "halfnormal":
-            return parameter
-        return parameter.changed(knee=KNEE_OF_INTENSITY * prior.scale)
+        return (*own, *process, *measurement)
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:
         """Indices of the states with process noise."""
-        return np.flatnonzero(np.array(self.levels.process) > 0.0)
+        return np.flatnonzero(np.array(self.process) > 0.0)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Log likelihood of the innovations; minus infinity where the filter diverges."""
         k, c = len(self.flown.dynamics.free), len(self.flown.outputs)
-        F = jnp.zeros(len(self.levels.process)).at[self.disturbed].set(x[k:-c])
+        F = jnp.zeros(len(self.process)).at[self.disturbed].set(x[k:-c])
         point = NoisePoint(x[:k], F, x[-c:] ** 2)
         total = innovations_density(self.flown, point, jnp.asarray(self.deviation))
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
@@ -280,7 +248,7 @@ class InnovationsDensity(LogDensity):
     def start(self, fit: PredictionErrorResult) -> Float[np.ndarray, " k"]:
         """The fit as a point of this density, moved inside its bounds."""
         least = np.exp(-2.0 * SPREAD)  # times the median: a process noise of the fit may vanish, a lognormal does not
-        F = np.maximum(fit.F, least * np.array(self.levels.process))[self.disturbed]
+        F = np.maximum(fit.F, least * np.array(self.process))[self.disturbed]
         free = zip(fit.estimate, self.flown.dynamics.free, strict=True)
         return np.array([*(inside(value, p.bounds) for value, p in free), *F, *np.sqrt(fit.R)])
 
@@ -310,18 +278,10 @@ def sample_innovations(
     engines: Sequence[str] = ENGINES,
     progress: Progress | None = None,
 ) -> dict[str, Posterior]:
-    """The posterior by emcee and by NUTS, or one of them, from the fit.
+    """The posterior by emcee and by NUTS, or one of these `engines`, from the `fit` (with priors) of `fit_disturbed`.
 
-    Both use coordinates scaled by the curvature at the mode, which is searched from the fit.
-
-    Args:
-        flown: the fitted segments, of a fit with priors.
-        fit: result of `fit_disturbed`.
-        R: variances of output error's residuals, (c,), SI: the scale of the priors of the noise.
-        seed: of the samplers.
-        length: of the chains.
-        engines: the samplers.
-        progress: called with a text and the share that is done.
+    Both use coordinates scaled by the curvature at the mode, which is searched from the fit. `R` (c,) are variances of
+    output error's residuals, SI: the scale of the priors of the noise.
     """
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
@@ -335,7 +295,10 @@ def sample_innovations(
 
 def innovations_posterior(flown: SegmentTrajectories, R: Float[np.ndarray, " c"]) -> InnovationsDensity:
     """The density; `R` (c,) are variances of output error's residuals. A fixed initial state has no deviation."""
+    # Medians of the noise are `FIRST_F` and `FIRST_R` as at the start of the fit; states without a sensor have none.
     dynamics = flown.dynamics
     deviation = np.zeros(len(dynamics.states)) if flown.fixed is not None else initial_state_sd(dynamics)
-    levels = NoiseLevels.of(R, flown.outputs, dynamics.states)
-    return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), levels)
+    sd = dict(zip(flown.outputs, map(float, np.sqrt(R)), strict=True))
+    process = tuple(FIRST_F * sd[name] if name in sd else 0.0 for name in dynamics.states)
+    measurement = tuple(float(np.sqrt(FIRST_R)) * sd[name] for name in flown.outputs)
+    return InnovationsDensity(flown.nameless, tuple(map(float, deviation)), process, measurement)

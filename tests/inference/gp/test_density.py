@@ -15,7 +15,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.inference.gp.emulator import ReducedData, reduced_stats
 from bayes_aero.inference.gp.kernel import FLAT, HyperPrior, Priors
 from bayes_aero.inference.gp.optimum import SD_BOUNDS, best_sizes, slopes
-from bayes_aero.inference.gp.sampling import log_density, small_posterior
+from bayes_aero.inference.gp.posterior import log_density, small_posterior
 
 # The marginal likelihood against its textbook form, closed forms, finite differences and scikit-learn
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "scikit_learn_gp.py"

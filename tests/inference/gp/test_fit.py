@@ -7,9 +7,8 @@ import pytest
 import xarray as xr
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import Budget, Priors, SampleStatus, fit, fit_gp
-from bayes_aero.inference.gp.fit import mixture
-from bayes_aero.inference.gp.sampling import Settings
+from bayes_aero.inference.gp import Budget, Prediction, Priors, SampleStatus, fit, fit_gp
+from bayes_aero.inference.gp.posterior import Settings
 
 
 def make(seed, n=100):
@@ -75,7 +74,7 @@ def test_mixture_quantiles_are_those_of_its_draws():
     rng = np.random.default_rng(0)
     means, latent = rng.normal(size=(6, 3)), rng.uniform(0.1, 1.0, size=(6, 3))
     noise = rng.uniform(0.1, 0.5, size=6)
-    p = mixture(means, latent, noise)
+    p = Prediction.of_mixture(means, latent, noise)
     which = rng.integers(6, size=200_000)
     draws = means[which] + np.sqrt(latent + noise[:, None])[which] * rng.normal(size=(200_000, 3))
     np.testing.assert_allclose(p.mean, draws.mean(axis=0), atol=0.02)
