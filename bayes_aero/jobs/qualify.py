@@ -47,7 +47,6 @@ from bayes_aero.qualification.flights import (
     fits_without,
     further_flights,
     hold_out,
-    joint_fit,
     next_parameters,
 )
 from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
@@ -476,7 +475,8 @@ def _refitted(
     inflation = float(source.told["variance_inflation"])
     outputs = tuple(source.told["fitted_outputs"])
     steady = np.ones((*flown.index.shape, len(outputs)))
-    fit = joint_fit(replace(flown, outputs=outputs, noise_growth=steady), model.estimate, inflation)
+    again = replace(flown, outputs=outputs, noise_growth=steady)
+    fit = fit_output_error(again, start=model.estimate, prior_weight=inflation)
     noise = Noise(inflation, Noise.of(fit).parts)
     without = fits_without(fit, noise)
     held = hold_out(flown, without, inflation, seed)
