@@ -129,12 +129,9 @@ def aircraft(seed: int, manoeuvres: int) -> list[tuple[str, float, float]]:
     bands = dict(zip(OUTPUTS, size * np.exp(rng.uniform(np.log(BANDS[0]), np.log(BANDS[1]), 3)), strict=True))
     tests = qualify(flown, flown, Uncertain(fit.estimate, draws, following, held), bands, seed=seed).tests
     limits, passed = np.array([*bands.values()]), {}
-    for case in (FlightKind.AGAIN, FlightKind.NEXT):
+    for case, own in ((FlightKind.AGAIN, True), (FlightKind.NEXT, False)):
         truth = [
-            whole(
-                [flight(k if case is FlightKind.AGAIN else scattered(rng), u, rng, f"m{j}") for j in range(FLIGHTS)],
-                card,
-            )
+            whole([flight(k if own else scattered(rng), u, rng, f"m{j}") for j in range(FLIGHTS)], card)
             for k, u in zip(derivatives, inputs, strict=True)
         ]
         inside = [np.all(np.abs(errors(one, fit.estimate)[0]) <= limits, axis=1).mean(axis=0) for one in truth]

@@ -416,8 +416,7 @@ def standard(
     start = {"airspeed": mean["airspeed"] * faster, "altitude": altitude}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    options = {"dt": dt, "amplitude": amplitude, "envelope": envelope, "rigid": rigid}
-    found = fly_standard(small, values, aircraft, **start, **options)
+    found = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope)
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
     unseen = {n: moved[n] for n in found.channels if n in moved and moved[n] not in flights.recorded}
     flown = {n: _recorded(flights, channels, dt) for n, channels in found.channels.items() if n not in unseen}

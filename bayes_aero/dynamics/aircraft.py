@@ -89,12 +89,10 @@ class InGusts(System):
         return tuple(name for name in self.states if not (self.model.disturbances and name in FLOW))
 
     def noise_density(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """Of the gusts: twice their variance over their correlation time."""
         power = {d.state: 2.0 * jnp.square(self.values[d.intensity]) for d in self.model.disturbances}
         return self.decay(x, u) * jnp.stack([jnp.asarray(power.get(name, 0.0)) for name in self.states])
 
     def decay(self, x: Float[Array, " s"], u: Row) -> Float[Array, " s"]:
-        """Of the gusts: one over their correlation time."""
         s = self.flow_signals(x, u)
         rate = {d.state: d.rate(self.values, s, self.aircraft) for d in self.model.disturbances}
         return jnp.stack([rate.get(name, jnp.zeros_like(x[0])) for name in self.states])
@@ -177,7 +175,6 @@ class EffectSystem(InGusts):
         return x.at[-len(static) :].set(jnp.stack(static))
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """Signals of the flow that effects may read, by the names of the recorded channels."""
         s = dict(u) | {name: value for name, value in self.named(x).items() if name not in POINTS}
         s |= self.model.inflow(self.values, s, self.aircraft)
         if "density" not in s:
@@ -267,13 +264,11 @@ class RigidBody(EffectSystem):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, attitude, altitude, gusts, and lagged separation points."""
         attitude = self.angles if self.by_angles else QUATERNION
         return (*(n for n in RIGID if n not in self.held), *attitude, *self.after)
 
     @property
     def start(self) -> tuple[str, ...]:
-        """The same with angles of attitude."""
         return (*(n for n in RIGID if n not in self.held), *self.angles, *self.after)
 
     @property
@@ -334,7 +329,6 @@ class Longitudinal(EffectSystem):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, gusts, and the separation point with a lag."""
         return (*FLIGHT, *self.after)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:

@@ -116,7 +116,11 @@ class Dynamics(ABC):
 
     def substeps(self, theta: Any, flights: Flights) -> int:
         """Integration steps a sample that follow the system's fast states, at most `MAX_SUBSTEPS`."""
-        step = self.slowest_step(self.values(jnp.asarray(theta)), flights)
+        return self.substeps_at(self.values(jnp.asarray(theta)), flights)
+
+    def substeps_at(self, values: Values, flights: Flights) -> int:
+        """The same at these values, without compiled programs."""
+        step = self.slowest_step(values, flights)
         return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, MAX_SUBSTEPS))
 
     def slowest_step(self, values: Values, flights: Flights) -> float:  # noqa: ARG002
@@ -141,21 +145,17 @@ class EffectDynamics(Dynamics):
 
     @property
     def disturbance_parameters(self) -> frozenset[str]:
-        """Those of gusts."""
         return frozenset(p.name for e in self.model.acting if e.disturbance is not None for p in e.parameters)
 
     def corrected(self, values: Values, channels: Mapping[str, Array], aircraft: Aircraft) -> Mapping[str, Array]:
-        """By the model's effects that act on channels."""
         return self.model.corrected(values, channels, aircraft)
 
     def scales(self, values: Values, flights: Flights) -> Mapping[str, Array]:
-        """Derivatives of the corrected outputs by the recorded ones."""
         if not any(e.stage is Stage.CHANNEL for e in self.model.acting):
             return {}
         return response_scales(self.model, values, flights.channels, flights.aircraft, self.outputs)
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """Parameters of delay effects by output."""
         return {
             e.channels[0]: p.name
             for e in self.model.acting
@@ -190,12 +190,10 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Flight states, gusts, and separation points with a lag."""
         return self._pattern.states
 
     @property
     def start(self) -> tuple[str, ...]:
-        """The same, the attitude in angles."""
         return self._pattern.start
 
     @cached_property
@@ -208,7 +206,6 @@ class AircraftDynamics(EffectDynamics):
         return not {"airspeed", "alpha"} & set(self.prescribed)
 
     def for_filter(self) -> AircraftDynamics:
-        """The same with the angles of attitude as states."""
         return replace(self, euler=self.rigid)
 
     @property
@@ -221,7 +218,6 @@ class AircraftDynamics(EffectDynamics):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Flight states, accelerations at the sensor, and the outputs on request."""
         if self.rigid:
             simulated = (n for n in (*RIGID, *ANGLES, "altitude") if n in self.start)
             forces = {name for axis in self.model.axes for name in FORCES[axis]}
@@ -237,7 +233,6 @@ class AircraftDynamics(EffectDynamics):
         return self.model.values(theta)
 
     def system(self, values: Values, aircraft: Aircraft) -> EffectSystem:
-        """The aircraft at these parameter values."""
         actual = self.model.actual_aircraft(values, aircraft) if values else aircraft
         if not self.rigid:
             return Longitudinal(self.model, dict(values), actual, self.altitude)

@@ -16,16 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.kalman import (
-    Filtered,
-    discrete_noise,
-    discrete_noise_slopes,
-    filter_inputs,
-    gains,
-    kalman_filter,
-    linearised_outputs,
-    outputs_at,
-)
+from bayes_aero.dynamics import kalman
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.dynamics.system import (
     Row,
@@ -46,22 +37,24 @@ def filter_segments(
     start_deviation: Float[Array, " s"],
     F: Float[Array, " s"],
     R: Float[Array, " c"],
-) -> Filtered:
+) -> kalman.Filtered:
     """Every segment by the extended Kalman filter, from its measured initial state; (w, ...) in front of every array.
     `start_deviation`: standard deviation of that state, SI; `R`: variances of the measurement noise in attached
     flow."""
     prepared = prepare(flown, theta)
-    each = jax.vmap(lambda rows: kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps))
-    return each(filter_inputs(flown, prepared, start_deviation, R))
+    each = jax.vmap(lambda rows: kalman.kalman_filter(prepared.sensed, rows, F, flown.outputs, flown.substeps))
+    return each(kalman.filter_inputs(flown, prepared, start_deviation, R))
 
 
 @eqx.filter_jit
-def prediction_errors(flown: SegmentTrajectories, theta: Float[Array, " k"], found: Filtered) -> Float[Array, "w n c"]:
+def prediction_errors(
+    flown: SegmentTrajectories, theta: Float[Array, " k"], found: kalman.Filtered
+) -> Float[Array, "w n c"]:
     """Measured minus predicted from the samples before, in units of the recorded channels, NaN where missing. `found`
     is the result of `filter_segments` at `theta`. Its innovations are smaller, because each is also predicted from the
     outputs before it in the same sample."""
     prepared = prepare(flown, theta)
-    outputs = _each_sample(lambda x, u: outputs_at(prepared.sensed, x, u, flown.outputs))
+    outputs = _each_sample(lambda x, u: kalman.outputs_at(prepared.sensed, x, u, flown.outputs))
     return (flown.only_inside(prepared.true) - outputs(found.predicted, prepared.drives)) / prepared.scale
 
 
@@ -74,13 +67,14 @@ class Observer(NamedTuple):
 
 
 def observer_of(
-    flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], found: Filtered
+    flown: SegmentTrajectories, theta: Float[Array, " k"], R: Float[Array, " c"], found: kalman.Filtered
 ) -> Observer:
     """The gains of `filter_segments` at `theta` and `R`, to be held while parameters vary; `found` is its result."""
     prepared = prepare(flown, theta)
 
     def one(x, P, u, noise, used):
-        return Observer(*gains(P, linearised_outputs(prepared.sensed, x, u, flown.outputs)[1], noise, used))
+        C = kalman.linearised_outputs(prepared.sensed, x, u, flown.outputs)[1]
+        return Observer(*kalman.gains(P, C, noise, used))
 
     noise = prepared.noise_variance(R, flown.noise_growth)
     return _each_sample(one)(found.predicted, found.predicted_covariance, prepared.drives, noise, found.used)
@@ -101,7 +95,7 @@ def run_observer(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Obse
     def predict(begin, now, then, true, gain, dt):
         def one_sample(x, rows):
             now, then, z, K = rows
-            e = z - outputs_at(prepared.sensed, x, now, flown.outputs)
+            e = z - kalman.outputs_at(prepared.sensed, x, now, flown.outputs)
             e = jnp.where(jnp.isfinite(z), e, 0.0)
             estimate = x + K @ e
             return advance(prepared.sensed, estimate, now, then, dt, flown.substeps), Observed(e, x, estimate)
@@ -113,7 +107,7 @@ def run_observer(flown: SegmentTrajectories, theta: Float[Array, " k"], by: Obse
     return jax.vmap(predict)(*rows)
 
 
-def neighbour_correlation(found: Filtered) -> Float[np.ndarray, " c"]:
+def neighbour_correlation(found: kalman.Filtered) -> Float[np.ndarray, " c"]:
     """Correlation of neighbouring innovations by output, over all segments (w, ...); 0 where there are too few."""
     scaled = np.asarray(found.innovation / np.sqrt(found.variance))
     both = np.asarray(found.used[:, 1:] & found.used[:, :-1])
@@ -193,7 +187,7 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
         ahead = jnp.where(autonomous, decayed * after, ahead)
         mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
-        P = Phi @ P @ Phi.T + discrete_noise(Phi, density, dt)
+        P = Phi @ P @ Phi.T + kalman.discrete_noise(Phi, density, dt)
         return (mean, 0.5 * (P + P.T)), (found, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
@@ -250,8 +244,13 @@ def _slopes_of_segment(lin: LinearisedFilter, noise: Disturbances, slopes: Distu
         dP = jnp.moveaxis(dP, 1, 0).reshape(s, s * m)
         dP = (Phi @ dP).reshape(s, s, m)  # its first two axes are the other way round, and it is symmetric
         side = dkept[:, None] * turned[:, :, None]
-        dP = dP + side + jnp.moveaxis(side, 0, 1) + discrete_noise_slopes(Phi, dkept, density, towards.density, dt)
-        P = Phi @ turned + discrete_noise(Phi, density, dt)
+        dP = (
+            dP
+            + side
+            + jnp.moveaxis(side, 0, 1)
+            + kalman.discrete_noise_slopes(Phi, dkept, density, towards.density, dt)
+        )
+        P = Phi @ turned + kalman.discrete_noise(Phi, density, dt)
         return (Phi @ (estimate - after) + ahead, 0.5 * (P + P.T), dmean, dP), found
 
     begin = (lin.begin, noise.begin, jnp.zeros((s, m)), slopes.begin)
@@ -307,9 +306,9 @@ def state_derivatives(
     def slopes(f):
         return lambda x, u: jax.vmap(jax.linearize(lambda x: f(prepared.sensed, x, u), x)[1], out_axes=-1)(unit)
 
-    matrix = _each_sample(slopes(partial(outputs_at, names=flown.outputs)))(before, prepared.drives)
+    matrix = _each_sample(slopes(partial(kalman.outputs_at, names=flown.outputs)))(before, prepared.drives)
     rates = jax.lax.map(lambda row: _each_sample(slopes(_rate))(*row), (points, now))
-    transition = _moved(flown, rates, jnp.zeros_like(rates), jnp.broadcast_to(unit, rates.shape[1:]))
+    transition = linear_step(rates, jnp.zeros_like(rates), jnp.broadcast_to(unit, rates.shape[1:]), _step(flown))
     return StateDerivatives(matrix, transition, points, rates, ahead)
 
 
@@ -345,31 +344,25 @@ def linearise(
 
         return _each_sample(along)
 
-    outputs = partial(outputs_at, names=flown.outputs)
+    outputs = partial(kalman.outputs_at, names=flown.outputs)
     direct = drives(outputs)(before, at.drives, of_drives)
     stages = (_at_stages(flown, y) for y in (at.drives, of_drives))
     rates = jax.lax.map(lambda row: drives(_rate)(*row), (known.points, *stages))
-    drive = _moved(flown, known.motion, rates, jnp.zeros(rates.shape[1:]))
+    drive = linear_step(known.motion, rates, jnp.zeros(rates.shape[1:]), _step(flown))
     modelled = _each_sample(partial(outputs, at.sensed))(before, at.drives)
     finite = lambda y: jnp.where(jnp.isfinite(y), y, 0.0)  # noqa: E731
-    return LinearisedFilter(
-        before,
-        after,
-        known.ahead,
-        known.transition,
-        drive,
-        true - modelled,
-        finite(known.matrix),
-        finite(direct - true_drive),
-        begin,
-        begin_drive,
-        scale,
-        scale_drive,
-    )
+    matrix, direct = finite(known.matrix), finite(direct - true_drive)
+    rows = (before, after, known.ahead, known.transition, drive, true - modelled, matrix, direct)
+    return LinearisedFilter(*rows, begin, begin_drive, scale, scale_drive)
 
 
 def _each_sample(f: Callable[..., Array]) -> Callable[..., Array]:
     return jax.vmap(jax.vmap(f))
+
+
+def _step(flown: SegmentTrajectories) -> Float[Array, "w 1 1 1"]:
+    """Time of a Runge-Kutta step, s."""
+    return (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None]
 
 
 def _rate(system: System, x: Array, u: Row) -> Array:
@@ -381,13 +374,6 @@ def _at_stages(flown: SegmentTrajectories, drives: dict[str, Array]) -> dict[str
     first = {name: jnp.moveaxis(x, 1, -1) for name, x in drives.items()}
     then = {name: jnp.moveaxis(x, -1, 1) for name, x in later(first, flown.held).items()}
     return jax.vmap(lambda share: between(drives, then, share))(stage_table(flown.substeps)[0])
-
-
-def _moved(
-    flown: SegmentTrajectories, A: Float[Array, "m w n s s"], b: Float[Array, "m w n s d"], dx: Float[Array, "w n s d"]
-) -> Float[Array, "w n s d"]:
-    """A small change of the state one sample later, from the derivatives of the motion at every stage."""
-    return linear_step(A, b, dx, (jnp.asarray(flown.dt) / flown.substeps)[:, None, None, None])
 
 
 def observer_derivatives(lin: LinearisedFilter, by: Observer) -> Float[Array, "w n c d"]:
@@ -434,11 +420,11 @@ def derivatives_by_input(
 
         return _each_sample(of_input)
 
-    direct = slope(partial(outputs_at, names=flown.outputs))(before, prepared.drives)
+    direct = slope(partial(kalman.outputs_at, names=flown.outputs))(before, prepared.drives)
     rates = jax.lax.map(lambda row: slope(_rate)(*row), (known.points, now))
     share = stage_table(flown.substeps)[0] * (not flown.held)
     both = jnp.stack([1.0 - share, share], axis=-1)[:, None, None, None]
-    ahead = _moved(flown, known.motion, rates[..., None] * both, jnp.zeros((*before.shape, 2)))
+    ahead = linear_step(known.motion, rates[..., None] * both, jnp.zeros((*before.shape, 2)), _step(flown))
     return InputDerivatives(ahead, jnp.where(jnp.isfinite(direct), direct, 0.0))
 
 

@@ -348,13 +348,9 @@ def _linearise_along(system: System, rows: FilterInputs, F: Array, flown: Segmen
     outputs_of, motion_of, density_of = functions(system)
     (y, matrix), (predicted, transition) = by_state(outputs_of, path.before), by_state(motion_of, path.after)
     outputs_of, motion_of, density_held = functions(jax.lax.stop_gradient(system))
-    matrix_slope, transition_slope, density_slope = jax.lax.stop_gradient(
-        (
-            by_state(lambda x: by_state(outputs_of, x)[1], path.before)[1],
-            by_state(lambda x: by_state(motion_of, x)[1], path.after)[1],
-            by_state(density_held, path.after)[1],
-        )
-    )
+    second = lambda f, x: by_state(lambda x: by_state(f, x)[1], x)[1]  # noqa: E731
+    slopes = second(outputs_of, path.before), second(motion_of, path.after), by_state(density_held, path.after)[1]
+    matrix_slope, transition_slope, density_slope = jax.lax.stop_gradient(slopes)
     density = F**2 + density_of(path.after)
     return _Local(
         rows.measured - y, matrix, matrix_slope, predicted, transition, transition_slope, density, density_slope

@@ -27,12 +27,11 @@ from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.units import si_unit
 
 FLAT_SD = 1000.0  # SI: larger than any derivative of an aircraft, also az per alpha of a fighter
-ALIKE = {
+ALIKE = {  # the effect whose sign and limits a derivative of a rate has: inertia and dynamic pressure are positive
     ("p", "aileron"): "aileron_roll", ("p", "p"): "roll_damping", ("p", "beta"): "sideslip_roll",
     ("q", "elevator"): "elevator_moment", ("q", "q"): "pitch_damping",
     ("r", "rudder"): "rudder_yaw", ("r", "r"): "yaw_damping", ("r", "beta"): "sideslip_yaw",
 }  # fmt: skip
-"""The effect whose sign and limits a derivative of a rate has: inertia and dynamic pressure are positive."""
 PART_OF = {"aileron_right": ("aileron", 1.0), "aileron_left": ("aileron", -1.0)}
 """Half of right less left is the aileron."""
 FLAT = Prior("normal", 0.0, FLAT_SD, "flat in effect; our choice")
@@ -87,7 +86,6 @@ class LinearDynamics(Dynamics):
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """Free parameters in the order of the card."""
         free = [p for p in self.parameters if p.name not in self.fixed]
         many = {name: self.names_of(name) for name in self.rows.by_manoeuvre}
         return tuple(replace(p, name=name) for p in free for name in many.get(p.name, [p.name]))
@@ -103,12 +101,10 @@ class LinearDynamics(Dynamics):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Every other channel that a row multiplies."""
         return self.rows.inputs
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """States, and what the card adds."""
         return tuple(dict.fromkeys((*self.rows.states, *self.rows.outputs)))
 
     def values(self, theta: Any) -> dict[str, Any]:
@@ -134,7 +130,6 @@ class LinearDynamics(Dynamics):
         return {name: channels[name] for name in self.inputs} | own | {ONE: jnp.ones_like(channels["dt"])}
 
     def delays(self, outputs: Sequence[str]) -> Mapping[str, str]:
-        """Delay parameters of the card by output."""
         return {output: parameter for output, parameter in self.rows.delays if output in outputs}
 
     def names_of(self, name: str) -> list[str]:
@@ -212,11 +207,9 @@ class LateOutputs(System):
 
     @property
     def state_outputs(self) -> tuple[str, ...]:
-        """State outputs without a delay."""
         return tuple(name for name in self.plain.state_outputs if name not in self.delays)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """That of `plain`, with delayed outputs."""
         rate, now = self.plain.motion(x, u)
         state = dict(zip(self.states, x, strict=True))
 

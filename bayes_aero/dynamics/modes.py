@@ -21,10 +21,9 @@ from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics
 from bayes_aero.dynamics.linear import LinearDynamics
 from bayes_aero.dynamics.simulated.trim import CONTROLS, SURFACES, Condition, rigid_trim
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
+from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.atmosphere import GRAVITY
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.model import Model
 
 LATERAL = ("beta", "p", "r", "phi")
 SPEEDS, HEAVES = ("airspeed", "u"), ("alpha", "w")  # u and w of cards with velocities in body axes, m/s
@@ -85,7 +84,10 @@ def modes(dynamics: Dynamics, values: Mapping[str, Any], aircraft: Aircraft, ste
         u |= {"thrust": trim.thrust, "thrust_left": half, "thrust_right": half}
     # arrays: one program for every trim
     x, u = ({name: jnp.asarray(value, float) for name, value in given.items()} for given in (x, u))
-    A, states = _linearised(wider, values, actual, own, x, u), _moving(wider, own)
+    body = RigidBody(wider, values, actual, altitude=False, held=own, heading=False, euler=True)
+    gusts = {d.state for d in wider.disturbances}
+    states = tuple(n for n in body.start if n not in gusts)
+    A = _linearised(body, states, x, u)
     kept = [k for k, n in enumerate(states) if Axis.LATERAL in axes or n not in LATERAL]
     return named_modes(np.asarray(A)[np.ix_(kept, kept)], [states[k] for k in kept], steady.airspeed)
 
@@ -147,32 +149,15 @@ def _lateral(found: Eigenmotions, states: Sequence[str]) -> list[MotionMode]:
     return named
 
 
-def _body(model: Model, values: Mapping[str, Any], aircraft: Aircraft, held: tuple[str, ...]) -> RigidBody:
-    return RigidBody(model, dict(values), aircraft, altitude=False, held=held, heading=False, euler=True)
-
-
-def _moving(model: Model, held: tuple[str, ...]) -> tuple[str, ...]:
-    """States without gusts."""
-    gusts = {d.state for d in model.disturbances}
-    return tuple(n for n in _body(model, {}, NO_AIRCRAFT, held).start if n not in gusts)
-
-
 @eqx.filter_jit
 def _linearised(
-    model: Model,
-    values: Mapping[str, Any],
-    aircraft: Aircraft,
-    held: tuple[str, ...],
-    x: Mapping[str, Any],
-    u: Mapping[str, Any],
+    body: RigidBody, moving: tuple[str, ...], x: Mapping[str, Any], u: Mapping[str, Any]
 ) -> Float[Array, "s s"]:
-    """Derivative of the rates of the moving states by them, altitude and controls held."""
-    body, moving = _body(model, values, aircraft, held), _moving(model, held)
+    """Derivative of the rates of the `moving` states by them, altitude and controls held."""
     start = body.complete_start(jnp.stack([jnp.asarray(x.get(name, 0.0), float) for name in body.start]), dict(u))
     places = jnp.array([body.start.index(n) for n in moving])
 
     def rates(part):
-        found = body.motion(body.state_at_start(start.at[places].set(part)), dict(u))[0]
-        return found[places]
+        return body.motion(body.state_at_start(start.at[places].set(part)), dict(u))[0][places]
 
     return jax.jacfwd(rates)(start[places])

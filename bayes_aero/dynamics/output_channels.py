@@ -12,11 +12,10 @@ FLIGHT = ("airspeed", "alpha", "theta", "q")
 RIGID = ("airspeed", "alpha", "beta", "p", "q", "r")
 FORCES: Mapping[Axis, tuple[str, ...]] = {Axis.LONGITUDINAL: ("ax", "az"), Axis.LATERAL: ("ay",)}
 
-OF_AXIS: Mapping[Axis, tuple[str, ...]] = {
+OF_AXIS: Mapping[Axis, tuple[str, ...]] = {  # channels without which the motion of an axis cannot be simulated
     Axis.LONGITUDINAL: FLIGHT,
     Axis.LATERAL: tuple(dict.fromkeys((*FLIGHT, *RIGID, "phi"))),
 }
-"""Channels without which the motion of an axis cannot be simulated."""
 
 
 def needed_channels(axes: Collection[Axis]) -> tuple[str, ...]:

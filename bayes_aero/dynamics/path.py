@@ -30,18 +30,8 @@ from bayes_aero.flight.health.readings import dead_heading
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter
+from bayes_aero.physics import flightpath
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import (
-    RATES,
-    STRAIGHT,
-    Rotation,
-    as_symmetric,
-    euler_rates,
-    lateral_motion,
-    lever_arm,
-    motion_of_path,
-    path_outputs,
-)
 
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
 JUMP = 0.2  # rad from sample to sample: faster than any aircraft turns
@@ -55,21 +45,18 @@ class FlightPath(InGusts):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The path, then gusts."""
         return (*self.named, *(d.state for d in self.model.disturbances))
 
     def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
-        """States and inputs by name; airspeed, alpha and beta of the flow, not over ground."""
         s = dict(u) | dict(zip(self.states, x, strict=True))
         return s | self.model.inflow(self.values, s, self.aircraft)
 
     def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
-        """Derivative of the state, and the measured quantities."""
         state = dict(zip(self.states, x, strict=True))
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
-        rates = motion_of_path(s, force) | lateral_motion(s, force)
-        rates["psi"] = euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
+        rates = flightpath.motion_of_path(s, force) | flightpath.lateral_motion(s, force)
+        rates["psi"] = flightpath.euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
         return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
             n: flow[n] for n in FLOW if n in state
@@ -115,7 +102,6 @@ class PathDynamics(EffectDynamics):
         return found
 
     def system(self, values: Values, aircraft: Aircraft) -> System:
-        """The flight path with gusts of these values; sensor errors are corrected in the record."""
         kept = {n: values[n] for n in self.disturbance_parameters | {d.intensity for d in self.model.disturbances}}
         return FlightPath(self.model, kept, aircraft, self.named)
 
@@ -133,19 +119,21 @@ class PathDynamics(EffectDynamics):
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
-        true = as_symmetric(channels)
+        true = flightpath.as_symmetric(channels)
         ends = [channels[name] for name in ("dt", "first", "last")]
         slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
-        p, q, r = (true[name] for name in RATES)
-        arm = lever_arm(Rotation(p, q, r, *(slope(x) for x in (p, q, r))), flights.aircraft.accelerometer)
+        p, q, r = (true[name] for name in flightpath.RATES)
+        turning = flightpath.Rotation(p, q, r, *(slope(x) for x in (p, q, r)))
+        arm = flightpath.lever_arm(turning, flights.aircraft.accelerometer)
         force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), arm, strict=True)}
-        given = (*RATES, *(name for name in STRAIGHT if name not in (*self.named, "ay", *RATES)))
+        made = {*self.named, "ay", *flightpath.RATES}
+        given = (*flightpath.RATES, *(name for name in flightpath.STRAIGHT if name not in made))
         return force | {name: true[name] for name in given}
 
 
 def path_states(flights: Flights) -> tuple[str, ...]:
     """Recorded quantities of the flight path; none where it cannot be integrated."""
-    found = path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    found = flightpath.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
     return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
 
 
@@ -172,22 +160,19 @@ def _name(parameter: str, manoeuvre: int) -> str:
 # --- Sensor errors that a flight-path reconstruction estimates: those of the catalogue that the recorded channels
 # show.
 
-COMMON = (
+COMMON = (  # errors of an installation, equal in all manoeuvres
     "vane_position", "alpha_scale", "alpha_bias", "alpha_delay", "sideslip_vane_position", "sideslip_vane_height",
     "sideslip_scale", "sideslip_bias", "sideslip_delay", "airspeed_scale", "airspeed_bias", "pitot_pressure_bias",
     "pitch_attitude_bias", "bank_angle_bias",
 )  # fmt: skip
-"""Errors of an installation, equal in all manoeuvres."""
-OWN = (
+OWN = (  # errors that drift from one manoeuvre to the next, and the wind
     "accel_x_bias", "accel_y_bias", "accel_z_bias", "roll_rate_bias", "pitch_rate_bias", "yaw_rate_bias",
     "vertical_wind",
 )  # fmt: skip
-"""Errors that drift from one manoeuvre to the next, and the wind."""
-SHOWN_BY = dict.fromkeys(
+SHOWN_BY = dict.fromkeys(  # for errors of lateral sensors, the state that depends on them
     ("sideslip_vane_position", "sideslip_vane_height", "sideslip_scale", "sideslip_bias", "sideslip_delay",
      "accel_y_bias", "yaw_rate_bias"), "beta"
 ) | {"bank_angle_bias": "phi", "roll_rate_bias": "phi"}  # fmt: skip
-"""For errors of lateral sensors, the state that depends on them."""
 MARKS = {"dt", "start", "first", "last", "elapsed"}
 
 

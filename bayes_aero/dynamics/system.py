@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-Row = Mapping[str, Any]
-"""Inputs or outputs at one instant, by name."""
+Row = Mapping[str, Any]  # inputs or outputs at one instant, by name
 
 STATE_LIMIT = 1e6  # of states without an envelope: beyond it the simulation has diverged
 
@@ -264,9 +263,8 @@ def _along(
     t_u = {name: jnp.moveaxis(t, 1, -1) for name, t in at(t_first, later(t_first, held)).items()}  # m w n d
     points = stage_points(system, x, inputs, then, dt, substeps)[0]
     read = tuple(name for name in outputs if name not in system.state_outputs)
-    dynamic, static = eqx.partition(
-        system, jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
-    )
+    moved = jax.tree.map(lambda t: t is not None, t_system, is_leaf=lambda t: t is None)
+    dynamic, static = eqx.partition(system, moved)
 
     def own(made):
         """Derivatives of what is `made` (r,): by the state, by the system's numbers (p,), by inputs."""

@@ -15,15 +15,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.jobs import fitted
 from bayes_aero.jobs.export import write_export
-from bayes_aero.jobs.fitted import (
-    Finished,
-    IdentifiedLinear,
-    card_of,
-    fitted_records,
-    read_finished,
-    with_process_noise,
-)
 from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks
 from bayes_aero.model.model import Model
@@ -38,7 +31,7 @@ class OpenedResult:
 
     folder: Path
     command: str  # identify, fly or diagnose
-    identified: Finished
+    identified: fitted.Finished
     card: Card  # with which the result was made
     records: Sequence[FlightRecord]
     told: Mapping[str, Any]  # what the result says
@@ -63,13 +56,13 @@ class OpenedResult:
     @property
     def linear(self) -> bool:
         """Whether the model is a linear system."""
-        return isinstance(self.identified, IdentifiedLinear)
+        return isinstance(self.identified, fitted.IdentifiedLinear)
 
     @property
     def limits(self) -> tuple[str, ...]:
         """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
         said = [*self.doubts, *([LIMITS] if self.linear else [])]
-        if self.command == "fly" and with_process_noise(self.told):
+        if self.command == "fly" and fitted.with_process_noise(self.told):
             said.append(
                 "The values are those of the fit with process noise. Its gusts and the noise of its states "
                 "are not flown here, as the result has no history of that noise: errors are those in still air."
@@ -79,14 +72,14 @@ class OpenedResult:
     def groups(self, added: tuple[str, ...] = ()) -> tuple[SliderGroup, ...]:
         """The sliders, with those of the effects that are `added`."""
         found = self.identified
-        if isinstance(found, IdentifiedLinear):
+        if isinstance(found, fitted.IdentifiedLinear):
             return linear_groups(found, self.errors)
         return groups_of(found.model, found.values, self.errors, added)
 
     def addable(self, channels: Sequence[str]) -> tuple[Effect, ...]:
         """Effects of the catalogue that may be added where these channels are known."""
         found = self.identified
-        return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
+        return () if isinstance(found, fitted.IdentifiedLinear) else addable(found.model, channels)
 
 
 COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
@@ -98,13 +91,13 @@ def open_result(given: str, card: str | None = None, folders: Sequence[Path] = (
     if file is None:
         raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
     told = read_result(file)
-    identified, folder, told = read_finished(given, card)
+    identified, folder, told = fitted.read_finished(given, card)
     assert folder is not None
-    whose = card_of(told["provenance"], file, card)
+    whose = fitted.card_of(told["provenance"], file, card)
     command = COMMANDS[told["schema"].split("/")[1]]
     try:
         remedy = "give its folder with --records"
-        records = fitted_records(told["provenance"], file, whose, remedy=remedy, folders=folders)
+        records = fitted.fitted_records(told["provenance"], file, whose, remedy=remedy, folders=folders)
         known = _fitted_numbers(told, command)
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
@@ -121,7 +114,7 @@ def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, fl
         found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
     elif command == "fly":
         found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
-        if with_process_noise(told):  # whose fit has no initial states
+        if fitted.with_process_noise(told):  # whose fit has no initial states
             found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
         else:
             for manoeuvre, states in told["initial_states"].items():
@@ -209,7 +202,7 @@ FOLDER = "exports"
 def chosen_model(opened: OpenedResult, choice: Choice, values: Mapping[str, float]) -> Identified:
     """The model with the added effects at `values` (SI) of what is flown; what is off is fixed at neutral."""
     identified = opened.identified
-    if isinstance(identified, IdentifiedLinear):
+    if isinstance(identified, fitted.IdentifiedLinear):
         raise InputError(LIMITS.removesuffix("."))
     model = with_added(identified.model, choice.added)
     off = {p.name: p.neutral for e in model.effects if e.name in choice.off for p in e.parameters}
@@ -246,7 +239,7 @@ LIMITS = (
 )
 
 
-def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
+def linear_groups(found: fitted.IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
     rows, free = found.rows, {p.name: p for p in found.fitted.free}
     many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}

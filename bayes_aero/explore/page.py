@@ -11,21 +11,11 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
+from bokeh import models
 from bokeh.core.properties import String
 from bokeh.document import Document
 from bokeh.layouts import column
 from bokeh.model import DataModel
-from bokeh.models import (
-    BoxZoomTool,
-    Column,
-    ColumnDataSource,
-    CrosshairTool,
-    CustomJS,
-    HoverTool,
-    Range1d,
-    Span,
-    WheelZoomTool,
-)
 from bokeh.plotting import figure
 from jaxtyping import Bool, Float
 
@@ -96,9 +86,8 @@ class ExplorePage:
         document.add_root(right)
         document.template = _part("page.html")  # pyright: ignore[reportAttributeAccessIssue] - Bokeh takes a text, too
         document.template_variables.update(facts)
-        start = CustomJS(
-            args={"exchange": self.exchange, "time": self.shared.time}, code="explore.start(exchange, time)"
-        )
+        given = {"exchange": self.exchange, "time": self.shared.time}
+        start = models.CustomJS(args=given, code="explore.start(exchange, time)")
         document.js_on_event("document_ready", start)
 
     def _view(self, name: str, *, recorded: bool = False) -> TimePanel:
@@ -192,15 +181,11 @@ class ExplorePage:
         """Draw the fan, or remove it, where it has changed; where its draws come from."""
         views = [*self.outputs, *self.coefficients]
         place = (asked.manoeuvre, asked.window) if asked.fan else None
-        if place != self.fanned and place is None:
-            for view in views:
-                view.draw_fan(time, np.zeros((0, len(time))))
-        elif place is not None and place != self.fanned:
-            if asked.manoeuvre not in self._fans:
-                self._fans[asked.manoeuvre] = self.simulator.fan(asked.manoeuvre)
-            draws = self._fans[asked.manoeuvre][1]
-            for view in views:
-                view.draw_fan(time[window], draws[view.name][:, window])
+        if place is not None and asked.manoeuvre not in self._fans:
+            self._fans[asked.manoeuvre] = self.simulator.fan(asked.manoeuvre)
+        for view in views if place != self.fanned else ():
+            draws = np.zeros((0, len(time))) if place is None else self._fans[asked.manoeuvre][1][view.name]
+            view.draw_fan(time[window], draws[:, window])
         self.fanned = place
         return "" if place is None else f"{DRAWS} draws: {self._fans[asked.manoeuvre][0]}."
 
@@ -213,10 +198,10 @@ class ExplorePage:
         still = {name: np.zeros_like(y) for name, y in formed.items()}
         found = []
         for one in (*paths, *scores(still, first, changed, window, {})):
-            unit, factor = for_people(self.units.get(one.name, "1"))
-            label = f"{axis_label(one.name, self.units.get(one.name, '1'))}"
-            row = asdict(one) | {"label": label, "unit": bracket(unit)}
-            found.append(row | {"before": factor * one.before, "now": factor * one.now})
+            si = self.units.get(one.name, "1")
+            unit, factor = for_people(si)
+            shown = {"label": axis_label(one.name, si), "unit": bracket(unit)}
+            found.append(asdict(one) | shown | {"before": factor * one.before, "now": factor * one.now})
         return found
 
     def _gain(self, manoeuvre: int, window: np.ndarray, before: Flown, now: Flown) -> dict[str, Any]:
@@ -354,8 +339,7 @@ def _rms(x: Float[np.ndarray, " n"]) -> float:
 MOST = 900  # points a line in the window: more than a panel has columns
 MOST_FAN = 200  # and of each draw
 LEAST, AXIS = 84, 42  # pixels: lowest panel, and the time axis below the last
-WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}
-"""What the colours mean."""
+WORDS = {"measured": "measured", "before": "result", "after": "now", "crb": "draws"}  # what the colours mean
 
 Curve = Float[np.ndarray, " n"]
 
@@ -365,9 +349,9 @@ class Shared:
 
     def __init__(self) -> None:
         """Empty."""
-        self.time = Range1d(start=0.0, end=1.0)
-        self.cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
-        self.now = ColumnDataSource({}, name="now")
+        self.time = models.Range1d(start=0.0, end=1.0)
+        self.cross = models.Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
+        self.now = models.ColumnDataSource({}, name="now")
 
     def draw_now(self, lines: Sequence[Mapping[str, np.ndarray]]) -> None:
         """The columns of all panels, made equally long by gaps."""
@@ -386,13 +370,13 @@ class TimePanel:
         """An empty panel."""
         self.name, self.label, self.factor = name, label, factor
         self.band = None if band is None else factor * band
-        self.record = ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
-        self.before = ColumnDataSource({"t": [], "y": []})
+        self.record = models.ColumnDataSource({"t": [], "y": [], "low": [], "high": []})
+        self.before = models.ColumnDataSource({"t": [], "y": []})
         self.columns = f"t {name}", f"y {name}"
-        self.fan = ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
-        self.range = Range1d(start=0.0, end=1.0)
-        box = BoxZoomTool(dimensions="width")
-        wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+        self.fan = models.ColumnDataSource({"xs": [], "ys": []}, name=f"fan-{name}")
+        self.range = models.Range1d(start=0.0, end=1.0)
+        box = models.BoxZoomTool(dimensions="width")
+        wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
         borders = {"min_border_left": 62, "min_border_right": 6, "min_border_top": 3, "min_border_bottom": 3}
         f = self.figure = figure(
             x_range=shared.time,
@@ -400,7 +384,7 @@ class TimePanel:
             y_axis_label=label,
             sizing_mode="stretch_both",
             min_height=LEAST,
-            tools=[box, wheel, CrosshairTool(overlay=shared.cross)],
+            tools=[box, wheel, models.CrosshairTool(overlay=shared.cross)],
             active_drag=box,
             toolbar_location=None,
             **borders,
@@ -417,7 +401,7 @@ class TimePanel:
         f.line("t", "y", source=self.before, **before)
         for line, (at, value) in ((now, self.columns), (shown, ("t", "y"))):
             tips = [("t", f"@{{{at}}}{{0.00}} s"), (label, f"@{{{value}}}{{0.[0000]}}")]
-            f.add_tools(HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
+            f.add_tools(models.HoverTool(renderers=[line], mode="vline", tooltips=tips, line_policy="nearest"))
 
     def draw_record(self, time: Curve, y: Curve) -> None:
         """The measurement, with its tolerance."""
@@ -451,7 +435,7 @@ class TimePanel:
         self.range.update(start=found.start, end=found.end)
 
 
-def stacked(views: Sequence[TimePanel], name: str) -> Column:
+def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
     """Panels below each other, the time axis below the last."""
     for view in views:
         last = view is views[-1]

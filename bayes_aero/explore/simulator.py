@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.dynamics.flight import DERIVED, MAX_SUBSTEPS, Dynamics, aircraft_dynamics
+from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.output_biases import biased_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
@@ -19,7 +19,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, OpenedResult, flown_model, values_of
 from bayes_aero.jobs.fitted import IdentifiedLinear, drawn
 from bayes_aero.jobs.options import FIXED, HELD
-from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.residuals.equation_error import EquationError
@@ -142,7 +142,7 @@ class Simulator:
                 model = flown_model(opened.identified.model, choice)
                 plain = aircraft_dynamics(model, self.flights, asked)
             dynamics = biased_dynamics(plain, self.flights, self.biases)
-            steps = _steps(dynamics, {p.name: p.start for p in dynamics.free}, self.flights)
+            steps = dynamics.substeps_at({p.name: p.start for p in dynamics.free}, self.flights)
             self._structures[key] = FlownModel(model, dynamics, steps)
         return self._structures[key]
 
@@ -158,7 +158,7 @@ class Simulator:
     def _prepared(self, manoeuvre: int, choice: Choice, values: Mapping[str, float]) -> Ready:
         """Cut and stepped as by `fly`; finer where a lag is now shorter than where that fit begins."""
         own = self._structure(choice)
-        steps = max(own.substeps, _steps(own.dynamics, values, self.flights))
+        steps = max(own.substeps, own.dynamics.substeps_at(values, self.flights))
         key = manoeuvre, own.dynamics, steps
         if key not in self._ready:
             options = {"outputs": self.outputs, "substeps": steps, "fixed": self.fixed, "held": self.held}
@@ -178,12 +178,6 @@ class Simulator:
                     self.no_coefficients = f"Coefficients are not shown: {reason}."
             self._ready[key] = Ready(replace(alone, **cut), residuals, departure)
         return self._ready[key]
-
-
-def _steps(dynamics: Dynamics, values: Mapping[str, float], flights: Flights) -> int:
-    """As `Dynamics.substeps`, without compiled programs."""
-    step = dynamics.slowest_step(values, flights)
-    return int(np.clip(np.ceil(float(np.max(flights.channels["dt"])) / step), 1, MAX_SUBSTEPS))
 
 
 def _one(flown: SegmentTrajectories, residuals: EquationError | None, theta: Any, departure: Any) -> tuple:

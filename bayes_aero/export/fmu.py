@@ -82,8 +82,7 @@ class {name}(Fmi2Slave):
         self._evaluate()
         return True
 '''
-START = {"airspeed": 100.0, "density": 1.225}
-"""Inputs that no flow has at zero."""
+START = {"airspeed": 100.0, "density": 1.225}  # inputs that no flow has at zero
 
 
 def write_fmu(found: Identified, folder: Path) -> Path:

@@ -289,15 +289,10 @@ def states(found: Identified) -> tuple[str, ...]:
     return tuple(said)
 
 
-def at_rest(found: Identified) -> tuple[str, ...]:
-    """Where the model stops following the signals that it divides by."""
-    read = [name for name in found.program.inputs_of("signal") if name in LEAST]
-    floors = " and ".join(f"{name} below {LEAST[name]:g} {unit(name)}" for name in read)
-    return (f"Coefficients are finite at rest: {floors} counts as that value.",) if read else ()
-
-
 def about(found: Identified) -> tuple[str, ...]:
     """All of them, a sentence or two each."""
+    floors = [f"{n} below {LEAST[n]:g} {unit(n)}" for n in found.program.inputs_of("signal") if n in LEAST]
+    finite = (f"Coefficients are finite at rest: {' and '.join(floors)} counts as that value.",) if floors else ()
     drawn, uncertain = found.draws, ()
     if drawn is not None:
         uncertain = (f"{len(drawn.values)} draws of {len(drawn.names)} parameters: {drawn.origin}.",)
@@ -308,7 +303,7 @@ def about(found: Identified) -> tuple[str, ...]:
         *lengths(found),
         *states(found),
         *validity(found),
-        *at_rest(found),
+        *finite,
         *uncertain,
         *found.left_out,
     )
@@ -335,8 +330,7 @@ def wrapped(sentences: Sequence[str], width: int) -> str:
 # --- The model as one Python function that needs nothing but `math`: what an FMU evaluates.
 
 WIDTH = 110
-TAKEN = r"P|A|t\d+|math|parameters"
-"""Names that the function uses itself."""
+TAKEN = r"P|A|t\d+|math|parameters"  # names that the function uses itself
 INFIX = {
     "add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "lt": ("<", 0), "le": ("<=", 0),
     "gt": (">", 0), "ge": (">=", 0), "eq": ("==", 0), "ne": ("!=", 0),

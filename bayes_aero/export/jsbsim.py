@@ -22,8 +22,7 @@ from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 
 # --- Programs as functions of JSBSim: one XML element an operation. Source: JSBSim reference manual, ch. Functions.
 
-PREFIX = "bayes-aero"
-"""Branch of the property tree for all that an export adds."""
+PREFIX = "bayes-aero"  # branch of the property tree for all that an export adds
 
 SAME = {
     "add": "sum", "sub": "difference", "mul": "product", "div": "quotient", "pow": "pow", "sqrt": "sqrt", "exp": "exp",
@@ -51,10 +50,10 @@ def read(name: str) -> Node:
     return node
 
 
-def call(tag: str, *arguments: Node) -> Node:
-    """An operation of JSBSim."""
+def call(tag: str, *arguments: Node | float | str) -> Node:
+    """An operation of JSBSim; numbers, and properties by name."""
     node = Element(tag)
-    node.extend(arguments)
+    node.extend(read(x) if isinstance(x, str) else value(x) if isinstance(x, float) else x for x in arguments)
     return node
 
 
@@ -69,27 +68,24 @@ def named(tag: str, name: str, content: Node) -> Node:
 
 
 def _reciprocal_of_one_and(x: Node) -> Node:
-    return call("quotient", value(1.0), call("sum", value(1.0), x))
+    return call("quotient", 1.0, call("sum", 1.0, x))
 
 
 def _exp(x: Node, factor: float) -> Node:
-    return call("exp", call("min", value(LARGEST_EXPONENT), call("product", value(factor), x)))
+    return call("exp", call("min", LARGEST_EXPONENT, call("product", factor, x)))
 
 
-COMPOSED: dict[str, Callable[[Node], Node]] = {
-    "neg": lambda x: call("product", value(-1.0), x),
+COMPOSED: dict[str, Callable[[Node], Node]] = {  # operations that JSBSim does not have, by those that it has
+    "neg": lambda x: call("product", -1.0, x),
     "logistic": lambda x: _reciprocal_of_one_and(_exp(x, -1.0)),
-    "tanh": lambda x: call(
-        "difference", call("product", value(2.0), _reciprocal_of_one_and(_exp(x, -2.0))), value(1.0)
-    ),
-    "sinh": lambda x: call("product", value(0.5), call("difference", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
-    "cosh": lambda x: call("product", value(0.5), call("sum", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
-    "expm1": lambda x: call("difference", call("exp", x), value(1.0)),
-    "log1p": lambda x: call("ln", call("sum", value(1.0), x)),
-    "sign": lambda x: call("difference", call("gt", x, value(0.0)), call("lt", deepcopy(x), value(0.0))),
-    "cbrt": lambda x: call("product", COMPOSED["sign"](x), call("pow", call("abs", deepcopy(x)), value(1.0 / 3.0))),
+    "tanh": lambda x: call("difference", call("product", 2.0, _reciprocal_of_one_and(_exp(x, -2.0))), 1.0),
+    "sinh": lambda x: call("product", 0.5, call("difference", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
+    "cosh": lambda x: call("product", 0.5, call("sum", _exp(x, 1.0), _exp(deepcopy(x), -1.0))),
+    "expm1": lambda x: call("difference", call("exp", x), 1.0),
+    "log1p": lambda x: call("ln", call("sum", 1.0, x)),
+    "sign": lambda x: call("difference", call("gt", x, 0.0), call("lt", deepcopy(x), 0.0)),
+    "cbrt": lambda x: call("product", COMPOSED["sign"](x), call("pow", call("abs", deepcopy(x)), 1.0 / 3.0)),
 }
-"""Operations that JSBSim does not have, by those that it has."""
 
 
 def functions(
@@ -136,8 +132,7 @@ PROPERTIES: dict[str, tuple[str, float]] = {
     "flap": ("fcs/flap-pos-deg", math.pi / 180.0),
 }
 """Where JSBSim has a channel, and the factor to SI. Every other channel is a property `bayes-aero/input/NAME`."""
-LEAST_SLOPE = 0.1
-"""Of the equation of alpha-dot, by which its steps are divided; at zero the motion is not unique."""
+LEAST_SLOPE = 0.1  # of the equation of alpha-dot, by which its steps are divided; at zero the motion is not unique
 SLOPE = f"{PREFIX}/state/lift-per-alpha-dot"
 RATES_OF_SPEED = ("accelerations/udot-ft_sec2", "accelerations/wdot-ft_sec2")
 FIRST_FRAMES = 1.5  # states take their static values before
@@ -156,7 +151,7 @@ def aerodynamics_xml(found: Identified) -> str:
     )
     for name in (n for n in signals if PROPERTIES.get(n, ("", 1.0))[1] != 1.0):
         own, factor = PROPERTIES[name]
-        root.append(named("function", _signal(name), call("product", read(own), value(factor))))
+        root.append(named("function", _signal(name), call("product", own, factor)))
     root.extend(functions(program, _inputs(found, program), {name: _output(name) for name in program.outputs}))
     if "alpha_dot" in signals:
         slope = found.lift_slope
@@ -179,7 +174,7 @@ def system_xml(found: Identified) -> str:
         channel.extend(_alpha_dot(found))
     if found.lagged:
         [lag] = functions(program.giving({"lag": program.outputs["lag"]}), _inputs(found, program), {"lag": "lag"})
-        decay = call("exp", call("quotient", call("product", value(-1.0), read("simulation/dt")), *list(lag)))
+        decay = call("exp", call("quotient", call("product", -1.0, "simulation/dt"), *list(lag)))
         channel.append(named("fcs_function", f"{PREFIX}/state/decay", decay))
         for point in found.points:
             name, static = _separated(point), _rest(read(_output(f"{point}_static")))
@@ -215,7 +210,7 @@ def aircraft_xml(found: Identified) -> str:
     _location(mass, (0.0,) * 3, name="CG")
     SubElement(root, "ground_reactions")
     force = SubElement(SubElement(root, "external_reactions"), "force", name="thrust", frame="BODY")
-    force.append(call("function", call("quotient", read(THRUST), value(POUND))))
+    force.append(call("function", call("quotient", THRUST, POUND)))
     _location(force, a.engine)
     direction = SubElement(force, "direction")
     for name, x in zip("xyz", (math.cos(a.engine_inclination), 0.0, -math.sin(a.engine_inclination)), strict=True):
@@ -252,21 +247,21 @@ def _forces(found: Identified) -> dict[str, Node]:
     a, has = found.actual_aircraft, set(found.exported.coefficients)
     area = a.wing_area / FOOT**2
     C = {name: read(_output(name)) for name in has}
-    sin, cos = (call(f, read("aero/alpha-rad")) for f in ("sin", "cos"))
+    sin, cos = (call(f, "aero/alpha-rad") for f in ("sin", "cos"))
     found_axes: dict[str, tuple[Node, float]] = {}
     if "CL" in has:
         lift, drag = C["CL"], C["CD"]
         found_axes["X"] = call("difference", call("product", lift, sin), call("product", drag, cos)), area
         down = call("sum", call("product", lift, cos), call("product", drag, sin))
-        found_axes["Z"] = call("product", value(-1.0), down), area
+        found_axes["Z"] = call("product", -1.0, down), area
         found_axes["PITCH"] = C["Cm"], area * a.chord / FOOT
     if "CY" in has:
         found_axes["Y"] = C["CY"], area
         found_axes["ROLL"] = C["Cl"], area * a.moment_length / FOOT
         found_axes["YAW"] = C["Cn"], area * a.moment_length / FOOT
     order = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
-    pressure = read("aero/qbar-psf")
-    return {n: call("product", pressure, value(found_axes[n][1]), found_axes[n][0]) for n in order if n in found_axes}
+    pressure = "aero/qbar-psf"
+    return {n: call("product", pressure, found_axes[n][1], found_axes[n][0]) for n in order if n in found_axes}
 
 
 def _alpha_dot(found: Identified) -> list[Node]:
@@ -275,17 +270,17 @@ def _alpha_dot(found: Identified) -> list[Node]:
     now, before, solved = (f"{used}-{part}" for part in ("now", "before", "solved"))
     # 1 + qbar S/(m V) dCL/d(alpha-dot): alpha-dot depends on itself through the lift; a Newton step divides by it
     area = found.actual_aircraft.wing_area / FOOT**2
-    inertia = call("max", call("product", read("inertia/mass-slugs"), read("velocities/vt-fps")), value(1.0))
-    gain = call("quotient", call("product", read("aero/qbar-psf"), value(area), read(SLOPE)), inertia)
-    slope = call("max", value(LEAST_SLOPE), call("sum", value(1.0), gain))
+    inertia = call("max", call("product", "inertia/mass-slugs", "velocities/vt-fps"), 1.0)
+    gain = call("quotient", call("product", "aero/qbar-psf", area, SLOPE), inertia)
+    slope = call("max", LEAST_SLOPE, call("sum", 1.0, gain))
     step = call("quotient", call("difference", read(now), read(used)), slope)
-    ahead = call("difference", call("product", value(2.0), read(solved)), read(before))
+    ahead = call("difference", call("product", 2.0, read(solved)), read(before))
     # alpha-dot of the frame before, from the accelerations of its forces
     u, w, u_dot, w_dot = (read(n) for n in ("velocities/u-aero-fps", "velocities/w-aero-fps", *RATES_OF_SPEED))
     size = call("sum", call("product", u, u), call("product", w, w))
     turning = call("difference", call("product", u, w_dot), call("product", w, u_dot))
     contents = {
-        now: call("quotient", turning, call("max", size, value(1.0))),
+        now: call("quotient", turning, call("max", size, 1.0)),
         before: _first(read(now), read(solved)),
         solved: _first(read(now), call("sum", read(used), step)),
         used: _first(read(now), ahead),
@@ -299,13 +294,13 @@ def _separated(point: str) -> str:
 
 
 def _rest(x: Node) -> Node:
-    return call("difference", value(1.0), x)
+    return call("difference", 1.0, x)
 
 
 def _first(begin: Node, later: Node) -> Node:
     """`begin` in the first frame, then `later`."""
-    limit = call("product", value(FIRST_FRAMES), read("simulation/dt"))
-    return call("ifthen", call("le", read("simulation/sim-time-sec"), limit), begin, later)
+    limit = call("product", FIRST_FRAMES, "simulation/dt")
+    return call("ifthen", call("le", "simulation/sim-time-sec", limit), begin, later)
 
 
 def _number(parent: Node, name: str, size: float, measure: str) -> None:

@@ -13,8 +13,7 @@ import numpy as np
 
 from bayes_aero.errors import InputError
 
-Operand = str | float
-"""The name of an input or of a step, or a number."""
+Operand = str | float  # the name of an input or of a step, or a number
 
 
 OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -63,14 +62,10 @@ class Program:
 
     def giving(self, outputs: Mapping[str, Operand]) -> Program:
         """The part that these outputs need."""
-        by_name = {step.name: step for step in self.steps}
-        needed: set[str] = set()
-        waiting = [x for x in outputs.values() if isinstance(x, str)]
-        while waiting:
-            name = waiting.pop()
-            if name in by_name and name not in needed:
-                needed.add(name)
-                waiting += [x for x in by_name[name].arguments if isinstance(x, str)]
+        needed = {x for x in outputs.values() if isinstance(x, str)}
+        for step in reversed(self.steps):
+            if step.name in needed:
+                needed |= {x for x in step.arguments if isinstance(x, str)}
         return replace(self, steps=tuple(s for s in self.steps if s.name in needed), outputs=dict(outputs))
 
     def evaluated(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,13 +133,11 @@ def terms(program: Program, output: str) -> Iterable[tuple[float, Operand]]:
 # An effect is written once, as a function of arrays. Its trace names every operation that it does, so any effect can
 # be printed in another language, a user's own too.
 
-SAME = (
+SAME = (  # of one number they change nothing
     "convert_element_type", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "copy", "copy_p", "stop_gradient",
     "reduce_precision",
 )  # fmt: skip
-"""Of one number they change nothing."""
-INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
-"""Parameters under which a call keeps the function that it calls."""
+INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters under which a call keeps the function that it calls
 
 
 def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], inputs: Mapping[str, float]) -> Program:
@@ -164,10 +157,10 @@ def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], input
 def _inside(jaxpr: Any, constants: Any, given: tuple[Operand, ...], builder: Builder) -> list[Operand]:
     """The results of a traced function."""
     known: dict[Any, Operand] = dict(zip(jaxpr.invars, given, strict=True))
-    known |= {name: _number(x, "") for name, x in zip(jaxpr.constvars, constants, strict=True)}
+    known |= {name: _number(x) for name, x in zip(jaxpr.constvars, constants, strict=True)}
 
     def read(x: Any) -> Operand:
-        return _number(x.val, "") if hasattr(x, "val") else known[x]
+        return _number(x.val) if hasattr(x, "val") else known[x]
 
     for equation in jaxpr.eqns:
         arguments = tuple(read(x) for x in equation.invars)
@@ -208,10 +201,10 @@ def _applied(equation: Any, given: tuple[Operand, ...], builder: Builder) -> lis
     return [builder.apply(operation, *given)]
 
 
-def _number(x: Any, where: str) -> float:
+def _number(x: Any) -> float:
     array = np.asarray(x)
     if array.size != 1:
-        raise _unknown(where, "a table of numbers")
+        raise _unknown("", "a table of numbers")
     return float(array.reshape(()))
 
 

@@ -46,7 +46,6 @@ from bayes_aero.qualification.flights import (
     fits_without,
     further_flights,
     hold_out,
-    joint_fit,
     next_parameters,
 )
 from bayes_aero.qualification.qualify import CHANNELS, Region, Uncertain, qualify
@@ -376,7 +375,8 @@ def between_manoeuvres(
     inflation = float(source.told["variance_inflation"])
     outputs = tuple(source.told["fitted_outputs"])
     steady = np.ones((*flown.index.shape, len(outputs)))
-    fit = joint_fit(replace(flown, outputs=outputs, noise_growth=steady), model.estimate, inflation)
+    again = replace(flown, outputs=outputs, noise_growth=steady)
+    fit = fit_output_error(again, start=model.estimate, prior_weight=inflation)
     without = fits_without(fit, FlightNoise(inflation, FlightNoise.of(fit).parts))
     held = hold_out(flown, without, inflation, seed)
     following, why_not = None, "Not counted: fewer than two manoeuvres have a usable fit of their own."

@@ -250,11 +250,6 @@ class HoldOut:
     explained: Float[np.ndarray, " c"]
 
 
-def joint_fit(flown: SegmentTrajectories, theta: Float[np.ndarray, " k"], inflation: float) -> OutputErrorResult:
-    """Output error from estimates that it has found before."""
-    return fit_output_error(flown, start=theta, prior_weight=inflation)
-
-
 def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputErrorResult]:
     """For each manoeuvre the fit to all others."""
     candidate = CandidateFit("qualified", fit)

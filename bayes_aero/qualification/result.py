@@ -13,8 +13,7 @@ from bayes_aero.diagnosis.design import TestPoint
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.health import HealthFinding
 
-PASSES_FROM, FAILS_TO = 0.95, 0.05
-"""Probabilities from which a tolerance passes, and to which it fails; our choice."""
+PASSES_FROM, FAILS_TO = 0.95, 0.05  # probabilities from which a tolerance passes, and to which it fails; our choice
 
 
 class ToleranceVerdict(Enum):

@@ -25,11 +25,10 @@ SEED = 20150101
 DURATION = 90.0  # s
 RECORDS = ("demo_stall_1", "demo_stall_2")
 
-TRUTH: dict[str, float] = {
+TRUTH: dict[str, float] = {  # parameters of the simulated aircraft: round numbers near those of a small transport
     "CL0": 0.15, "CLa": 3.6, "CLaM": 7.0, "Cm0": 0.06, "Cma": -0.35, "Cmq": -8.0, "Cmde": -0.70, "CD0": 0.045,
     "e": 0.85, "CDX": 0.10, "CmX": -0.10, "a1": 25.0, "alpha_star": 0.27, "tau1": 0.0, "tau2": 20.0,
 }  # fmt: skip
-"""Parameters of the simulated aircraft: round numbers near those of a small transport."""
 
 LATERAL_TRUTH: dict[str, float] = {
     "CYbe": -0.75, "CYr": 0.3, "CYdr": 0.2, "Clbe": -0.1, "Clp": -0.45, "Clr": 0.15, "Clda": -0.12, "Cldr": 0.02,
@@ -37,19 +36,17 @@ LATERAL_TRUTH: dict[str, float] = {
 }  # fmt: skip
 """The same of its lateral derivatives, for cards that model the lateral axis; rates by b/2V."""
 
-LATERAL_EFFECTS = (
+LATERAL_EFFECTS = (  # the effects that own them
     "sideslip_side_force", "yaw_rate_side_force", "rudder_side_force", "sideslip_roll", "roll_damping", "yaw_rate_roll",
     "aileron_roll", "rudder_roll", "sideslip_yaw", "roll_rate_yaw", "yaw_damping", "aileron_yaw", "rudder_yaw",
 )  # fmt: skip
-"""The effects that own them."""
 
 SPREAD, USUAL_SPREAD = {"alpha_star": 0.08, "e": 0.10}, 0.12
 """Of aircraft drawn near it: relative, either way; the usual one of parameters that are not listed."""
 
-DISTURBANCE = {
+DISTURBANCE = {  # turbulence and the like: first-order autoregressive increments of the coefficients
     "sigma_CL": 0.012, "sigma_CD": 0.003, "sigma_Cm": 0.001, "rho_CL": 0.5, "rho_CD": 0.3, "rho_Cm": 0.8,
 }  # fmt: skip
-"""Turbulence and the like: first-order autoregressive increments of the coefficients."""
 
 
 PROFILES = (
@@ -59,11 +56,10 @@ PROFILES = (
 """Of alpha: slow approach to the stall, then excursions past it; straight lines between (time s, alpha deg)."""
 
 
-RECORDED = (
+RECORDED = (  # channels of the record beside the engines' thrust, in the order in which their noise is drawn
     "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude", "elevator", "mach",
     "density",
 )  # fmt: skip
-"""Channels of the record beside the engines' thrust, in the order in which their noise is drawn."""
 
 
 def simulate_stall(

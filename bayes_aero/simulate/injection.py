@@ -19,24 +19,10 @@ from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.simulate.demo import (
-    DISTURBANCE,
-    DT,
-    LONGEST,
-    MARGIN,
-    SAMPLES,
-    SPREAD,
-    TRUTH,
-    USUAL_SPREAD,
-    autoregressive,
-    flight_time,
-    moved_by,
-    random_pilot,
-)
+from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 
-FLOWN_AXES = (Axis.LONGITUDINAL,)
-"""Axes on which the simulated aircraft has effects."""
+FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
 ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
@@ -102,8 +88,8 @@ def hidden_flights(
     """
     if noise not in NOISES:
         raise InputError(f"there is no noise {noise!r}; use one of {', '.join(NOISES)}")
-    if seconds is not None and not 1.0 <= seconds <= LONGEST:
-        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {LONGEST:.0f} s")
+    if seconds is not None and not 1.0 <= seconds <= demo.LONGEST:
+        raise InputError(f"a simulated manoeuvre of {seconds} s was asked for; ask for 1 to {demo.LONGEST:.0f} s")
     besides, card = () if beyond is None else beyond.effects, card or read_card("attas")
     truth = _values(effects, np.random.default_rng([seed, 1]), beyond)
     setting = _Setting(seed, manoeuvres, noise, rho, card, sensor_noise, disturbance, seconds, besides)
@@ -122,26 +108,26 @@ def _flights(
     card = setting.card
     model, misrecording, propulsion = _models(setting.beyond)
     aircraft = model.actual_aircraft(values, card.aircraft)
-    moved = moved_by(_known(name) for name in effects)
+    moved = demo.moved_by(_known(name) for name in effects)
     rngs = [np.random.default_rng([*seed, number]) for number in range(setting.manoeuvres)]
-    drawn = [rng.uniform(90.0, LONGEST) for rng in rngs]
-    lengths = [round((setting.seconds or length) / DT) + 1 for length in drawn]
+    drawn = [rng.uniform(90.0, demo.LONGEST) for rng in rngs]
+    lengths = [round((setting.seconds or length) / demo.DT) + 1 for length in drawn]
     pilots, starts = [], []
     for rng, length in zip(rngs, lengths, strict=True):
         disturbance, buffet = _disturbance(rng, setting.noise, setting.rho)
-        pilot = random_pilot(rng, max(90.0, (length - 1) * DT), model.break_angle(values), moved)
+        pilot = demo.random_pilot(rng, max(90.0, (length - 1) * demo.DT), model.break_angle(values), moved)
         pilots.append(pilot._replace(disturbance=setting.disturbance * disturbance, buffet=buffet))
         alpha, height = float(pilot.alpha[0]), rng.uniform(5050.0, 5350.0)
         speed = float(np.clip(level_speed(model, values, aircraft, alpha, height, MACH), *BEGIN))
         starts.append(FlightState(speed, alpha, alpha, 0.0, height))
-    time = flight_time()
-    marks = plain_marks(SAMPLES, DT, 0) | {"elapsed": time}  # from the first sample of the record
+    time = demo.flight_time()
+    marks = plain_marks(demo.SAMPLES, demo.DT, 0) | {"elapsed": time}  # from the first sample of the record
     commanded = [{"thrust": pilot.thrust} for pilot in pilots]
     thrust = [corrected(propulsion, values, x, marks, card.aircraft)["thrust"] for x in commanded]
     flying = [pilot._replace(thrust=x) for pilot, x in zip(pilots, thrust, strict=True)]
     flights = []
-    for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, DT)):
-        kept = slice(MARGIN, MARGIN + lengths[number])
+    for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, demo.DT)):
+        kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
         if left := outside(flown, ENVELOPE):
             raise InputError(
@@ -191,7 +177,7 @@ def draw_hidden(rng: np.random.Generator, name: str, largest: float = 10.0) -> d
     """
     effect, values = _known(name), {}
     for parameter in effect.parameters:
-        if TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:
+        if demo.TRUTH.get(parameter.name, parameter.neutral) != parameter.neutral:
             continue
         least, most = effect.sizes[parameter.name]
         size = least * np.exp(rng.uniform(0.0, np.log(min(most / least, largest))))
@@ -224,7 +210,8 @@ def _values(
 ) -> dict[str, Any]:
     """All parameters: neutral, the base aircraft's drawn around the demo's, then what is hidden."""
     values = {p.name: p.neutral for p in _models(() if beyond is None else beyond.effects)[0].parameters}
-    values |= {name: x * (1.0 + rng.uniform(-1.0, 1.0) * SPREAD.get(name, USUAL_SPREAD)) for name, x in TRUTH.items()}
+    for name, x in demo.TRUTH.items():
+        values[name] = x * (1.0 + rng.uniform(-1.0, 1.0) * demo.SPREAD.get(name, demo.USUAL_SPREAD))
     for name, given in effects.items():
         effect = _known(name)
         refuse_unsimulated(effect)
@@ -241,11 +228,11 @@ def _values(
 
 def _disturbance(rng: np.random.Generator, noise: str, rho: float | None) -> tuple[np.ndarray, float]:
     """Increments of CL, CD, Cm over the flight, and how they grow with 1 - X; the same draws for every noise."""
-    white = rng.standard_normal((SAMPLES, 3))
+    white = rng.standard_normal((demo.SAMPLES, 3))
     drawn = rng.uniform(0.5, 0.98, 3)
     rhos = drawn if rho is None else np.full(3, rho)
-    sigma = np.array([DISTURBANCE[f"sigma_{name}"] for name in ("CL", "CD", "Cm")]) * rng.uniform(0.6, 1.4, 3)
+    sigma = np.array([demo.DISTURBANCE[f"sigma_{name}"] for name in ("CL", "CD", "Cm")]) * rng.uniform(0.6, 1.4, 3)
     buffet = rng.uniform(1.0, 3.0)
     if noise not in ("ar1", "buffet"):
-        return np.zeros((SAMPLES, 3)), 0.0
-    return autoregressive(white, rhos, sigma), buffet if noise == "buffet" else 0.0
+        return np.zeros((demo.SAMPLES, 3)), 0.0
+    return demo.autoregressive(white, rhos, sigma), buffet if noise == "buffet" else 0.0

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.simulated.manoeuvres import rigid_pilots, standard_pilots
+from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
 from bayes_aero.dynamics.simulated.simulate import Pilot, fly, fly_rigid, outside
 from bayes_aero.dynamics.simulated.trim import (
     SIGNALS,
@@ -40,22 +40,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficient_names import NAMES
-from bayes_aero.simulate.demo import (
-    DISTURBANCE,
-    DT,
-    LATERAL_EFFECTS,
-    LATERAL_TRUTH,
-    RANDOM_STALL,
-    TRUTH,
-    Grid,
-    Request,
-    autoregressive,
-    grid_of,
-    moved_by,
-    random_pilot,
-    refuse,
-    resampled,
-)
+from bayes_aero.simulate import demo
 
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
 LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
@@ -73,35 +58,34 @@ class Synthetic:
     notes: tuple[str, ...]
 
 
-def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
+def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
     """Fly and record; `known` are the effects that may be asked for. `InputError` where it cannot be flown."""
-    refuse(request, card)
+    demo.refuse(request, card)
     rng = np.random.default_rng([request.seed, 7])
     rigid = Axis.LATERAL in card.axes
-    base = (*read_card("attas").effects, *(LATERAL_EFFECTS if rigid else ()))
+    base = (*read_card("attas").effects, *(demo.LATERAL_EFFECTS if rigid else ()))
     # errors of sensors that the card fixes: its model takes them out of every record, so a record has them
     errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
     fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
     installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
     chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
+    axes, signals = (tuple(Axis), SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), SIGNALS)
     for effect in chosen:
-        refuse_unsimulated(effect, SIGNALS | {"aileron"} if rigid else SIGNALS)
-    axes = tuple(Axis) if rigid else (Axis.LONGITUDINAL,)
+        refuse_unsimulated(effect, signals)
     flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
     faults = [e for e in chosen if e.stage is Stage.CHANNEL]
-    values = {name: x for e in chosen for name, x in e.neutral_values.items()} | TRUTH
-    values |= LATERAL_TRUTH if rigid else {}
+    values = {name: x for e in chosen for name, x in e.neutral_values.items()}
+    values |= demo.TRUTH | demo.LATERAL_TRUTH if rigid else demo.TRUTH
     values |= {p.name: card.fixed[p.name] for n in installed for p in known[n].parameters}
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
-    aircraft = flown_model.actual_aircraft(values, card.aircraft)
-    grid = grid_of(request)
+    aircraft, grid = flown_model.actual_aircraft(values, card.aircraft), demo.grid_of(request)
     pilot, start = _piloted(rng, request, grid, flown_model, values, aircraft, chosen)
     marks = plain_marks(grid.n, grid.dt, 0) | {"elapsed": grid.time}  # from the first sample of the record
     commanded = {"thrust": np.asarray(pilot.thrust)}
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
-    thrust = corrected(engines, values, commanded, marks, card.aircraft)["thrust"] if engines.effects else pilot.thrust
-    pilot = pilot._replace(thrust=thrust)
+    if engines.effects:
+        pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
     if isinstance(start, RigidTrim):
         flight = fly_rigid(flown_model, values, aircraft, pilot, start, grid.dt)
         flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
@@ -114,25 +98,23 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
         )
     true = {key: flight[key] for key in (RIGID if rigid else FLOWN)} | _air_data(flight)
-    sensors = Model.of([e for e in faults if e.kind is not Kind.PROPULSION], axes=axes)
-    recorded = true | commanded
-    if sensors.effects:
-        recorded = misrecorded(sensors, values, recorded, marks, card.aircraft)
+    sensors, recorded = Model.of([e for e in faults if e.kind is not Kind.PROPULSION], axes=axes), true | commanded
+    recorded = misrecorded(sensors, values, recorded, marks, card.aircraft) if sensors.effects else recorded
     deviations = OTHER_SENSORS | dict(read_card("attas").sensors) | dict(card.sensors)
     scale = 0.0 if request.noise == "none" else request.noise_scale
-    channels = sensed(
-        rng, {key: x[grid.kept] for key, x in recorded.items()}, replace(card, sensors=deviations), scale, False
-    )
+    kept = {key: x[grid.kept] for key, x in recorded.items()}
+    channels = sensed(rng, kept, replace(card, sensors=deviations), scale, False)
     missing = [c.name for c in card.channels if c.required and c.name != "time" and c.name not in channels]
     if missing:
         raise InputError(
             f"card {card.name} requires channel {missing[0]}, which the simulator does not make; set required = false"
         )
+    noise = {k: x * (request.disturbance if "sigma" in k else 1.0) for k, x in demo.DISTURBANCE.items()}
     record = FlightRecord.from_arrays(name, grid.time[grid.kept], channels, "simulated")
     return Synthetic(
         record,
         {key: float(x) for key, x in values.items()},
-        {"buffet": request.buffet} | {k: x * (k[:5] != "sigma" or request.disturbance) for k, x in DISTURBANCE.items()},
+        {"buffet": request.buffet} | noise,
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
         _notes(request, known, {key: x[grid.kept] for key, x in true.items()}),
     )
@@ -140,31 +122,31 @@ def synthetic(request: Request, card: Card, known: Mapping[str, Effect], name: s
 
 def _piloted(
     rng: np.random.Generator,
-    request: Request,
-    grid: Grid,
+    request: demo.Request,
+    grid: demo.Grid,
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
     chosen: Sequence[Effect],
 ) -> tuple[Pilot, FlightState | RigidTrim]:
     """What the pilot does and what disturbs him, and the state in which the flight begins."""
-    rigid = Axis.LATERAL in model.axes
     white = rng.standard_normal((grid.n, 3))
-    rho = [DISTURBANCE[f"rho_{name}"] ** (grid.dt / DT) for name in NAMES]  # their correlation time is the demo's
-    increments = autoregressive(white, rho, [request.disturbance * DISTURBANCE[f"sigma_{name}"] for name in NAMES])
-    if request.manoeuvre == RANDOM_STALL:
-        drawn = random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), moved_by(chosen))
-        pilot = resampled(drawn, grid.time)
+    rho, sigma = ([demo.DISTURBANCE[f"{x}_{name}"] for name in NAMES] for x in ("rho", "sigma"))
+    rho = [x ** (grid.dt / demo.DT) for x in rho]  # their correlation time is the demo's
+    increments = demo.autoregressive(white, rho, [request.disturbance * x for x in sigma])
+    if request.manoeuvre == demo.RANDOM_STALL:
+        drawn = demo.random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), demo.moved_by(chosen))
+        pilot = demo.resampled(drawn, grid.time)
         pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
         alpha = float(pilot.alpha[0])
         airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
         start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
-        if rigid:
+        if Axis.LATERAL in model.axes:
             start = rigid_trim(model, values, aircraft, Condition(airspeed, request.altitude))
     else:
         airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
-        by = rigid_pilots if rigid else standard_pilots
-        pilots, start = by(model, values, aircraft, grid.time, airspeed, request.altitude, request.amplitude)
+        given = airspeed, request.altitude, request.amplitude
+        pilots, start = standard_pilots(model, values, aircraft, grid.time, *given)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=request.buffet), start
 
@@ -178,15 +160,11 @@ def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
     sea_pressure = sea_density * sea_sound**2 / GAMMA
     calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
-    return {
-        "static_temperature": temperature,
-        "static_pressure": pressure,
-        "calibrated_airspeed": calibrated,
-        "radio_altitude": flight["altitude"],
-    }
+    found = {"static_temperature": temperature, "static_pressure": pressure}
+    return found | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
 
 
-def _notes(request: Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """Effects whose signals do not move, so that the record cannot show them, and sizes that no aircraft has."""
     notes = []
     for name in request.effects:
@@ -203,6 +181,7 @@ def _notes(request: Request, known: Mapping[str, Effect], true: Mapping[str, np.
 
 # --- From what was flown to what a faulty installation would have recorded: effects of stage CHANNEL run backwards.
 
+Values, Channels = Mapping[str, Any], Mapping[str, np.ndarray]
 STEPS = 8
 TOLERANCE = 1e-11  # of a channel's largest value
 
@@ -219,12 +198,7 @@ class _Correction(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        values: Mapping[str, Any],
-        channels: Mapping[str, np.ndarray],
-        marks: Mapping[str, Any],
-        aircraft: Aircraft,
+        cls, model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
     ) -> tuple[_Correction, Float[Array, "k n"]]:
         """The correction, and the channels as its matrix."""
         x = np.stack(list(channels.values()))
@@ -255,11 +229,7 @@ class _Correction(eqx.Module):
 
 
 def corrected(
-    model: Model,
-    values: Mapping[str, Any],
-    channels: Mapping[str, np.ndarray],
-    marks: Mapping[str, Any],
-    aircraft: Aircraft,
+    model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
 ) -> dict[str, np.ndarray]:
     """`Model.corrected`, compiled, without the marks."""
     correction, x = _Correction.of(model, values, channels, marks, aircraft)
@@ -267,11 +237,7 @@ def corrected(
 
 
 def misrecorded(
-    model: Model,
-    values: Mapping[str, Any],
-    true: Mapping[str, np.ndarray],
-    marks: Mapping[str, Any],
-    aircraft: Aircraft,
+    model: Model, values: Values, true: Channels, marks: Values, aircraft: Aircraft
 ) -> dict[str, np.ndarray]:
     """Channels that `Model.corrected` turns into `true`. Gauss-Newton steps from the true channels, each solved for the
     least change (LSMR: Fong and Saunders, SIAM J. Sci. Comput. 33 (2011) 2950). A plain fixed-point iteration would
@@ -298,14 +264,12 @@ OTHER_SENSORS = {
 }  # fmt: skip
 """White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
 
-FLOWN = (
+FLOWN = (  # channels of a flight that a recorder may store, in the order in which their noise is drawn
     "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
     "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
     "thrust",
 )  # fmt: skip
-"""Channels of a flight that a recorder may store, in the order in which their noise is drawn."""
-RIGID = (*FLOWN, "aileron", "aileron_left", "aileron_right")
-"""Those of a flight in six degrees of freedom."""
+RIGID = (*FLOWN, "aileron", "aileron_left", "aileron_right")  # those of a flight in six degrees of freedom
 
 OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
 

@@ -30,6 +30,7 @@ from bayes_aero.dynamics.simulated.trim import (
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import DEFAULT_RANGES, Aircraft, Envelope, excursion
 from bayes_aero.flight.atmosphere import GRAVITY, air
+from bayes_aero.flight.channel import Axis
 from bayes_aero.model.model import Model
 
 SECONDS = 60.0  # s, of every manoeuvre, so that one compiled function serves all
@@ -44,8 +45,7 @@ EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_
 
 
 Series = Float[np.ndarray, " n"]
-Pulse = tuple[float, float, float]
-"""Begin and end, s, and level."""
+Pulse = tuple[float, float, float]  # begin and end, s, and level
 
 
 def pulses(time: Series, parts: Iterable[Pulse]) -> Series:
@@ -126,12 +126,6 @@ def multisine_inputs(time: Series, controls: int) -> Float[np.ndarray, "c n"]:
     return np.where(inside, multisines(time - begin, period, MULTISINE_BAND, controls), 0.0)
 
 
-def stall_rise(model: Model, values: Mapping[str, Any], alpha: float) -> float:
-    """Rise of the slow sweep above the `alpha` of trim, rad."""
-    stall = model.break_angle(values) + STALL_BEYOND
-    return stall - alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE
-
-
 def standard_pilots(
     model: Model,
     values: Mapping[str, Any],
@@ -140,15 +134,25 @@ def standard_pilots(
     airspeed: float,
     altitude: float,
     amplitude: float = 1.0,
-) -> tuple[dict[str, Pilot], FlightState]:
-    """The pilot of each of `commands` with this model, and the level flight in which all start. `airspeed` in m/s,
-    `altitude` in m. Raises `InputError` where the model cannot be trimmed."""
-    trim = trimmed(model, values, aircraft, airspeed, altitude)
-    rise = stall_rise(model, values, trim.alpha)
-    pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
-    bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
-    start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
-    return commands(time, trim, rise, bank_per_sideslip, amplitude), start
+) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
+    """The pilot of each manoeuvre with this model, and the level flight in which all start. `airspeed` in m/s,
+    `altitude` in m. A model of both axes flies in six degrees of freedom, and the manoeuvres of `LATERAL` as well.
+    Raises `InputError` where the model cannot be trimmed."""
+    start: FlightState | RigidTrim
+    if rigid := Axis.LATERAL in model.axes:
+        start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
+        sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+        bank_per_sideslip = (sideslipping.state["phi"] - start.state["phi"]) / REFERENCE_SIDESLIP
+        trim = Trim(start.state["alpha"], start.thrust, 0.0)
+    else:
+        trim = trimmed(model, values, aircraft, airspeed, altitude)
+        pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
+        bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
+        start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
+    stall = model.break_angle(values) + STALL_BEYOND
+    rise = stall - trim.alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE  # of the slow sweep, above trim
+    pilots = commands(time, trim, rise, bank_per_sideslip, amplitude)
+    return pilots | (lateral_commands(time, trim, pilots["slow_stall"], amplitude) if rigid else {}), start
 
 
 @dataclass(frozen=True)
@@ -171,22 +175,18 @@ def fly_standard(
     dt: float,
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
-    rigid: bool = False,
 ) -> StandardFlights:
-    """Fly every standard manoeuvre; `airspeed` in m/s, `altitude` in m, `dt` the sampling time in s. `rigid`: in six
-    degrees of freedom, a model of both axes, and the manoeuvres of `LATERAL` as well. A manoeuvre that leaves the
-    `envelope` is refused."""
+    """Fly all of `standard_pilots`, sampled every `dt` s; a manoeuvre that leaves the `envelope` is refused."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
-    flights: Iterable[Mapping[str, np.ndarray]]
-    if rigid:
-        for effect in model.acting:
-            refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
-        pilots, trim = rigid_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
-        flights = (fly_rigid(model, values, aircraft, pilot, trim, dt) for pilot in pilots.values())
+    rigid = Axis.LATERAL in model.axes
+    for effect in model.acting if rigid else ():
+        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+    pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+    if isinstance(start, RigidTrim):
+        flights = [fly_rigid(model, values, aircraft, pilot, start, dt) for pilot in pilots.values()]
     else:
-        pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
         flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
     flown, refused = {}, {}
     for name, flight in zip(pilots, flights, strict=True):
@@ -257,34 +257,15 @@ def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     return best
 
 
-# --- The standard inputs in six degrees of freedom, and those of the lateral axis, from straight level flight.
+# --- The standard inputs of the lateral axis.
 
 LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
 REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the bank per sideslip
 AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
 BANK, UNEVEN = np.deg2rad(15.0), 0.3  # in the stall; of the left engine's thrust less the right one's over their sum
-LATERAL_EXCITED_CHANNELS = {
+LATERAL_EXCITED_CHANNELS = {  # channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`
     "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
 }  # fmt: skip
-"""Channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`."""
-
-
-def rigid_pilots(
-    model: Model,
-    values: Mapping[str, Any],
-    aircraft: Aircraft,
-    time: Series,
-    airspeed: float,
-    altitude: float,
-    amplitude: float = 1.0,
-) -> tuple[dict[str, Pilot], RigidTrim]:
-    """The pilot of each manoeuvre, and the level flight in which all start; arguments as `standard_pilots`."""
-    trim = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
-    sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
-    bank_per_sideslip = (sideslipping.state["phi"] - trim.state["phi"]) / REFERENCE_SIDESLIP
-    level = Trim(trim.state["alpha"], trim.thrust, 0.0)
-    pilots = commands(time, level, stall_rise(model, values, level.alpha), bank_per_sideslip, amplitude)
-    return pilots | lateral_commands(time, level, pilots["slow_stall"], amplitude), trim
 
 
 def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:

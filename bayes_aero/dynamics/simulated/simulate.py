@@ -22,6 +22,7 @@ from bayes_aero.dynamics.simulated.trim import (
     FlightState,
     Plant,
     RigidTrim,
+    Values,
     control_signs,
     lead,
     rigid_trim,
@@ -73,12 +74,7 @@ def fly(
 
 
 def fly_together(
-    model: Model,
-    values: Mapping[str, Any],
-    aircraft: Aircraft,
-    pilots: Sequence[Pilot],
-    starts: Sequence[FlightState],
-    dt: float,
+    model: Model, values: Values, aircraft: Aircraft, pilots: Sequence[Pilot], starts: Sequence[FlightState], dt: float
 ) -> list[dict[str, np.ndarray]]:
     """As `fly`, for several flights of one length."""
     numbers = {name: jnp.asarray(x, float) for name, x in values.items()}

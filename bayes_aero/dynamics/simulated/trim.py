@@ -38,13 +38,6 @@ class Trim(NamedTuple):
     command: float
 
 
-class Lead(NamedTuple):
-    """How a model is led along alpha: the share of the command in each of `CONTROLS`, and the command over alpha."""
-
-    shares: Float[Array, " 2"]
-    command: Float[Array, "*n"]
-
-
 def at_rest(alpha: Any, airspeed: Any, altitude: Any) -> dict[str, Any]:
     """Signals of steady flight without rates, thrust, sideslip or deflections, each of the shape of `alpha`."""
     zero = jnp.zeros_like(alpha)
@@ -53,10 +46,12 @@ def at_rest(alpha: Any, airspeed: Any, altitude: Any) -> dict[str, Any]:
     return rest | {"altitude": zero + altitude, "mach": airspeed / sound, "density": density}
 
 
-def lead(model: Model, values: Values, aircraft: Aircraft, alpha: Float[Array, "*n"], airspeed: Any, altitude: Any):
-    """`Lead` along `alpha` (rad) by the first of `CONTROLS` that pitches the model; a command of 0 where none does. A
-    positive command pitches down. It balances the pitching moment of attached flow by one Newton step from zero: what
-    that leaves is for feedback and trim."""
+def lead(
+    model: Model, values: Values, aircraft: Aircraft, alpha: Float[Array, "*n"], airspeed: Any, altitude: Any
+) -> tuple[Float[Array, " 2"], Float[Array, "*n"]]:
+    """How a model is led along `alpha` (rad): the share of the command in each of `CONTROLS`, and the command. It is
+    led by the first control that pitches it; a command of 0 where none does, a positive one pitches down. It balances
+    the pitching moment of attached flow by one Newton step from zero: what that leaves is for feedback and trim."""
     rest = at_rest(jnp.asarray(0.0), airspeed, altitude)
 
     def moment(deflections):
@@ -69,7 +64,7 @@ def lead(model: Model, values: Values, aircraft: Aircraft, alpha: Float[Array, "
     effectiveness = jnp.sum(first * jnp.abs(slopes))
     Cm = model.attached(values, at_rest(alpha, airspeed, altitude), aircraft)["Cm"]
     command = jnp.where(effectiveness > 0.0, Cm / jnp.where(effectiveness > 0.0, effectiveness, 1.0), 0.0)
-    return Lead(jnp.where(first, jnp.where(slopes > 0.0, -1.0, 1.0), 0.0), command)
+    return jnp.where(first, jnp.where(slopes > 0.0, -1.0, 1.0), 0.0), command
 
 
 def level_speed(
@@ -297,17 +292,16 @@ def steady_flow(
 SIDE_FORCE = -0.7  # 1/rad, CY per sideslip of a transport; our choice, it sets only the yaw rate in sideslip
 
 CONTROLS = ("elevator", "stabilizer")  # of the pitching moment; the pilot uses the first one with an effect
-SIGNALS = frozenset((
+SIGNALS = frozenset((  # signals that effects may read in the simulation; there is no canard
     "time", "alpha", "alpha_dot", "airspeed", "altitude", "p", "q", "r", "phi", "theta", "beta", "elevator",
     "stabilizer", "rudder", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "flap", "mach", "density",
     "thrust",
 ))  # fmt: skip
-"""Signals that effects may read in the simulation; there is no canard."""
 
 
 def can_simulate(effect: Effect, signals: frozenset[str] = SIGNALS) -> bool:
     """Whether the simulation has all channels of an effect."""
-    return effect.stage <= Stage.AIRCRAFT or set(effect.channels) <= signals
+    return effect.stage <= Stage.AIRCRAFT or signals.issuperset(effect.channels)
 
 
 def refuse_unsimulated(effect: Effect, signals: frozenset[str] = SIGNALS) -> None:
