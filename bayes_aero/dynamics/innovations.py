@@ -356,7 +356,7 @@ def linearise(
     return LinearisedFilter(*rows, begin, begin_drive, scale, scale_drive)
 
 
-def _each_sample(f: Callable[..., Array]) -> Callable[..., Array]:
+def _each_sample(f: Callable[..., Any]) -> Callable[..., Any]:
     return jax.vmap(jax.vmap(f))
 
 

@@ -217,12 +217,13 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
 
     @tangent.def_vmap
     def _(size, batched, *arguments):
-        (system, *flight, t_system, t_start, t_inputs), marks = arguments, jax.tree.map(bool, batched)
+        system, x, inside, inputs, dt, t_system, t_start, t_inputs = arguments
+        marks = jax.tree.map(bool, batched)
         alike = not any(jax.tree.leaves(marks[0]))
         if alike and not any(jax.tree.leaves(marks[:5])):  # directions
             wide = lambda t, m: jnp.moveaxis(t, 0, -1) if m else jnp.broadcast_to(t[..., None], (*t.shape, size))  # noqa: E731
             towards = tuple(jax.tree.map(wide, t, m) for t, m in zip(arguments[5:], marks[5:], strict=True))
-            found = _along(system, *flight, towards, substeps, outputs, held)
+            found = _along(system, x, inside, inputs, dt, towards, substeps, outputs, held)
             found = jax.tree.map(lambda t: jnp.moveaxis(t, -1, 0), found)
         elif alike and not any(jax.tree.leaves(marks[5])):  # segments
 
@@ -230,7 +231,7 @@ def tangent_flight(substeps: int, outputs: tuple[str, ...], held: bool = False):
                 t = t if m else jnp.broadcast_to(t, (size, *t.shape))
                 return t.reshape(-1, *t.shape[2:])
 
-            trees, known = (*flight, t_start, t_inputs), (*marks[1:5], *marks[6:])
+            trees, known = (x, inside, inputs, dt, t_start, t_inputs), (*marks[1:5], *marks[6:])
             own = [jax.tree.map(end_to_end, t, m) for t, m in zip(trees, known, strict=True)]
             found = tangent(system, *own[:4], t_system, *own[4:])
             found = jax.tree.map(lambda t: t.reshape(size, -1, *t.shape[1:]), found)

@@ -377,7 +377,12 @@ class TimePanel:
         self.range = models.Range1d(start=0.0, end=1.0)
         box = models.BoxZoomTool(dimensions="width")
         wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
-        borders = {"min_border_left": 62, "min_border_right": 6, "min_border_top": 3, "min_border_bottom": 3}
+        borders: dict[str, Any] = {
+            "min_border_left": 62,
+            "min_border_right": 6,
+            "min_border_top": 3,
+            "min_border_bottom": 3,
+        }
         f = self.figure = figure(
             x_range=shared.time,
             y_range=self.range,

@@ -53,7 +53,7 @@ def read(name: str) -> Node:
 def call(tag: str, *arguments: Node | float | str) -> Node:
     """An operation of JSBSim; numbers, and properties by name."""
     node = Element(tag)
-    node.extend(read(x) if isinstance(x, str) else value(x) if isinstance(x, float) else x for x in arguments)
+    node.extend(read(x) if isinstance(x, str) else value(x) if isinstance(x, float | int) else x for x in arguments)
     return node
 
 

@@ -101,7 +101,7 @@ class Builder:
             return given[0]
         if operation == "add":  # y of x + (y - x), of which effects that replace a value consist
             for x, other in (given, given[::-1]):
-                made, (first, *rest) = self._made.get(other, ("", (None,)))
+                made, (first, *rest) = self._made.get(other, ("", ("",)))
                 if made == "sub" and rest == [x]:
                     return first
         name = self._known.setdefault((operation, given), f"t{len(self._known) + 1}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -181,7 +181,8 @@ def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str
 
 # --- From what was flown to what a faulty installation would have recorded: effects of stage CHANNEL run backwards.
 
-Values, Channels = Mapping[str, Any], Mapping[str, np.ndarray]
+Values: TypeAlias = Mapping[str, Any]
+Channels: TypeAlias = Mapping[str, np.ndarray]
 STEPS = 8
 TOLERANCE = 1e-11  # of a channel's largest value
 
@@ -225,7 +226,7 @@ class _Correction(eqx.Module):
     def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
         """The derivative at `x`, on vectors."""
         on = lambda product: lambda v: np.asarray(product(x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
-        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)
+        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
 
 
 def corrected(
