@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 60225,
-    "bayes_aero: files": 295,
-    "bayes_aero: private helpers used once": 877,
-    "bayes_aero: class names with several meanings": 33,
-    "tests: lines": 28731,
+    "bayes_aero: lines": 51865,
+    "bayes_aero: files": 272,
+    "bayes_aero: private helpers used once": 292,
+    "bayes_aero: class names with several meanings": 0,
+    "tests: lines": 28584,
     "tests: files": 131,
-    "benchmarks: lines": 5933,
+    "benchmarks: lines": 5931,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
     "CHANGELOG.md: lines": 161,
-    "docs: words": 27752,
+    "docs: words": 27782,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 
