@@ -367,8 +367,8 @@ def test_a_hidden_term_is_found_and_its_silent_twin_has_none(hfb320, fly, size):
     found, silent = (
         flown_forms(forward_selection(begun(*fly(hfb320, truth)), seed=1), seed=2) for truth in ({"Cma2": size}, {})
     )
-    (term,) = found.forms.terms
+    (term,) = found.terms
     assert (term.coefficient, term.term.name) == ("Cm", "alpha^2")
     assert abs(term.size[0] - size) < 1.96 * term.size[1]
     assert [(u.coefficient, u.channel) for u in found.unknown] == [("Cm", "alpha^2")]
-    assert silent.forms.terms == ()
+    assert silent.terms == ()
