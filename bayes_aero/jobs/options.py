@@ -171,8 +171,10 @@ class FlyOptions(Options):
     SETTINGS = ("windows", "initial_state", "priors", "inputs", "posterior", "process_noise", "frequency")
     APART = ("seed", "flight_path")
     windows: float = option(12.0, "Length of the windows that are fitted before whole manoeuvres, in s.")
-    initial_state: InitialStateName = option(
-        FREE, "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample."
+    initial_state: str = option(
+        FREE,
+        "free: fitted for each manoeuvre; fixed: initial_state of the card's section fly, or the first sample.",
+        kind=InitialStateName,
     )
     priors: bool = option(True, "--no-priors: a fit without priors of parameters and initial states.")
     outputs: Names = option(
@@ -180,9 +182,10 @@ class FlyOptions(Options):
         "Outputs to compare, e.g. alpha,q,q_dot; default: the card's, or all but q_dot.",
         metavar="NAME,NAME",
     )
-    inputs: InputsName = option(
+    inputs: str = option(
         LINEAR,
         "Inputs between samples: linear, for recorded positions; held, for commands held until the next sample.",
+        kind=InputsName,
     )
     process_noise: bool | None = option(
         None,
