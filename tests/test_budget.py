@@ -10,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51865,
+    "bayes_aero: lines": 51868,
     "bayes_aero: files": 272,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 28584,
+    "tests: lines": 28586,
     "tests: files": 131,
     "benchmarks: lines": 5931,
     "benchmarks: files": 39,
