@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51868,
+    "bayes_aero: lines": 51870,
     "bayes_aero: files": 272,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,

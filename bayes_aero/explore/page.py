@@ -427,7 +427,9 @@ class TimePanel:
         lines = [self._drawable(time, y, MOST_FAN) for y in draws]
         self.fan.update(data={"xs": [t for t, _ in lines], "ys": [y for _, y in lines]})
 
-    def _drawable(self, time: Curve, y: Curve, most: int = MOST) -> tuple[Curve, Curve]:
+    def _drawable(
+        self, time: Curve, y: Curve, most: int = MOST
+    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
         """A line in the panel's unit that a canvas can take; values of a diverged simulation are gaps."""
         y = self.factor * y
         index = extremes([y], most)
