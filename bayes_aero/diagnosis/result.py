@@ -67,8 +67,8 @@ class Cause:
     parameters: Mapping[str, Size]
     gain: Gain
     excited: bool = True
-    # Unseen data miss it when it is taken out, by the log density `missed` with its deviation, and no output is
-    # predicted worse with it; what is not confirmed stays out of the model that is flown and compared.
+    # Without it the hold-out log density falls by `missed`, with its standard error, and no output is predicted worse
+    # with it. A cause that is not confirmed stays out of the model that is simulated and compared.
     confirmed: bool = True
     missed: tuple[float, float] = (float("nan"), float("nan"))
     implausible: Mapping[str, float] = field(default_factory=dict)  # parameters beyond the largest size, with that

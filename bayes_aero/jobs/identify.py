@@ -130,7 +130,7 @@ class _Job:
             self.progress(stage, 1.0)
 
     def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
-        """What a stage returns, or None where it fails, which is told; for bad input by the form of a note `bad`."""
+        """What a stage returns, or None where it fails, with a note; for bad input by the form of a note `bad`."""
         try:
             with self.timed(name):
                 found, failed = self.attempt(left_out, do, None)

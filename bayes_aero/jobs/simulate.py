@@ -30,7 +30,7 @@ def simulate_file(
 ) -> tuple[Synthetic, dict[str, Any], tuple[str, ...]]:
     """Simulate into `out`, in the format of its suffix, and `out`.truth.json; what is written can be read again.
 
-    With `page` there is `out`.report.html, too; what of it cannot be made is told in the last item.
+    With `page` there is `out`.report.html, too; the last item states what of it could not be made.
     """
     if out.suffix.lower() not in WRITERS:
         raise InputError(f"{out}: records are written as {', '.join(WRITERS)}; choose one of these suffixes")

@@ -22,7 +22,7 @@ def answer(data, wanted, kept, most, room):
         if not wanted:
             reply["available"] = {path[:200]: _listed(dataset) for path, dataset in there.items()}
         sizes = [there[path].size or 0 for path, _ in wanted]
-        whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one too large is told below
+        whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one that is too large is refused below
         for place, (path, column) in enumerate(wanted):
             problem = TOO_MUCH if whole > room else _problem(there[path], column, most)
             if problem:
