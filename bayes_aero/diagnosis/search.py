@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
+from bayes_aero.diagnosis.accuracy import filtered_channels
+from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
+from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
@@ -21,12 +23,8 @@ from bayes_aero.diagnosis.result import (
     ParameterChange,
     UnexplainedStructure,
 )
-from bayes_aero.diagnosis.screening.accuracy import filtered_channels
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport, lag1_within
-from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, refitted
-from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
-from bayes_aero.diagnosis.selection.forward_selection import (
+from bayes_aero.diagnosis.screening import NoiseReport, lag1_within, screen
+from bayes_aero.diagnosis.selection import (
     Extension,
     SelectionStep,
     between_p_value,
@@ -35,12 +33,11 @@ from bayes_aero.diagnosis.selection.forward_selection import (
     removed,
     selected,
     sized,
+    without_hold,
 )
-from bayes_aero.diagnosis.selection.rivals import without_hold
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.components import has_chunks, offsets_left
-from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
-from bayes_aero.diagnosis.terms.forms import Forms, described, flown_forms, forms_of
+from bayes_aero.diagnosis.selection_state import SelectionState, linearised, local_fit, moved, optimum, refitted
+from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
+from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
@@ -53,15 +50,13 @@ from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_disturbed, fit_output_error
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import Flights, despiked, join, observe
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.progress import Progress
-from bayes_aero.residuals.base import WINDOW, too_few_windows
+from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 
 

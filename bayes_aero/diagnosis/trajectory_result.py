@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.result import NOT_NOISE
-from bayes_aero.diagnosis.selection.holdout import Confirmation
-from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.accuracy import Confirmation
+from bayes_aero.diagnosis.candidate_set import DEFAULT
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.dynamics.path import PathDynamics
@@ -21,6 +20,7 @@ from bayes_aero.inference.likelihood.output_error_result import OutputErrorResul
 from bayes_aero.inference.scores import OneStep
 
 START, FITTED = "start", "fitted"
+NOT_NOISE = 0.5  # share of a mean square error that noise does not make, beyond which it is more than noise
 
 
 @dataclass(frozen=True)
