@@ -14,14 +14,13 @@ from scipy import stats
 from bayes_aero.diagnosis.accuracy import LeftOut, measured_blocks, normal_draws, scores_of, truncated
 from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.design import flights_of, narrowed
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    FLIGHT_PATH,
+from bayes_aero.diagnosis.result import COEFFICIENTS, FLIGHT_PATH, Cause, CausesInBand, Diagnosis, SizeInBand
+from bayes_aero.diagnosis.screening import ScreeningResult, lag1_within, uncertainty
+from bayes_aero.diagnosis.selection import Extension, explained
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
+from bayes_aero.diagnosis.trajectory_result import (
     LEVELS,
-    Cause,
-    CausesInBand,
     Compared,
-    Diagnosis,
     DiagnosisView,
     Fitted,
     HoldoutScores,
@@ -30,13 +29,9 @@ from bayes_aero.diagnosis.result import (
     RankedCandidate,
     Ranking,
     ResidualProfile,
-    SizeInBand,
     View,
+    theil_parts,
 )
-from bayes_aero.diagnosis.screening import ScreeningResult, lag1_within, uncertainty
-from bayes_aero.diagnosis.selection import Extension, explained
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
-from bayes_aero.diagnosis.trajectory_result import theil_parts
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
 from bayes_aero.inference.frequency_result import FrequencyFit

@@ -17,9 +17,9 @@ from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
-from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis, View
+from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
 from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.trajectory_result import Trajectories
+from bayes_aero.diagnosis.trajectory_result import Trajectories, View
 from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE

@@ -12,7 +12,8 @@ import xarray as xr
 from calling import holds
 from PIL import Image
 
-from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES, DiagnosisView
+from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance import provenance

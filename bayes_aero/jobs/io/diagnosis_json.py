@@ -8,19 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    Cause,
-    CausesInBand,
-    Diagnosis,
-    DiagnosisView,
-    FoundTerm,
-    ParameterChange,
-    Ranking,
-    Tested,
-    View,
-)
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre, Trajectories
+from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, ParameterChange, Tested
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, SimulatedManoeuvre, Trajectories, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.result import View
-from bayes_aero.diagnosis.trajectory_result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
+from bayes_aero.diagnosis.trajectory_result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.identification import Identification
