@@ -260,9 +260,8 @@ class LeftOut:
         lengths = [fold.stop - fold.start for fold in state.folds]
         if len(state.responses.flights.lengths) == 1:  # blocks of one flight, one after the other: their colour runs on
             lengths = [sum(lengths)]
-        path = state.outputs != state.responses.model.coefficients and state.responses.jackknife_blocks is None
-        growth, inflation = state.noise_growth, state.variance_inflation
-        return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output=not path)
+        growth, inflation, by_output = state.noise_growth, state.variance_inflation, not state.responses.kinematic
+        return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output)
 
     def density(self) -> Float[np.ndarray, " m"]:
         """Log predictive density of every row, all outputs together."""

@@ -264,7 +264,7 @@ def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
     residual, known = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
-    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
+    apart = state.responses.separated(known)
     growth = np.zeros(residual.shape[1])
     for c, name in enumerate(state.responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
@@ -509,7 +509,5 @@ def _linearised(
     active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
     inflation = state.variance_inflation
     there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
-    X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
-    return LinearisedRecord(
-        replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates
-    )
+    apart = responses.separated(responses.evaluate(jnp.asarray(theta))[1])
+    return LinearisedRecord(replace(there, noise_growth=1.0 + noise.growth * apart[:, None]), noise, full.candidates)

@@ -243,13 +243,22 @@ class PartialledRegression:
         return np.tensordot(residual * self.weight, self.P, 2)
 
     def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation
+        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"] | None = None
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """First-order estimate and its covariance for each block."""
+        """First-order estimate and its covariance for each block: under a colour, or by how far stretches disagree,
+        whatever the colour, where that makes it less sure."""
         right = self.right(residual)
         whole = self.middle.under_each([colour], range(len(self.place)))[1]
         estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
-        return estimates, [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
+            if stretch is not None:
+                P = self.P[:, :, place]
+                rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
+                between = bread @ cluster_covariance(rows, stretch) @ bread
+                if not equivalent(estimate, covariances[j]) < equivalent(estimate, between):
+                    covariances[j] = between
+        return estimates, covariances
 
     def deviance(
         self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
@@ -277,17 +286,6 @@ class PartialledRegression:
             each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(own, meats, strict=True)]
             best = np.maximum(best, each)
         return best
-
-    def between(
-        self, residual: Float[np.ndarray, "m c"], estimates: Sequence[np.ndarray], stretch: Int[np.ndarray, " m"]
-    ) -> list[np.ndarray]:
-        """Covariance of each block's estimate from how far the stretches disagree about it, whatever the colour."""
-        found = []
-        for place, bread, estimate in zip(self.place, self.bread, estimates, strict=True):
-            P = self.P[:, :, place]
-            rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
-            found.append(bread @ cluster_covariance(rows, stretch) @ bread)
-        return found
 
     def apart(
         self,
@@ -353,7 +351,7 @@ def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarr
     if not set(state.outputs) & set(coefficients):
         return np.ones_like(state.residual)
     _, known = state.responses.evaluate(state.theta)
-    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
+    apart = state.responses.separated(known)
     residual = state.left(fit) * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
     noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
@@ -448,12 +446,8 @@ def screen(
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = without_active(state, fit, colour.coloured(noise.correction, state.folds, len(residual)))
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
-    estimates, covariances = projected.scores(residual, colour)
-    stretch = state.responses.stretch
-    freedom = 0 if stretch is None else int(stretch.max())
-    if stretch is not None:
-        pairs = zip(estimates, covariances, projected.between(residual, estimates, stretch), strict=True)
-        covariances = [C if equivalent(b, C) < equivalent(b, W) else W for b, C, W in pairs]
+    stretch, freedom = state.responses.stretch, state.responses.freedom
+    estimates, covariances = projected.scores(residual, colour, stretch)
     gains = _gains(state, fit, [b[1] for b in blocks])
     before = projected.deviance(residual)
     away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
@@ -576,6 +570,29 @@ def block_jackknife_covariance(
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     moves = np.array([inverse(whole - information) @ right for information, right in parts])
     return columns, jackknife_covariance(moves)
+
+
+def jackknife_errors(
+    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"] | None
+) -> Float[np.ndarray, " k"]:
+    """Standard error of each of the fit's columns by `block_jackknife_covariance`, less than which none is; zero where
+    there are no `blocks`."""
+    found = np.zeros(len(fit.columns))
+    if blocks is not None:
+        columns, covariance = block_jackknife_covariance(state, fit)
+        found[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
+    return found
+
+
+def jackknife_p_value(
+    state: SelectionState, fit: RegressionFit, columns: Int[np.ndarray, " k"], size: Float[np.ndarray, " k"], among: int
+) -> float:
+    """p-value of an addition of this `size` by how far it moves without each block, Bonferroni over `among`."""
+    own, covariance = block_jackknife_covariance(state, fit)
+    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
+    blocks = state.responses.jackknife_blocks
+    assert blocks is not None
+    return largest_p_value(size, covariance[np.ix_(at, at)], int(blocks.max()), among)
 
 
 # --- A candidate judged under the colour that is left once it is in.

@@ -17,8 +17,8 @@ from bayes_aero.diagnosis.screening import (
     RefitScore,
     ScreeningResult,
     SharedNoise,
-    block_jackknife_covariance,
-    largest_p_value,
+    jackknife_errors,
+    jackknife_p_value,
     log_bayes,
     noise_growth_of,
     null_scores,
@@ -183,7 +183,7 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
     if state.outputs == coefficients:
         reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
         return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
-    if state.responses.jackknife_blocks is None:
+    if state.responses.kinematic:
         return ()
     own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
     return tuple(n for n in coefficients if constant_of(n) in own)
@@ -192,12 +192,9 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
 def sized(found: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
     state, fit = found.state, found.fit
-    known = sizes(state, fit)
-    if state.responses.stretch is not None:  # no deviation is smaller than estimates without each stretch scatter
-        columns, covariance = block_jackknife_covariance(state, fit)
-        names, sd = state.full.model.names, np.sqrt(np.diag(covariance))
-        wide = {names[c]: float(x) for c, x in zip(columns, sd, strict=True) if c < len(names)}
-        known = {name: replace(size, sd=max(size.sd, wide[name])) for name, size in known.items()}
+    names, errors = state.full.model.names, jackknife_errors(state, fit, state.responses.stretch)
+    least = {names[c]: float(x) for c, x in zip(fit.columns, errors, strict=True) if c < len(names)}
+    known = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
     causes, minor = worth(state, fit, known)
     return replace(found, sizes=known, causes=causes, minor=minor)
 
@@ -246,7 +243,7 @@ def _election(
         p = found.p_value(standing.score)
         if p <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, found, gain)
-    if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
+    if not state.responses.stationary:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
             p = between_p_value(*wider, standing.effect, len(found.candidate_scores))
@@ -270,11 +267,7 @@ def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, amon
     columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    away = wider.departure[columns]
-    own, covariance = block_jackknife_covariance(wider, fit)
-    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
-    freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    return largest_p_value(away, covariance[np.ix_(at, at)], freedom, among)
+    return jackknife_p_value(wider, fit, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:

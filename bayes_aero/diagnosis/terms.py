@@ -33,9 +33,9 @@ from bayes_aero.diagnosis.screening import (
     ScreeningResult,
     SharedNoise,
     autocorrelation_of,
-    block_jackknife_covariance,
     inflation_along,
-    largest_p_value,
+    jackknife_errors,
+    jackknife_p_value,
     screen,
     uncertainty,
 )
@@ -187,11 +187,10 @@ def sized(state: SelectionState, found: Sequence[SelectedTerm]) -> tuple[FoundTe
     """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(found))
     fit = whole.fit()
-    deviation = np.sqrt(np.diag(uncertainty(whole, fit)))[len(fit.columns) - len(found) :]
-    if state.responses.jackknife_blocks is not None:  # no smaller than the estimates without each part scatter
-        between = np.sqrt(np.diag(block_jackknife_covariance(whole, fit)[1]))
-        deviation = np.maximum(deviation, between[len(between) - len(found) :])
-    rows = zip(found, fit.step[len(fit.columns) - len(found) :], deviation, strict=True)
+    errors = jackknife_errors(whole, fit, state.responses.jackknife_blocks)
+    deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
+    own = slice(len(fit.columns) - len(found), None)
+    rows = zip(found, fit.step[own], deviation[own], strict=True)
     return tuple(
         FoundTerm(
             coefficient=one.column.component.coefficient,
@@ -274,10 +273,8 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
     # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
     # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
     # library.
-    blocks, wider = trial.responses.jackknife_blocks, trial.fit_columns(wide)
-    assert blocks is not None
-    covariance = block_jackknife_covariance(trial, wider)[1]
-    return largest_p_value(wider.step[-1:], covariance[-1:, -1:], int(blocks.max()), among)
+    wider = trial.fit_columns(wide)
+    return jackknife_p_value(trial, wider, own, wider.step[-1:], among)
 
 
 def _weighed(

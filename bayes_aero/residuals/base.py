@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +23,8 @@ from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral,
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
+FLIGHT_PATH = "flight path"  # with what a model is compared: kinematics alone, which knows sensors and winds
+COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # or the model itself
 
 
 class ResidualModel(ABC):
@@ -33,6 +35,8 @@ class ResidualModel(ABC):
 
     flights: Flights
     model: Model
+    stage: ClassVar[str]  # with what the model is compared
+    kinematic: ClassVar[bool] = False  # the flight path alone: of its errors the coefficients say what they make worse
 
     def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
         """The same model on flights with these channels."""
@@ -65,6 +69,16 @@ class ResidualModel(ABC):
         return None
 
     @property
+    def stationary(self) -> bool:
+        """Whether an autoregression describes the residuals' noise."""
+        return self.stretch is None
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the scatter between stretches; 0 where residuals are stationary."""
+        return 0 if self.stretch is None else int(self.stretch.max())
+
+    @property
     def jackknife_blocks(self) -> Int[np.ndarray, " m"] | None:
         """The part of the flights of each block, where terms are judged by how far they move when a part is left out;
         None where the residual's colour tells."""
@@ -74,6 +88,10 @@ class ResidualModel(ABC):
     def averaged(self) -> int:
         """Samples of which each residual is the mean."""
         return FILTER_STEP
+
+    def separated(self, signals: Mapping[str, AnyArray]) -> Float[np.ndarray, " m"]:
+        """Separated share of the flow, 1 - X, of each block, with which noise grows."""
+        return 1.0 - np.asarray(self.block(signals["X"]))
 
     @abstractmethod
     def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
@@ -251,6 +269,8 @@ class FlightPathError(Blockwise):
     flights: Flights
     model: Model
     path: tuple[str, ...]
+    stage = FLIGHT_PATH
+    kinematic = True
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -28,7 +28,15 @@ from bayes_aero.model.observations import Flights, response_scales
 from bayes_aero.physics.coefficients import stacked_coefficients
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.flightpath import LATERAL, PATH
-from bayes_aero.residuals.base import AddedSeries, Blockwise, Made, ResidualModel, differences, flight_path
+from bayes_aero.residuals.base import (
+    COEFFICIENTS,
+    AddedSeries,
+    Blockwise,
+    Made,
+    ResidualModel,
+    differences,
+    flight_path,
+)
 from bayes_aero.units import number
 
 DIRECTIONS_AT_ONCE = 4  # most calls need no more, and larger ones are no slower
@@ -47,6 +55,7 @@ class EquationError(Blockwise, eqx.Module):
     model: Model = eqx.field(static=True)
     measuring: tuple[int, ...] = eqx.field(static=True)  # parameters on which the measured coefficients depend
     path: tuple[str, ...] = eqx.field(static=True)  # flight-path outputs
+    stage = COEFFICIENTS
 
     @classmethod
     def of(cls, flights: Flights, model: Model) -> EquationError:

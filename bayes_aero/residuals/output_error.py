@@ -35,7 +35,15 @@ from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Flights
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, WINDOW, AddedSeries, Made, ResidualModel
+from bayes_aero.residuals.base import (
+    DIRECTIONS_PER_CALL,
+    INNOVATIONS,
+    TRAJECTORIES,
+    WINDOW,
+    AddedSeries,
+    Made,
+    ResidualModel,
+)
 
 # --- Output error: recorded minus simulated channels, in windows with an initial state each.
 # It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
@@ -48,6 +56,7 @@ class OutputError(ResidualModel, eqx.Module):
     windows: SegmentTrajectories
     place: Int[np.ndarray, " m"]  # indices of the complete blocks
     model: Model = eqx.field(static=True)
+    stage = TRAJECTORIES
 
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
@@ -168,6 +177,7 @@ class FilterError(OutputError):
     # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     by: Observer
+    stage = INNOVATIONS
     stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
     averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
 

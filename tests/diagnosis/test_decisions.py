@@ -140,9 +140,8 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
         monkeypatch.setattr(accuracy, "truncated", lambda state, effects: (state, effects))
-        parts = np.arange(n) if compared == "innovations" else None
         responses = SimpleNamespace(
-            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
+            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), kinematic=compared == "flight path",
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
         found = accuracy.confirmation(part(
