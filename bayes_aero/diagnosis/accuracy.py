@@ -58,24 +58,24 @@ class Size:
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
     """Parameters (1/e for one of infinite neutral value) with an estimate beyond the largest plausible size; that."""
-    found = {}
+    exceeded = {}
     for p in (p for p in effect.parameters if p.name in effect.sizes and p.name in sizes):
         largest = effect.sizes[p.name][1]
         if abs(p.away(sizes[p.name].mean, sizes[p.name].sd)[0]) > largest:
-            found[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
-    return found
+            exceeded[p.name if math.isfinite(p.neutral) else f"1/{p.name}"] = largest
+    return exceeded
 
 
 def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
     """Whether a candidate would be `implausible` at its first-order estimate, or at the value at which it was tried."""
     if standing.value is None:
-        told = {
+        sizes = {
             p.name: Size(p.neutral + x, 0.0, p.unit) for p, x in zip(effect.parameters, standing.step, strict=False)
         }
     else:
         tried = next(name for name, values in effect.scan.items() if standing.value in values)
-        told = {tried: Size(standing.value, 0.0, "")}
-    return bool(implausible(effect, {n: size for n, size in told.items() if math.isfinite(size.mean)}))
+        sizes = {tried: Size(standing.value, 0.0, "")}
+    return bool(implausible(effect, {n: size for n, size in sizes.items() if math.isfinite(size.mean)}))
 
 
 def recording_noise(flights: Flights) -> dict[str, float]:
@@ -86,14 +86,14 @@ def recording_noise(flights: Flights) -> dict[str, float]:
 def filtered_channels(flights: Flights) -> tuple[str, ...]:
     """Channels behind the regressors whose noise was filtered before it was recorded, so that it cannot be read off."""
     # Third differences of white noise have a lag-1 correlation of -0.75; what is filtered, or motion, has not.
-    found = []
+    filtered = []
     for name in (name for name in REGRESSORS if name in flights.recorded):
         rough = np.concatenate([np.diff(part, 3) for part in by_manoeuvre(np.asarray(flights.channels[name]), flights)])
         limit = 5.0 * np.median(np.abs(rough))
         inside = np.clip(rough, -limit, limit)
         if limit > 0.0 and np.corrcoef(inside[1:], inside[:-1])[0, 1] > FILTERED:
-            found.append(name)
-    return tuple(found)
+            filtered.append(name)
+    return tuple(filtered)
 
 
 def noise_effect(
@@ -138,8 +138,8 @@ def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1)
     Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables)."""
     flights, rng = state.responses.flights, np.random.default_rng(seed)
     parameters = fit.columns < len(state.theta)
-    at, own = fit.columns[parameters], state.full.own_columns(*state.active)
-    covariance = inverse(fit.normal)[np.isin(fit.columns, own)]
+    at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
+    covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
     keep = state.kept_outputs
     S, weight = state.scaled[state.inside][:, :, fit.columns], 1.0 / fit.variance
     biases, added = [], []
@@ -165,10 +165,10 @@ def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1)
         size = float(np.max(np.abs(row)))
         if size == 0.0:
             return 0.0
-        found = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
-        return float(size * found) if found is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
+        value = linprog(row / size, limits, np.ones(len(limits)), bounds=most).fun
+        return float(size * value) if value is not None else float(np.minimum(row, 0.0) @ np.array(most)[:, 1])
 
-    names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, own)]]
+    names = [state.full.model.names[column] for column in fit.columns[np.isin(fit.columns, additions)]]
     return {name: (least(row), -least(-row)) for name, row in zip(names, np.array(biases).T / scale, strict=True)}
 
 
@@ -198,13 +198,15 @@ def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
     variance = np.maximum(np.diag(uncertainty(state, fit)), 0.0)
     bias, spread = noise_effect(state, fit)
     deviation = np.sqrt(np.maximum(variance, spread**2) + bias**2)
-    found, free = {}, state.full.model.free
+    estimates, free = {}, state.full.model.free
     for c, shift, sd in zip(fit.columns, bias, deviation, strict=True):
         if c < len(free):
             mean, (low, high) = state.theta[c], free[c].bounds
             at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)
-            found[free[c].name] = Size(float(np.clip(mean - shift, low, high)), float(sd), free[c].unit, bool(at_bound))
-    return found
+            estimates[free[c].name] = Size(
+                float(np.clip(mean - shift, low, high)), float(sd), free[c].unit, bool(at_bound)
+            )
+    return estimates
 
 
 # --- What an extension gains on data that it was not fitted to, however the model meets the record.
@@ -318,16 +320,16 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
         used = np.unique(np.concatenate([columns, state.offsets]))
         products, mean, precision = state.products.only(used), state.mean[used], state.precision[used]
         columns, offsets = (np.searchsorted(used, own) for own in (columns, state.offsets))
-        parameters, found = ~np.isin(columns, offsets), []
+        parameters, deviances = ~np.isin(columns, offsets), []
         for fold in range(len(state.folds)):
             step = products.without(fold).fit(columns, mean, precision).step
             left = products.over([fold]).shifted(columns[parameters], step[parameters])
             n = float(left.count.sum())
             if len(offsets):
-                found.append(left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance)
+                deviances.append(left.fit(offsets, np.zeros_like(mean), np.zeros_like(mean)).deviance)
             else:
-                found.append(float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n))))
-        return float(np.sum(found))
+                deviances.append(float(n * np.sum(np.log(left.gram[0, :, 0, 0] / n))))
+        return float(np.sum(deviances))
 
     return deviance(state.columns() if narrow is None else narrow) - deviance(wide)
 
@@ -373,12 +375,12 @@ def integrated_deviance(
     everything, card = columns
     others = products.without(fold).fit(everything, *prior)
     at = np.flatnonzero(~np.isin(everything, card))
-    told = 1.0 / np.diag(inverse(others.normal))[at]
+    precision_elsewhere = 1.0 / np.diag(inverse(others.normal))[at]
     mean, precision = (x.copy() for x in prior)
-    mean[everything[at]], precision[everything[at]] = others.step[at], told
-    own = products.over([fold]).fit(everything, mean, precision)
-    narrowed = 1.0 / np.diag(inverse(own.normal))[at] / told
-    return own.deviance + inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
+    mean[everything[at]], precision[everything[at]] = others.step[at], precision_elsewhere
+    posterior = products.over([fold]).fit(everything, mean, precision)
+    narrowed = 1.0 / np.diag(inverse(posterior.normal))[at] / precision_elsewhere
+    return posterior.deviance + inflation * float(np.sum(np.log(np.maximum(narrowed, 1.0))))
 
 
 # --- Which additions unseen data confirm.
@@ -414,8 +416,8 @@ def backward_elimination(
     def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
         return whole.gain(without) if without.flyable else (np.inf, 0.0)
 
-    def less(effects: Sequence[str], one: str) -> list[str]:
-        return [e for e in effects if e != one]
+    def less(effects: Sequence[str], gone: str) -> list[str]:
+        return [e for e in effects if e != gone]
 
     plain = settings.hold_out_first_order
     kept, missed, waiting = list(additions), {}, list(additions)

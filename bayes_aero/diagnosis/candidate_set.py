@@ -245,8 +245,8 @@ def candidate_model(
 
 def noise_channels(flights: Flights) -> tuple[str, ...]:
     """Recorded channels that are white noise about a constant: the sideslip of a flight without any."""
-    found = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
-    return tuple(n for n, x in found.items() if noise_alone(x, *by_manoeuvre(x, flights)))
+    channels = {n: np.asarray(x) for n, x in flights.channels.items() if n in STANDARD_CHANNELS and n != "time"}
+    return tuple(n for n, x in channels.items() if noise_alone(x, *by_manoeuvre(x, flights)))
 
 
 def moves(x: Any, flights: Flights, least: float = 1e-9) -> bool:
@@ -266,14 +266,14 @@ def by_manoeuvre(x: np.ndarray, flights: Flights) -> list[np.ndarray]:
 def _rests_on(noise: Sequence[str], effect: Effect, flights: Flights) -> tuple[str, ...]:
     """The noise alone that an effect makes what it makes of; empty where something else moves it, or nothing does."""
     # A scale of a sideslip that nobody flew would be fitted to the noise of the vane. A bias needs no movement.
-    own = tuple(n for n in effect.channels if n in noise)
+    noisy = tuple(n for n in effect.channels if n in noise)
     of_others = bool(effect.uses) or Stage.CHANNEL < effect.stage < Stage.ATTACHED  # what others make, it needs
-    if not own or of_others or not set(effect.channels) <= set(flights.channels):
+    if not noisy or of_others or not set(effect.channels) <= set(flights.channels):
         return ()
-    parts = {n: by_manoeuvre(np.asarray(flights.channels[n], float), flights) for n in own}
+    parts = {n: by_manoeuvre(np.asarray(flights.channels[n], float), flights) for n in noisy}
     calm = {n: np.concatenate([np.full_like(x, x.mean()) for x in each]) for n, each in parts.items()}
     there = _varies(_made(effect, flights, {}), flights)
-    return own if there and not _varies(_made(effect, flights, calm), flights) else ()
+    return noisy if there and not _varies(_made(effect, flights, calm), flights) else ()
 
 
 def _made(effect: Effect, flights: Flights, instead: Mapping[str, np.ndarray]) -> list[np.ndarray]:

@@ -173,8 +173,8 @@ def library(
     """
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
     factors = [*quantities, *([SEPARATED] if separated else [])]
-    found = [ProductTerm(t) for k in range(1, MOST_FACTORS + 1) for t in combinations_with_replacement(factors, k)]
-    terms = [t for t in found if t.factors.count(SEPARATED) <= 1]
+    products = [ProductTerm(t) for k in range(1, MOST_FACTORS + 1) for t in combinations_with_replacement(factors, k)]
+    terms = [t for t in products if t.factors.count(SEPARATED) <= 1]
     for q in quantities:
         x = q.evaluate(signals, aircraft)
         if q.name in CURVED:
@@ -227,12 +227,12 @@ def smooth_components(state: SelectionState) -> list[Component]:
     signals, flights, knots = state.responses.evaluate(state.theta)[1], state.responses.flights, state.settings.knots
     skipped = (*SKIPPED, *noise_channels(flights))
     names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
-    found = []
+    components = []
     for name in (n for n in names if moves(signals[n], flights, 1e-6)):
         x = np.asarray(state.responses.block(signals[name]))
         either, even = (_smooth(y, knots) for y in (x, np.abs(x) if name in ODD else x))
-        found += _in_each(state, name, {c: either if c in LATERAL else even for c in state.outputs})
-    return found
+        components += _in_each(state, name, {c: either if c in LATERAL else even for c in state.outputs})
+    return components
 
 
 def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
@@ -247,14 +247,14 @@ def _smooth(x: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, "m w"]:
 def periodic_components(state: SelectionState) -> list[Component]:
     """A sinusoid of each period and free phase in each manoeuvre, in each coefficient."""
     elapsed = np.asarray(state.responses.block(state.responses.flights.channels["elapsed"]))
-    manoeuvre, seconds, found = state.responses.manoeuvre, state.responses.seconds, []
+    manoeuvre, seconds, components = state.responses.manoeuvre, state.responses.seconds, []
     longest = np.bincount(manoeuvre).min() * seconds  # of which every manoeuvre shows a whole one
     for period in (period for period in PERIODS if 4.0 * seconds <= period <= longest):
         phase = 2.0 * np.pi * elapsed / period
         wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
         basis = np.concatenate([wave * (manoeuvre == k)[:, None] for k in range(int(manoeuvre[-1]) + 1)], axis=1)
-        found += _in_each(state, f"{OVER_TIME}{period:.3g} s", dict.fromkeys(state.outputs, basis))
-    return found
+        components += _in_each(state, f"{OVER_TIME}{period:.3g} s", dict.fromkeys(state.outputs, basis))
+    return components
 
 
 def is_periodic(component: Component) -> bool:
@@ -264,12 +264,12 @@ def is_periodic(component: Component) -> bool:
 
 def _in_each(state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]]) -> list[Component]:
     """Components that act on one coefficient each."""
-    found = []
-    for coefficient, own in columns.items():
-        basis = np.zeros((len(own), len(state.outputs), own.shape[1]))
-        basis[:, state.outputs.index(coefficient)] = own
-        found.append(Component(coefficient, channel, basis))
-    return found
+    components = []
+    for coefficient, column in columns.items():
+        basis = np.zeros((len(column), len(state.outputs), column.shape[1]))
+        basis[:, state.outputs.index(coefficient)] = column
+        components.append(Component(coefficient, channel, basis))
+    return components
 
 
 def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
@@ -280,15 +280,15 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     folds, constants = chunks(state), manoeuvre_constants
     manoeuvre = state.responses.manoeuvre
     components = [Component(c, "manoeuvre", constants(manoeuvre, state.outputs, c)[:, :, 1:]) for c in left]
-    whole, found = state.with_components(components, (), folds), []
+    whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
         if trial.share < state.settings.unnamed_share or trial.gain <= 0.0:
             continue
         null = null_shares(whole, trial.colour, trial.fit.variance, seed)
         if chance_of(trial.share, null) <= state.settings.unnamed_false_alarm_rate:
-            found.append(component.coefficient)
-    return tuple(found)
+            differing.append(component.coefficient)
+    return tuple(differing)
 
 
 # --- The folds by which components must predict.
@@ -318,16 +318,16 @@ def in_batches(state: SelectionState, components: Sequence[Component], folds: Se
     """The components in as few sets as memory allows: inner products of all columns grow with their number squared."""
     each = 8.0 * len(folds) * state.residual.shape[1]  # bytes of one pair of columns
     most = max(int(np.sqrt(BYTES / each)) - state.S.shape[2], 1)
-    found: list[list[Component]] = [[]]
+    batches: list[list[Component]] = [[]]
     width = 0
     for component in components:
         wide = component.basis.shape[2]
-        if found[-1] and width + wide > most:
-            found.append([])
+        if batches[-1] and width + wide > most:
+            batches.append([])
             width = 0
-        found[-1].append(component)
+        batches[-1].append(component)
         width += wide
-    return found
+    return batches
 
 
 class Trial:
@@ -423,9 +423,10 @@ def polynomials(state: SelectionState, coefficient: str) -> list[Component]:
     alpha, *others = (q for q in QUANTITIES if q is not THRUST and all(map(able, q.channels)))
     if alpha.name != "alpha":
         return []
-    own = [q for q in others if q.lateral == lateral]
+    factors = [q for q in others if q.lateral == lateral]
     of = {
-        f"{q.name} times a polynomial of alpha": [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)] for q in own
+        f"{q.name} times a polynomial of alpha": [ProductTerm((alpha,) * k + (q,)) for k in range(DEGREES)]
+        for q in factors
     }
     of |= {} if lateral else {"a polynomial of alpha": [ProductTerm((alpha,) * k) for k in range(2, 2 + DEGREES)]}
     wanted = [t for terms in of.values() for t in terms]
@@ -438,26 +439,26 @@ def _apart(state: SelectionState, basis: Float[np.ndarray, "m c w"]) -> Float[np
     """What the parameters that are in leave of powers, apart from one another, each of unit root mean square."""
     deviation = np.std(state.residual / state.noise_growth, axis=0)[:, None]
     inside = state.columns()
-    own = state.S[:, :, inside[inside < len(state.theta)]]
-    X, B = ((x / deviation)[:, np.any(basis != 0.0, axis=(0, 2))].reshape(-1, x.shape[2]) for x in (basis, own))
+    S = state.S[:, :, inside[inside < len(state.theta)]]
+    X, B = ((x / deviation)[:, np.any(basis != 0.0, axis=(0, 2))].reshape(-1, x.shape[2]) for x in (basis, S))
     B = B / np.maximum(np.sqrt(np.sum(B**2, axis=0)), 1e-300)
     U, size, _ = np.linalg.svd(X - B @ np.linalg.lstsq(B, X, rcond=1e-10)[0], full_matrices=False)
     U = U[:, size > 1e-6 * np.sqrt(np.sum(X**2, axis=0)).max()]
-    found = np.zeros((*basis.shape[:2], U.shape[1]))
-    found[:, np.any(basis != 0.0, axis=(0, 2))] = np.sqrt(len(U)) * U.reshape(len(basis), -1, U.shape[1])
-    return found * deviation / np.median(deviation)
+    apart = np.zeros((*basis.shape[:2], U.shape[1]))
+    apart[:, np.any(basis != 0.0, axis=(0, 2))] = np.sqrt(len(U)) * U.reshape(len(basis), -1, U.shape[1])
+    return apart * deviation / np.median(deviation)
 
 
 def term_of(state: SelectionState, effect: str) -> TermColumn | None:
     """The term of one coefficient that an effect of one parameter is, by another name; None where it is none."""
-    one = next(e for e in state.full.model.effects if e.name == effect)
-    acts_on = {name.removesuffix("_attached") for name in one.example.increments}
-    if len(one.parameters) > 1 or len(acts_on) > 1 or not acts_on <= set(state.responses.model.coefficients):
+    of_catalogue = next(e for e in state.full.model.effects if e.name == effect)
+    acts_on = {name.removesuffix("_attached") for name in of_catalogue.example.increments}
+    if len(of_catalogue.parameters) > 1 or len(acts_on) > 1 or not acts_on <= set(state.responses.model.coefficients):
         return None
     (coefficient,) = acts_on
-    found = columns_of(state, coefficient)
-    alike = [likeness(state, [effect], column) for column in found]
-    return found[int(np.argmax(alike))] if max(alike, default=0.0) > SAME else None
+    columns = columns_of(state, coefficient)
+    alike = [likeness(state, [effect], column) for column in columns]
+    return columns[int(np.argmax(alike))] if max(alike, default=0.0) > SAME else None
 
 
 def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) -> float:

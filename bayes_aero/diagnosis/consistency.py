@@ -75,21 +75,21 @@ def consistency(
         return Consistency(why)
     flights = _flights(records, card)
     unchecked = tuple(n for n in ("altitude", "beta", "phi") if n not in flights.channels)
-    found = Consistency("", unchecked, checks(flights, card, seed))
+    report = Consistency("", unchecked, checks(flights, card, seed))
     if known is None:
-        if found.agreement is Agreement.AGREE or not seek:
-            return found
+        if report.agreement is Agreement.AGREE or not seek:
+            return report
         try:
             known = errors_of_path(screen_sensor_errors(list(records), card, seed=seed))
         except InputError as reason:
-            return replace(found, unsought=str(reason))
-    found = replace(found, errors=known.errors, open=known.open)
-    if found.agreement is Agreement.AGREE or not known.effects:
-        return found
+            return replace(report, unsought=str(reason))
+    report = replace(report, errors=known.errors, open=known.open)
+    if report.agreement is Agreement.AGREE or not known.effects:
+        return report
     # Where the sensors disagree, they are checked again without the errors that are known.
     values = {p: x["mean"] for e in known.errors.values() for p, x in e["parameters"].items()}
     corrected = with_corrections(flights, Model.of(known.effects, axes=tuple(Axis)), values)
-    return replace(found, corrected=checks(corrected, card, seed))
+    return replace(report, corrected=checks(corrected, card, seed))
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
@@ -101,30 +101,37 @@ def errors_of_path(known: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
     # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     # estimated together with such a one is no error by itself, either.
-    named = {e.name: e for one in (known, *known.larger) for e in one.state.full.candidates}
+    named = {e.name: e for extension in (known, *known.larger) for e in extension.state.full.candidates}
     joint, out = correlated(known, known.state.active), without_hold(known)
-    alone = [(one, name, with_) for one in (known, *known.larger) for name, with_ in without_hold(one).items() if with_]
+    alone = [
+        (extension, name, with_)
+        for extension in (known, *known.larger)
+        for name, with_ in without_hold(extension).items()
+        if with_
+    ]
     unheld = {name for _, name, _ in alone}
-    found = [named[name] for name in (*known.causes, *known.minor) if name not in out]
-    plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in found}
+    effects = [named[name] for name in (*known.causes, *known.minor) if name not in out]
+    plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
     undecided = []
-    for one, name, partners in alone:
+    for extension, name, partners in alone:
         (p, *_), joint_ = named[name].parameters, dict(partners)
-        x = one.sizes[p.name]
+        x = extension.sizes[p.name]
         undecided.append(OpenError(name, p.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, joint_))
     undecided += [e for e in open_errors(known) if e.name not in unheld]
-    return KnownErrors(tuple(found), plain, tuple(undecided))
+    return KnownErrors(tuple(effects), plain, tuple(undecided))
 
 
-def errors_of_diagnosis(found: Diagnosis) -> KnownErrors:
+def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     """Errors of the record that a diagnosis has confirmed; those that it names, it does not call undecided, too."""
-    named = {e.name: e for e in found.aerodynamics.state.full.model.effects}
-    causes = {c.name: c for c in found.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
-    told = {c.name for c in (*found.causes, *found.beyond)}
+    named = {e.name: e for e in diagnosis.aerodynamics.state.full.model.effects}
+    causes = {c.name: c for c in diagnosis.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
+    named_causes = {c.name for c in (*diagnosis.causes, *diagnosis.beyond)}
     return KnownErrors(
         tuple(named[name] for name in causes),
         {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
-        () if found.sensors is None else tuple(e for e in open_errors(found.sensors) if e.name not in told),
+        ()
+        if diagnosis.sensors is None
+        else tuple(e for e in open_errors(diagnosis.sensors) if e.name not in named_causes),
     )
 
 
@@ -146,8 +153,8 @@ def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict
     if no_flight_path(records, card):  # then none are known
         return {}
     flights = _flights(records, card)
-    found = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
-    return {name: gusts for name, gusts in found.items() if gusts > CALM}
+    gusts_by_record = {name: gusts_met(time, channels, card, seed) for name, time, channels in _manoeuvres(flights)}
+    return {name: gusts for name, gusts in gusts_by_record.items() if gusts > CALM}
 
 
 def _manoeuvres(flights: Flights) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
@@ -190,15 +197,15 @@ def check_sensors(
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
-        found = forward_selection(state, seed=seed, checked=checked)
-        return widened(found, found.state, found.fit)
+        extension = forward_selection(state, seed=seed, checked=checked)
+        return widened(extension, extension.state, extension.fit)
 
-    first = found = selected(())
+    first = extension = selected(())
     out: tuple[str, ...] = ()
-    while found.implausible:
-        out = (*out, *without_hold(found))
-        found = replace(selected(out), too_large=found)
-    return found if found is first or nats_gained(first, found) > -full.settings.decisive else first
+    while extension.implausible:
+        out = (*out, *without_hold(extension))
+        extension = replace(selected(out), too_large=extension)
+    return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
 
 def screen_sensor_errors(records: list[FlightRecord], card: Card, *, seed: int = 0) -> Extension:
@@ -330,23 +337,23 @@ def consistent_across_blocks(state: SelectionState, fit: RegressionFit) -> tuple
     return state, fit
 
 
-def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
+def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> Extension:
     """The extension that ended in `state`, deviations no smaller than the stretches' disagreement makes them."""
     judged = Blocks(state, fit)
-    known = dict(found.sizes) if state is found.state else sizes(state, fit)
+    estimates = dict(extension.sizes) if state is extension.state else sizes(state, fit)
     for effect in state.active:
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
-        known |= {n: replace(known[n], sd=max(known[n].sd, float(x))) for n, x in wide if n in known}
+        estimates |= {n: replace(estimates[n], sd=max(estimates[n].sd, float(x))) for n, x in wide if n in estimates}
     last = screen(state, fit, seed=0, nulls=False)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
     )
     closing = SelectionStep(None, float("nan"), replace(last, candidate_scores=scores), float("nan"))
-    causes, minor = worth(state, fit, known)
-    steps = (*found.steps, closing)
-    return replace(found, state=state, fit=fit, steps=steps, sizes=known, causes=causes, minor=minor)
+    causes, minor = worth(state, fit, estimates)
+    steps = (*extension.steps, closing)
+    return replace(extension, state=state, fit=fit, steps=steps, sizes=estimates, causes=causes, minor=minor)
 
 
 # --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
@@ -356,28 +363,28 @@ def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Exte
 # of them.
 
 
-def open_errors(found: Extension) -> tuple[OpenError, ...]:
+def open_errors(extension: Extension) -> tuple[OpenError, ...]:
     """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
 
     One that was added and is beyond absence, estimated with all others, is decided.
 
     Args:
-        found: the search along the flight path, ended by `widened`.
+        extension: the search along the flight path, ended by `widened`.
     """
-    state, settings = found.state, found.state.settings
-    effects, columns, gram, right = _information_of_errors(state, found.fit)
+    state, settings = extension.state, extension.state.settings
+    effects, columns, gram, right = _information_of_errors(state, extension.fit)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
     covariance = inverse(gram + np.diag(state.precision[columns]))
     among = np.sqrt(state.variance_inflation * np.diag(covariance))
     jointly = covariance @ (right + gram @ state.departure[columns])
-    screening = found.steps[-1].screening
-    told = []
+    screening = extension.steps[-1].screening
+    undecided = []
     for place, effect in enumerate(effects):
         parameter = effect.parameters[0]
         least, _ = effect.sizes[parameter.name]
         standing = None if effect.name in state.active else screening.of(effect.name)
         if standing is None:
-            mean, sd, asked = found.sizes[parameter.name].mean, found.sizes[parameter.name].sd, False
+            mean, sd, asked = extension.sizes[parameter.name].mean, extension.sizes[parameter.name].sd, False
         else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
             mean, sd = float(standing.step[0]), float(standing.sd[0])
             clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
@@ -385,15 +392,16 @@ def open_errors(found: Extension) -> tuple[OpenError, ...]:
         wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
         imitators, share = next(
-            (one for one in _nearest(gram, effects, place, settings, there) if one[1] >= settings.imitated), ((), 0.0)
+            (pair for pair in _nearest(gram, effects, place, settings, there) if pair[1] >= settings.imitated),
+            ((), 0.0),
         )
         decided = standing is None and abs(jointly[place]) >= settings.least_score * wide
         if decided or settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
         if asked or imitators:
-            told.append(OpenError(effect.name, parameter.unit, mean, sd, wide, asked, imitators, share))
+            undecided.append(OpenError(effect.name, parameter.unit, mean, sd, wide, asked, imitators, share))
     rank = {standing.effect: k for k, standing in reversed(list(enumerate(screening.candidate_scores)))}
-    return tuple(sorted(told, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
+    return tuple(sorted(undecided, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
 
 
 def _information_of_errors(

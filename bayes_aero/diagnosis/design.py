@@ -51,18 +51,18 @@ class Ambiguity:
         """In words."""
         return " or ".join(self.effects)
 
-    def pairs(self, told: Information) -> list[float]:
+    def pairs(self, information: Information) -> list[float]:
         """Deviations of each pair, the lesser of both directions."""
-        found = told.without(self.foreign).deviations(self.signals)
-        return [float(min(found[a, b], found[b, a])) for a, b in combinations(self.effects, 2)]
+        deviations = information.without(self.foreign).deviations(self.signals)
+        return [float(min(deviations[a, b], deviations[b, a])) for a, b in combinations(self.effects, 2)]
 
-    def deviations(self, told: Information) -> float:
+    def deviations(self, information: Information) -> float:
         """By which the closest pair differs."""
-        return min(self.pairs(told))
+        return min(self.pairs(information))
 
-    def information(self, told: Information) -> float:
+    def information(self, information: Information) -> float:
         """Nats, the mean of all pairs, each until it is decided."""
-        return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(told)]))
+        return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(information)]))
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Variant:
 
     manoeuvre: str
     flown: Standard
-    told: Any
+    information: Any
 
     @property
     def seconds(self) -> float:
@@ -138,32 +138,32 @@ def next_test_points(
     records = of_records(state, chosen, noise)
     questions, present = [], records.information()
     for members, sizes in sets.items():
-        own = [e for e in chosen if e.name in members]
+        members_of = [e for e in chosen if e.name in members]
         foreign = tuple(p.name for e in chosen if e.name not in {*members, *state.active} for p in e.parameters)
-        signals = signals_of(records.state, own, worth_of(own, sizes))
-        question = Ambiguity(tuple(e.name for e in own), signals, foreign)
+        signals = signals_of(records.state, members_of, worth_of(members_of, sizes))
+        question = Ambiguity(tuple(e.name for e in members_of), signals, foreign)
         # The diagnosis has not told them apart by what the records say: as much as decides must come beside that.
         questions.append(replace(question, enough=float(np.hypot(ENOUGH, question.deviations(present)))))
 
-    def expected(told: Information) -> tuple[float, ...]:
-        return tuple(q.deviations(told) for q in questions)
+    def expected(information: Information) -> tuple[float, ...]:
+        return tuple(q.deviations(information) for q in questions)
 
     points = best_points(
         possible_points(state, variants, chosen, noise, envelope),
         present,
-        nats=lambda told: sum(q.information(told) for q in questions),
+        nats=lambda information: sum(q.information(information) for q in questions),
         expected=expected,
-        decided=lambda told: all(q.deviations(told) >= q.enough for q in questions),
+        decided=lambda information: all(q.deviations(information) >= q.enough for q in questions),
     )
     return TestPoints(tuple(questions), expected(present), points, refused_points(variants, envelope))
 
 
 def candidates_of(state: SelectionState, effects: Sequence[str]) -> list[Effect]:
     """The effects of an ambiguity set; `InputError` if it is none."""
-    known = {e.name: e for e in state.full.model.effects if e.parameters}
-    for name in (name for name in effects if name not in known):
+    testable = {e.name: e for e in state.full.model.effects if e.parameters}
+    for name in (name for name in effects if name not in testable):
         raise InputError(f"effect {name} is none that this record can test; choose among the candidates of the state")
-    chosen = [known[name] for name in dict.fromkeys(effects)]
+    chosen = [testable[name] for name in dict.fromkeys(effects)]
     if len(chosen) < 2:
         raise InputError("an ambiguity set has at least two effects")
     return chosen
@@ -188,18 +188,22 @@ def possible_points(
     envelope: Envelope,
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
-    pairs = [(one, name, flight) for one in variants for name, flight in one.flown.items()]
+    pairs = [(variant, name, flight) for variant in variants for name, flight in variant.flown.items()]
     return [
-        Variant(name, one, on_record(state, one.model, flight, one.theta, chosen, noise).information(one.seconds[name]))
-        for one, name, flight in pairs
+        Variant(
+            name,
+            variant,
+            on_record(state, variant.model, flight, variant.theta, chosen, noise).information(variant.seconds[name]),
+        )
+        for variant, name, flight in pairs
         if envelope.programmed_inputs or name not in NOT_BY_HAND
     ]
 
 
 def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
     """Manoeuvres that no amplitude or airspeed makes possible, with the reason."""
-    flown = {name for one in variants for name in one.flown}
-    refused = {name: why for one in variants for name, why in one.refused.items() if name not in flown}
+    flown = {name for variant in variants for name in variant.flown}
+    refused = {name: why for variant in variants for name, why in variant.refused.items() if name not in flown}
     if not envelope.programmed_inputs:
         refused |= dict.fromkeys(NOT_BY_HAND, "a computer must give its inputs: [envelope] programmed_inputs")
     return refused
@@ -207,7 +211,7 @@ def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str
 
 def best_points(
     possible: Sequence[Variant],
-    told: Any,
+    information: Any,
     *,
     nats: Callable[[Any], float],
     expected: Callable[[Any], tuple[float, ...]],
@@ -215,21 +219,24 @@ def best_points(
 ) -> tuple[TestPoint, ...]:
     """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
 
-    `told` is what the present records say, to which `Variant.told` is added; `nats` its information on all questions,
-    `expected` as of `TestPoint`, `decided` whether nothing is left to decide.
+    `information` is what the present records say, to which `Variant.information` is added; `nats` that on all
+    questions, `expected` as of `TestPoint`, `decided` whether nothing is left to decide.
     """
     points: list[TestPoint] = []
-    while len(points) < MOST and not decided(told):
-        known = nats(told)
-        gains = [nats(told + one.told) - known for one in possible]
+    while len(points) < MOST and not decided(information):
+        present = nats(information)
+        gains = [nats(information + chosen.information) - present for chosen in possible]
         worth = [k for k, gain in enumerate(gains) if gain >= LITTLE]
         if not worth:
             break
         best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
-        one, told = possible[best], told + possible[best].told
-        begin, excursions = (one.flown.amplitude, one.flown.airspeed, one.flown.altitude), one.flown.excursion
-        reached, rate = excursions[one.manoeuvre], gains[best] / one.seconds
-        points.append(TestPoint(one.manoeuvre, *begin, one.seconds, reached, expected(told), rate))
+        chosen, information = possible[best], information + possible[best].information
+        begin, excursions = (
+            (chosen.flown.amplitude, chosen.flown.airspeed, chosen.flown.altitude),
+            chosen.flown.excursion,
+        )
+        reached, rate = excursions[chosen.manoeuvre], gains[best] / chosen.seconds
+        points.append(TestPoint(chosen.manoeuvre, *begin, chosen.seconds, reached, expected(information), rate))
     return tuple(points)
 
 
@@ -262,14 +269,14 @@ class ResidualNoise:
 
 def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
-    residual, known = state.responses.evaluate(jnp.asarray(state.theta))
+    residual, signals = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
-    apart = state.responses.separated(known)
+    apart = state.responses.separated(signals)
     growth = np.zeros(residual.shape[1])
     for c, name in enumerate(state.responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
-            own = state.noise_growth[:, state.outputs.index(name)]
-            growth[c] = max(0.0, float((own - 1.0) @ apart / (apart @ apart)))
+            growth_there = state.noise_growth[:, state.outputs.index(name)]
+            growth[c] = max(0.0, float((growth_there - 1.0) @ apart / (apart @ apart)))
         if name not in state.full.model.coefficients:
             for part in manoeuvres(manoeuvre):
                 residual[part, c] -= residual[part, c].mean()
@@ -292,11 +299,11 @@ class Information:
         labels = tuple(dict.fromkeys((*self.labels, *other.labels)))
         k = len(labels)
         matrix, score, prior = np.zeros((k, k)), np.zeros((k, k)), np.zeros(k)
-        for one in (other, self):
-            at = [labels.index(label) for label in one.labels]
-            matrix[np.ix_(at, at)] += one.matrix
-            score[np.ix_(at, at)] += one.score_variance
-            prior[at] = one.prior
+        for record in (other, self):
+            at = [labels.index(label) for label in record.labels]
+            matrix[np.ix_(at, at)] += record.matrix
+            score[np.ix_(at, at)] += record.score_variance
+            prior[at] = record.prior
         return Information(labels, matrix, score, prior)
 
     def without(self, labels: Sequence[str]) -> Information:
@@ -320,7 +327,7 @@ class Information:
         place = {label: k for k, label in enumerate(self.labels)}
         members = {place[label] for own in signals.values() for label in own}
         base = [k for k in range(len(self.labels)) if k not in members]
-        found = {}
+        apart = {}
         for one, other in permutations(signals, 2):
             columns = base + [place[label] for label in signals[other]]
             ratios = []
@@ -329,8 +336,8 @@ class Information:
                 signal[place[label]] = size
                 information, spread = self.after(columns, signal)
                 ratios.append(information / np.sqrt(spread) if spread > 0.0 else 0.0)
-            found[one, other] = min(ratios)
-        return found
+            apart[one, other] = min(ratios)
+        return apart
 
 
 def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
@@ -346,16 +353,16 @@ def columns_of(state: SelectionState, effect: Effect) -> dict[str, int]:
 
 def signals_of(state: SelectionState, chosen: Sequence[Effect], sizes: Mapping[str, float]) -> dict[str, dict]:
     """The size of each column of `chosen`: that of its parameter in `sizes`, or the least scanned value's distance."""
-    found = {}
+    signals = {}
     for effect in chosen:
         scans = [s for s in state.scans if s.effect == effect.name]
         if scans:
             least = min(scans, key=lambda s: abs(s.value))
             present = state.theta[state.full.columns([least.parameter])[0]]
-            found[effect.name] = {least.parameter: float(least.value - present)}
+            signals[effect.name] = {least.parameter: float(least.value - present)}
         else:
-            found[effect.name] = {label: sizes[label] for label in columns_of(state, effect)}
-    return found
+            signals[effect.name] = {label: sizes[label] for label in columns_of(state, effect)}
+    return signals
 
 
 # --- The standard manoeuvres, flown by a model that is identified so far, as records of the same channels.
@@ -409,13 +416,13 @@ def standard(
     start = {"airspeed": mean["airspeed"] * faster, "altitude": altitude}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    found = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope)
+    flights_flown = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope)
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
-    unseen = {n: moved[n] for n in found.channels if n in moved and moved[n] not in flights.recorded}
-    flown = {n: _recorded(flights, channels, dt) for n, channels in found.channels.items() if n not in unseen}
-    excursions = {n: excursion(found.channels[n]) for n in flown}
-    refused = dict(found.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()}
-    return Standard(small, theta, flown, found.seconds, excursions, refused, **start, amplitude=amplitude)
+    unseen = {n: moved[n] for n in flights_flown.channels if n in moved and moved[n] not in flights.recorded}
+    flown = {n: _recorded(flights, channels, dt) for n, channels in flights_flown.channels.items() if n not in unseen}
+    excursions = {n: excursion(flights_flown.channels[n]) for n in flown}
+    refused = dict(flights_flown.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()}
+    return Standard(small, theta, flown, flights_flown.seconds, excursions, refused, **start, amplitude=amplitude)
 
 
 def flights_of(state: SelectionState) -> Flights:
@@ -432,8 +439,8 @@ def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     effects = tuple(e for e in state.full.model.effects if e.name in kept or not e.parameters)
     names = {p.name for e in effects for p in e.parameters}
     fixed = tuple((k, x) for k, x in state.full.model.fixed if k in names)
-    own = tuple(p for p in state.full.model.parameters if p.name in names)
-    return replace(state.full.model, effects=effects, parameters=own, fixed=fixed)
+    parameters = tuple(p for p in state.full.model.parameters if p.name in names)
+    return replace(state.full.model, effects=effects, parameters=parameters, fixed=fixed)
 
 
 def _recorded(like: Flights, channels: Mapping[str, np.ndarray], dt: float) -> Flights:

@@ -83,42 +83,42 @@ def diagnose(
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
     candidates = (*own_effects(card.effect_files).values(), *extra)
     search = Search(records, card, model or Model.from_card(card), candidates, settings, seed, progress)
-    found = search.made(by_innovations=bool(process_noise or gusts))
-    if gains_wanted and found.testable_now:
-        candidates, kept_of, failed = _confirmed(found, progress)
+    result = search.made(by_innovations=bool(process_noise or gusts))
+    if gains_wanted and result.testable_now:
+        candidates, kept_of, failed = _confirmed(result, progress)
     else:
-        candidates, kept_of, failed = causes_of(found, {}, None), {n: x.state.active for n, x in found.stages}, ()
+        candidates, kept_of, failed = causes_of(result, {}, None), {n: x.state.active for n, x in result.stages}, ()
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, found.by_stage, [one for one in found.unknown if not one.offsets])
+    hardly = stand_ins(candidates, result.by_stage, [one for one in result.unknown if not one.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
-    unknown = (*found.unknown, *structure_of(found, (*unnamed, *beyond)))
-    kept = tuple(name for name in kept_of[found.stages[-1][0]] if name not in {c.name for c in beyond})
+    unknown = (*result.unknown, *structure_of(result, (*unnamed, *beyond)))
+    kept = tuple(name for name in kept_of[result.stages[-1][0]] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
-    minor = (*(found.sensors.minor if found.sensors else ()), *found.model.minor, *(c.name for c in unnamed))
-    state, tested = found.model.state, None if found.testable_now else Tested({})
-    taken_up = absorbed(found.model)
+    minor = (*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed))
+    state, tested = result.model.state, None if result.testable_now else Tested({})
+    taken_up = absorbed(result.model)
     return Diagnosis(
-        verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *found.changes), tested), found.noise), taken_up),
+        verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *result.changes), tested), result.noise), taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,
-        noise=found.noise,
-        not_testable=found.not_testable,
-        sensors=found.sensors,
-        aerodynamics=found.model,
+        noise=result.noise,
+        not_testable=result.not_testable,
+        sensors=result.sensors,
+        aerodynamics=result.model,
         theta=state.theta,
         split=split_name(state),
-        base_moves=moves_of(found.model),
+        base_moves=moves_of(result.model),
         kept=kept,
-        failures=(*found.failures, *failed),
-        notes=(*left_out, *found.notes),
-        together=together_of(found.stages, causes),
+        failures=(*result.failures, *failed),
+        notes=(*left_out, *result.notes),
+        together=together_of(result.stages, causes),
         beyond=beyond,
         tested=tested,
-        compared=found.stages[-1][0],
+        compared=result.stages[-1][0],
         gusts=gusts,
-        changes=found.changes,
-        terms=found.terms,
+        changes=result.changes,
+        terms=result.terms,
         absorbed=taken_up,
     )
 
@@ -126,7 +126,7 @@ def diagnose(
 Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data confirm
 
 
-def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
+def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
     """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
 
     A cause that loses on hold-out data, beside the causes before it, is not confirmed, the last first. Should the
@@ -135,12 +135,12 @@ def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cau
 
     def loses(gain: Gain) -> bool:
         """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
-        return bool(gain.degraded) or found.full.settings.degrades(gain.elpd, gain.elpd_se)
+        return bool(gain.degraded) or result.full.settings.degrades(gain.elpd, gain.elpd_se)
 
     def asked() -> tuple[list[Cause], Kept]:
-        confirmations = {stage: confirmation(one.state) for stage, one in found.stages}
+        confirmations = {stage: confirmation(one.state) for stage, one in result.stages}
         while True:
-            causes = causes_of(found, confirmations, progress)
+            causes = causes_of(result, confirmations, progress)
             losing = [c for c in causes if c.confirmed and loses(c.gain)]
             if not losing:
                 return causes, {stage: one.kept for stage, one in confirmations.items()}
@@ -150,8 +150,8 @@ def _confirmed(found: SearchResult, progress: Progress | None) -> tuple[list[Cau
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
     if causes is not None:
         return (*causes, failures)
-    untested = [replace(cause, confirmed=False) for cause in causes_of(found, {}, None)]
-    return untested, {stage: () for stage, _ in found.stages}, failures
+    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
+    return untested, {stage: () for stage, _ in result.stages}, failures
 
 
 def without_conditional(
@@ -166,18 +166,18 @@ def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
     """What every stage named; with gains on unseen data where these were asked to confirm it."""
-    found, full = list[Cause](), searched.full
+    causes, full = list[Cause](), searched.full
     for stage, extension in searched.stages:
         sure = confirmations.get(stage)
         measured = {}
         if sure is not None and extension.causes:
             measured = gains_of(extension, searched.model, sure.kept, progress)
         forms = searched.forms if extension is searched.model else {}
-        found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
+        causes += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
             out = without_hold(larger) if larger.state.responses.kinematic else larger.implausible
-            found += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
-    return found
+            causes += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
+    return causes
 
 
 def _causes_in(
@@ -190,9 +190,9 @@ def _causes_in(
     forms: Mapping[str, tuple[str, float]],
 ) -> list[Cause]:
     """Some causes of one extension."""
-    found = list[Cause]()
+    causes = list[Cause]()
     if not names:
-        return found
+        return causes
     joint = correlated(extension, extension.causes)
     noise = noise_shares(extension.state, extension.fit)
     kinematic = extension.state.responses.kinematic
@@ -209,7 +209,7 @@ def _causes_in(
         if name in forms:  # the odds of the form against the cause
             probability = float(1.0 / (1.0 / max(probability, 1e-300) + np.exp(-forms[name][1])))
             others = (*others, forms[name][0])
-        found.append(
+        causes.append(
             Cause(
                 name=name,
                 kind=effect.kind.value,
@@ -229,7 +229,7 @@ def _causes_in(
                 rival_gains={rival: gain for rival, gain in in_place.items() if rival in others},
             )
         )
-    return found
+    return causes
 
 
 def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
@@ -237,36 +237,38 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
     return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
-def structure_of(found: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
+def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has.
 
     A single unlikely cause is likelier nothing. A size that no aircraft has is no structure where others explain the
     same without it, or a function does. An error that no sensor has is reported as such, and is no structure.
     """
-    effects, extensions = {e.name: e for e in found.full.candidates}, found.by_stage
+    effects, extensions = {e.name: e for e in result.full.candidates}, result.by_stage
     several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
-    told = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
-    least, known = found.full.settings.unnamed_share, {u.coefficient for u in found.unknown}
+    structures = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
+    least, described = result.full.settings.unnamed_share, {u.coefficient for u in result.unknown}
 
     def left(c: Cause, u: UnexplainedStructure) -> bool:
-        return c.name in extensions[c.stage].state.active or (u.share >= least and u.coefficient not in known)
+        return c.name in extensions[c.stage].state.active or (u.share >= least and u.coefficient not in described)
 
-    return tuple(u for c, u in told if left(c, u))
+    return tuple(u for c, u in structures if left(c, u))
 
 
 def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:
     """Pairs of named causes of one stage that cancel."""
-    found = [cancelling(extension, [c.name for c in causes if c.stage == stage]) for stage, extension in stages]
-    return tuple(pair for pairs in found for pair in pairs)
+    pairs_by_stage = [
+        cancelling(extension, [c.name for c in causes if c.stage == stage]) for stage, extension in stages
+    ]
+    return tuple(pair for pairs in pairs_by_stage for pair in pairs)
 
 
 def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
     """How the card's parameters moved."""
-    before, after, own = extension.base, extension.state, extension.sizes
+    before, after, estimates = extension.base, extension.state, extension.sizes
     return {
-        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), own[name].sd)
+        name: (float(before.theta[before.full.columns([name])[0]]), float(after.theta[i]), estimates[name].sd)
         for i, name in enumerate(after.full.model.names)
-        if name in own and any(name in after.full.parameters_of(e) for e in after.full.base)
+        if name in estimates and any(name in after.full.parameters_of(e) for e in after.full.base)
     }
 
 
@@ -299,25 +301,27 @@ def rivals_of(
         able = able and standing.effect not in out and not implausible_candidate(effects[standing.effect], standing)
         if standing.effect == name or able:
             best.setdefault(standing.effect, standing)
-    own = best.get(name)
-    if own is None:
+    itself = best.get(name)
+    if itself is None:
         return 1.0, ()
-    own = replace(own, gain=own.gain * (1.0 - noise) ** 2)
-    weights = {effect: np.exp(min(0.0, -own.nats(s))) for effect, s in best.items()}
-    nothing = np.exp(-nats(max(own.gain, 0.0), own.variance_inflation))
-    close = tuple(effect for effect, s in best.items() if effect != name and own.nats(s) < state.settings.ambiguous)
+    itself = replace(itself, gain=itself.gain * (1.0 - noise) ** 2)
+    weights = {effect: np.exp(min(0.0, -itself.nats(s))) for effect, s in best.items()}
+    nothing = np.exp(-nats(max(itself.gain, 0.0), itself.variance_inflation))
+    close = tuple(effect for effect, s in best.items() if effect != name and itself.nats(s) < state.settings.ambiguous)
     return float(1.0 / (sum(weights.values()) + nothing)), close
 
 
-def sensors_not_missed(found: Diagnosis, flights: Confirmation) -> Confirmation:
+def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmation:
     """Errors of sensors that coefficients confirm and held-out flights do not miss."""
     # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
     # flight has no regressors.
-    asked = {c.name for c in found.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
+    asked = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
     return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
 
 
-def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()) -> Diagnosis:
+def judged_on_held_out_flights(
+    diagnosis: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()
+) -> Diagnosis:
     """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are.
 
     A cause with parameters that were `held` at their joint estimate in place of a fit was not tested: that estimate has
@@ -334,9 +338,9 @@ def judged_on_held_out_flights(found: Diagnosis, confirmation: Confirmation, hel
             )
         return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
 
-    causes = tuple(judged(c) for c in found.causes)
-    verdict = as_absorbed(verdict_of(causes, found.left, found.tested), found.absorbed)
-    return replace(found, causes=causes, verdict=verdict)
+    causes = tuple(judged(c) for c in diagnosis.causes)
+    verdict = as_absorbed(verdict_of(causes, diagnosis.left, diagnosis.tested), diagnosis.absorbed)
+    return replace(diagnosis, causes=causes, verdict=verdict)
 
 
 # --- What every cause gains on hold-out data beside the causes before it.
@@ -373,14 +377,14 @@ def gains_of(
         theta = state.full.at_neutral(card.theta, [e for e in state.active if e not in sensors])
         return LeftOut.refitted(moved(card, theta, ()))
 
-    measured, found = measured_blocks(aerodynamics.base), {}
+    measured, gains = measured_blocks(aerodynamics.base), {}
     base = before = corrected(())
     for name in causes:  # what each correction does to the coefficients: scores, and those that it predicts worse
         after = corrected([*sure[name], name])
         worse = state.settings.degraded(after.output_gains(before))
-        found[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
+        gains[name] = Gain(*gained[name], base.scores(measured), after.scores(measured), worse)
         before = after if name in kept else before
-    return found
+    return gains
 
 
 def rival_gains(
@@ -389,7 +393,7 @@ def rival_gains(
     """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again; minus
     infinity for one that is larger then than aircraft have."""
     ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
-    own, found = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
+    reference, gains = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
     for rival in rivals:
         standing = ranking.of(rival)
         if standing is not None:
@@ -398,8 +402,8 @@ def rival_gains(
             effect = next(e for e in other.full.candidates if e.name == rival)
             values = dict(zip(other.full.model.names, other.theta, strict=True))
             fitted = {p.name: Size(float(values[p.name]), 0.0, p.unit) for p in effect.parameters if p.name in values}
-            found[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(own)
-    return found
+            gains[rival] = (-math.inf, 0.0) if implausible(effect, fitted) else LeftOut.refitted(other).gain(reference)
+    return gains
 
 
 # --- Whether an engineer would sign a cause: sizes that no aircraft has, signals that hardly move, too many rivals.
@@ -415,9 +419,9 @@ def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
     if not at:
         return float("nan")
     S = state.scaled[state.inside][:, :, fit.columns[at]]
-    own = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
+    squares = np.einsum("mci,c->i", (S - S.mean(axis=0)) ** 2, 1.0 / fit.variance)
     uncertain = np.diag(inverse(fit.normal - np.diag(state.precision[fit.columns])))[at]
-    return float(np.max(1.0 / np.maximum(own * uncertain, 1.0)))
+    return float(np.max(1.0 / np.maximum(squares * uncertain, 1.0)))
 
 
 def attributed(

@@ -72,11 +72,11 @@ def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, car
     whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
     each = zip(noise.constant.items(), np.eye(len(noise.constant)), strict=True)
     columns = path.residuals({n: np.outer(own, sd * whole) for (n, sd), own in each}) - path.recorded
-    found = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
-    count, permitted = len(outputs), _permitted(found)
-    shape = {n: (float(found.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
+    measures = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
+    count, permitted = len(outputs), _permitted(measures)
+    shape = {n: (float(measures.values[0, count + i]), float(permitted[count + i])) for i, n in enumerate(outputs)}
     assumed = tuple(n for n in STRAIGHT if n not in channels)
-    return PathCheck(name, _departures(name, found), shape, turbulence, met, assumed)
+    return PathCheck(name, _departures(name, measures), shape, turbulence, met, assumed)
 
 
 def gusts_met(time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> float:
@@ -100,15 +100,15 @@ class _RecordedPath:
         n, count = len(self.full["q"]), len(next(iter(added.values())))
         steps, start = np.full(n, self.dt), np.arange(n) == 0
         first, last = np.zeros(n, int), np.full(n, n - 1)
-        found = np.empty((count, n, len(self.outputs)))
+        residuals = np.empty((count, n, len(self.outputs)))
         for begin in range(0, count, TOGETHER):
             part = slice(begin, begin + TOGETHER)
             s = {name: x + added[name][part] if name in added else x for name, x in self.full.items()}
             s |= {f"{name}_dot": differentiate_joined(s[name], steps, first, last) for name in RATES}
             rates = path_rates(s, self.aircraft)
             for c, name in enumerate(self.outputs):
-                found[part, :, c] = s[name] - integral(rates[name], steps, start, first)
-        return found
+                residuals[part, :, c] = s[name] - integral(rates[name], steps, start, first)
+        return residuals
 
     def gusts_shown(self) -> float:
         """Standard deviation of gusts (m/s) that the calmest of the air-data channels shows within windows, for air is
@@ -127,16 +127,16 @@ class _RecordedPath:
     def disturbances(self, turbulence: float, count: int) -> dict[str, Float[np.ndarray, "r n"]]:
         """What `count` sensors and airs of this kind add to the channels; `turbulence` in m/s."""
         V, rng = np.maximum(self.full["airspeed"], 1.0), self.rng
-        found = {
+        added = {
             name: sd * rng.standard_normal((count, len(V)))
             + self.noise.constant[name] * rng.standard_normal((count, 1))
             for name, sd in self.noise.white.items()
         }
-        for name in (name for name in AIR_DATA if name in found):
+        for name in (name for name in AIR_DATA if name in added):
             along = name == "airspeed"
             gust = turbulence * gusts(rng, count, len(V), self.dt, float(np.median(V)), across=not along)
-            found[name] += gust if along else gust / V
-        return found
+            added[name] += gust if along else gust / V
+        return added
 
 
 def _windows(n: int, dt: float) -> list[slice]:
@@ -211,28 +211,28 @@ class _Constants:
         return np.sqrt(np.mean(left.reshape(x.shape) ** 2, axis=1)) * self.scale
 
 
-def _permitted(found: _Measures) -> Float[np.ndarray, " k"]:
+def _permitted(measures: _Measures) -> Float[np.ndarray, " k"]:
     """What noise permits: as many times a measure's usual size as the largest of its kind in any record of noise."""
-    usual = np.sqrt(np.mean(found.values[1:] ** 2, axis=0))
-    largest, kind = found.values[1:] / usual, np.array(found.kind)
+    usual = np.sqrt(np.mean(measures.values[1:] ** 2, axis=0))
+    largest, kind = measures.values[1:] / usual, np.array(measures.kind)
     return usual * np.array([np.max(largest[:, kind == k]) for k in kind])
 
 
-def _departures(record: str, found: _Measures) -> tuple[Departure, ...]:
+def _departures(record: str, measures: _Measures) -> tuple[Departure, ...]:
     """Where the recorded measures exceed what is permitted: windows that touch make one, many the whole record."""
-    permitted, own = _permitted(found), found.values[0]
-    over = own > permitted
+    permitted, recorded = _permitted(measures), measures.values[0]
+    over = recorded > permitted
     departures = []
-    for name in dict.fromkeys(found.channel):
-        at = [i for i, channel in enumerate(found.channel) if channel == name]
-        entire, parts = ([i for i in at if (found.kind[i] is Measure.WINDOW) == w] for w in (False, True))
+    for name in dict.fromkeys(measures.channel):
+        at = [i for i, channel in enumerate(measures.channel) if channel == name]
+        entire, parts = ([i for i in at if (measures.kind[i] is Measure.WINDOW) == w] for w in (False, True))
         chosen = [list(run) for exceeds, run in groupby(parts, lambda i: bool(over[i])) if exceeds]
         if not chosen or sum(over[parts]) > SPREAD * len(parts):
-            chosen = [[max(entire, key=lambda i: own[i] / permitted[i])]] if any(over[entire]) else chosen
+            chosen = [[max(entire, key=lambda i: recorded[i] / permitted[i])]] if any(over[entire]) else chosen
         for run in chosen:
-            worst = max(run, key=lambda i: own[i] / permitted[i])
-            size, limit = float(own[worst]), float(permitted[worst])
-            departures.append(Departure(record, name, found.begin[run[0]], found.end[run[-1]], size, limit))
+            worst = max(run, key=lambda i: recorded[i] / permitted[i])
+            size, limit = float(recorded[worst]), float(permitted[worst])
+            departures.append(Departure(record, name, measures.begin[run[0]], measures.end[run[-1]], size, limit))
     return tuple(departures)
 
 

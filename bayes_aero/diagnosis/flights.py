@@ -77,9 +77,9 @@ def simulated(
     """Every segment of `flown` that counts, with these parameters; with `draws` the chance to stay inside."""
     shown, every = one_by_one(flown, jnp.asarray(estimate), jnp.asarray(departure))
     paths = []
-    for row, found in every.items():
+    for row, trajectory in every.items():
         keep = flown.inside[row]
-        measured, residual = np.asarray(found.measured[0])[keep], np.asarray(found.residual[0])[keep]
+        measured, residual = np.asarray(trajectory.measured[0])[keep], np.asarray(trajectory.residual[0])[keep]
         chance = {} if draws is None else _probabilities(replace(flown, outputs=shown).part([row]), draws, tolerances)
         errors = {}
         for name, z, e in zip(shown, measured.T, residual.T, strict=True):
@@ -92,7 +92,7 @@ def simulated(
                 manoeuvre=label(flown, row),
                 model=model,
                 split=split,
-                inside=bool(np.asarray(found.trajectory.inside[0])[keep].all()),
+                inside=bool(np.asarray(trajectory.trajectory.inside[0])[keep].all()),
                 errors=errors,
                 time=flown.flights.time[flown.index[row][keep]],
                 measured={name: measured[:, c] for c, name in enumerate(shown)},
@@ -124,9 +124,9 @@ def _probabilities(
     still = jnp.zeros((1, len(alone.dynamics.start)))
 
     def largest(theta):
-        found = trajectories(alone, jnp.asarray(theta), still)
-        inside = np.all(np.asarray(found.trajectory.inside) | ~alone.inside)
-        size = np.max(np.abs(np.asarray(found.residual[0])), axis=0)
+        trajectory = trajectories(alone, jnp.asarray(theta), still)
+        inside = np.all(np.asarray(trajectory.trajectory.inside) | ~alone.inside)
+        size = np.max(np.abs(np.asarray(trajectory.residual[0])), axis=0)
         return np.where(inside & np.isfinite(size), size, np.inf)
 
     with ThreadPoolExecutor(cores()) as pool:
@@ -166,10 +166,10 @@ def with_process_noise(
         with blas_threads(0):
             return sample_innovations(gusty, found, fit.R, seed=seed, engines=(engine,), progress=progress)
 
-    return _told(flown, gusty, found), sample
+    return _process_noise(flown, gusty, found), sample
 
 
-def _told(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErrorResult) -> ProcessNoise:
+def _process_noise(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErrorResult) -> ProcessNoise:
     fit = flown.fit
     inside = fit.flown.inside
     count = int(inside.sum())
@@ -204,9 +204,9 @@ _smoothed = eqx.filter_jit(jax.vmap(smooth))
 
 def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
-    dynamics, known = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
+    dynamics, values = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
     processes = dynamics.model.disturbances if isinstance(dynamics, EffectDynamics) else ()
-    met = {d.state: dynamics.states.index(d.state) for d in processes if known.get(d.intensity, 0.0) > 0.0}
+    met = {d.state: dynamics.states.index(d.state) for d in processes if values.get(d.intensity, 0.0) > 0.0}
     if not met:
         return ()
     x, P = (np.asarray(y) for y in _smoothed(found.found))
@@ -244,7 +244,7 @@ class FlightNoise:
         """The same segments with their noise_growth; its size is read from all of them, or from all but one."""
         return flown if self.parts is None else replace(flown, noise_growth=self.parts.noise_growth(without))
 
-    def told(self, outputs: Sequence[str]) -> dict[str, float]:
+    def growth_by_output(self, outputs: Sequence[str]) -> dict[str, float]:
         """By output, how many times more is missed in wholly separated flow than in attached flow."""
         growths = np.zeros(len(outputs)) if self.parts is None else self.parts.growths()
         return {name: 1.0 + float(b) for name, b in zip(outputs, growths, strict=True)}
@@ -266,9 +266,9 @@ class CandidateFit:
             return {}
         others = masked(self.fit.flown, segment, keep=False)
         part = fit_output_error(others, start=self.fit.estimate, departure=self.fit.departure, max_iterations=0)
-        told = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
+        rows = zip(self.fit.names, self.fit.estimate, part.crb, self.fit.crb, strict=True)
         with np.errstate(invalid="ignore"):
-            return {n: float(x) for n, x, alone, all_ in told if n in self.own and not alone < unidentified * all_}
+            return {n: float(x) for n, x, alone, all_ in rows if n in self.own and not alone < unidentified * all_}
 
 
 def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTrajectories:
@@ -280,7 +280,7 @@ def masked(flown: SegmentTrajectories, segment: int, *, keep: bool) -> SegmentTr
 def left_out(
     contenders: Sequence[CandidateFit], silent: Mapping[str, Mapping[int, Mapping[str, float]]], noise: FlightNoise
 ) -> Iterator[tuple[str, OutputErrorResult]]:
-    """Every contender (its name is told) and segment: the fit to all other segments, its `silent` parameters held."""
+    """Every contender (by its name) and segment: the fit to all other segments, its `silent` parameters held."""
     count = len(contenders[0].fit.flown.index)
     jobs = [(c, k) for c in contenders for k in range(count)]
     stopped = Event()
@@ -312,13 +312,13 @@ def holdout_fits(
     """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
     posterior, too, where there are tolerances to stay inside."""
     flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
-    found = []
+    paths = []
     for k, fit in enumerate(fits):
-        known = bool(tolerances) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE
-        draws = posterior_draws(fit, variance_inflation, seed) if known else None
+        drawn = bool(tolerances) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE
+        draws = posterior_draws(fit, variance_inflation, seed) if drawn else None
         alone = masked(flown, k, keep=True)
-        found += simulated(fit.estimate, alone, contender.name, "hold_out", still, tolerances, draws)
-    return found
+        paths += simulated(fit.estimate, alone, contender.name, "hold_out", still, tolerances, draws)
+    return paths
 
 
 def left_out_of(paths: Sequence[SimulatedManoeuvre], flown: SegmentTrajectories, variance_inflation: float) -> LeftOut:
@@ -345,13 +345,13 @@ def _left_out(
 SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
 
-def open_lag(full: CandidateModel, found: Extension, model: Model) -> Effect | None:
+def open_lag(full: CandidateModel, extension: Extension, model: Model) -> Effect | None:
     """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
     score of a rival."""
     lag, stages = lag_of(full), {e.stage for e in model.acting}
-    if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not found.steps:
+    if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not extension.steps:
         return None
-    scores = [s.score for s in found.steps[-1].screening.candidate_scores if s.effect == lag.name]
+    scores = [s.score for s in extension.steps[-1].screening.candidate_scores if s.effect == lag.name]
     return lag if max(scores, default=0.0) >= full.settings.least_rival_score else None
 
 
@@ -436,14 +436,14 @@ def eliminate(
     flight = HeldOutFlights(contender, neutral, silent, noise, {tuple(neutral): fits})
     if not flight.refitted(tuple(neutral)).flyable:  # what cannot be flown is no measure of anything
         return Elimination(contender, fits, Confirmation((), {}))
-    found = backward_elimination(tuple(neutral), flight.first_order, flight.refitted, settings)
-    less = flight.without(found.kept)
+    confirmation = backward_elimination(tuple(neutral), flight.first_order, flight.refitted, settings)
+    less = flight.without(confirmation.kept)
     gone = frozenset(less.held) - frozenset(contender.held)
     if not gone:
-        return Elimination(contender, fits, found)
+        return Elimination(contender, fits, confirmation)
     fit = contender.fit
     again = fit_output_error(fit.flown, start=fit.estimate, held=less.held, prior_weight=noise.variance_inflation)
-    return Elimination(replace(less, fit=again), flight.fits[found.kept], found, gone)
+    return Elimination(replace(less, fit=again), flight.fits[confirmation.kept], confirmation, gone)
 
 
 @dataclass(frozen=True)
@@ -516,13 +516,13 @@ def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
     m = S.shape[1]
     inside = flown.inside[:, : m * THINNING].reshape(len(S), m, THINNING).all(axis=2)
     w, n, c, wide = S.shape
-    own = np.zeros((w, n, c, k + w * (wide - k)))
-    own[..., :k] = S[..., :k]
+    whole = np.zeros((w, n, c, k + w * (wide - k)))
+    whole[..., :k] = S[..., :k]
     for row in range(w):
         begin = k + row * (wide - k)
-        own[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
+        whole[row, :, :, begin : begin + wide - k] = S[row, :, :, k:]
     keep = inside.ravel()
-    flat, r = own.reshape(w * n, c, -1)[keep], residual.reshape(w * n, c)[keep]
+    flat, r = whole.reshape(w * n, c, -1)[keep], residual.reshape(w * n, c)[keep]
     start = np.concatenate([[True], np.diff(np.repeat(np.arange(w), n)[keep]) != 0])
     information = np.einsum("nci,c,ncj->ij", flat, 1.0 / fit.R, flat, optimize=True)
     used = np.diag(information) > 0.0

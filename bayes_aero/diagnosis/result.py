@@ -161,7 +161,7 @@ class Tested:
     @property
     def beyond(self) -> tuple[str, ...]:
         """Outputs that the simulation misses by more than noise."""
-        return tuple(name for name, one in self.outputs.items() if one.beyond)
+        return tuple(name for name, miss in self.outputs.items() if miss.beyond)
 
     @property
     def within_noise(self) -> bool:
@@ -223,32 +223,32 @@ def verdict_of(
     """
     of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):
-        found = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
+        verdict = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED
     else:
-        found = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
-    return found if tested is None else as_tested(found, tested)
+        verdict = Verdict.UNEXPLAINED if unknown or of_the_model else Verdict.NO_EFFECT
+    return verdict if tested is None else as_tested(verdict, tested)
 
 
-def as_white(found: Verdict, noise: NoiseReport) -> Verdict:
+def as_white(verdict: Verdict, noise: NoiseReport) -> Verdict:
     """A verdict by innovations: where they stay coloured, something is left that is not explained."""
     if not (noise.of_innovations and noise.coloured):
-        return found
+        return verdict
     instead = {Verdict.EXPLAINED: Verdict.PARTLY_EXPLAINED, Verdict.NO_EFFECT: Verdict.UNDECIDED}
-    return instead.get(found, found)
+    return instead.get(verdict, verdict)
 
 
-def as_absorbed(found: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
+def as_absorbed(verdict: Verdict, absorbed: Sequence[Absorbed]) -> Verdict:
     """A verdict by coefficients: where a parameter may have taken up an effect, its absence is not decided."""
-    return Verdict.UNDECIDED if absorbed and found is Verdict.NO_EFFECT else found
+    return Verdict.UNDECIDED if absorbed and verdict is Verdict.NO_EFFECT else verdict
 
 
-def as_tested(found: Verdict, tested: Tested) -> Verdict:
+def as_tested(verdict: Verdict, tested: Tested) -> Verdict:
     """A verdict by trajectories alone: what is left beyond the noise, or was never computed, is not explained."""
-    if found is Verdict.EXPLAINED and not tested.within_noise:
+    if verdict is Verdict.EXPLAINED and not tested.within_noise:
         return Verdict.PARTLY_EXPLAINED
-    if found is Verdict.NO_EFFECT and tested.beyond:  # disturbed air leaves such errors, too, and it is not modelled
+    if verdict is Verdict.NO_EFFECT and tested.beyond:  # disturbed air leaves such errors, too, and it is not modelled
         return Verdict.UNDECIDED
-    return found
+    return verdict
 
 
 # --- What a check of records has found, before anything is fitted.

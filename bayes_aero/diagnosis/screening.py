@@ -210,12 +210,12 @@ class NoiseReport:
     @property
     def labels(self) -> tuple[str, ...]:
         """Which of colored, buffet, outliers are present."""
-        found = {
+        present = {
             "colored": bool(self.coloured),
             "buffet": max(self.noise_growth.values()) > 1.5,
             "outliers": sum(self.outliers.values()) > 0,
         }
-        return tuple(name for name, there in found.items() if there)
+        return tuple(name for name, there in present.items() if there)
 
 
 # --- Candidates with the model projected out: what each would explain, how sure that is, and how far two are apart.
@@ -350,8 +350,8 @@ def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarr
     coefficients = state.responses.model.coefficients
     if not set(state.outputs) & set(coefficients):
         return np.ones_like(state.residual)
-    _, known = state.responses.evaluate(state.theta)
-    apart = state.responses.separated(known)
+    _, signals = state.responses.evaluate(state.theta)
+    apart = state.responses.separated(signals)
     residual = state.left(fit) * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
     noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
@@ -452,21 +452,21 @@ def screen(
     before = projected.deviance(residual)
     away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
     apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
-    found = []
-    for j, (effect, own, value) in enumerate(blocks):
+    scores = []
+    for j, (effect, own_columns, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
         inflation = variance_inflation(variance, np.diag(projected.bread[j]))
-        step = gains[1][j][: len(own)]
-        possible, prior = _possible(state, effect, value, step), state.precision[own] / state.variance_inflation
-        found.append(
+        step = gains[1][j][: len(own_columns)]
+        possible, prior = _possible(state, effect, value, step), state.precision[own_columns] / state.variance_inflation
+        scores.append(
             CandidateScore(
                 effect=effect,
-                columns=tuple(int(i) for i in own),
+                columns=tuple(int(i) for i in own_columns),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
                 score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
-                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own_columns], prior),
                 step=tuple(float(x) for x in step),
                 sd=tuple(float(x) for x in np.sqrt(variance)),
                 together=before - projected.deviance(residual, j, estimates[j]),
@@ -474,7 +474,7 @@ def screen(
             )
         )
     largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
-    return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, largest)
+    return ScreeningResult(tuple(sorted(scores, key=lambda s: -s.gain)), colour, largest)
 
 
 def _possible(state: SelectionState, effect: str, value: float | None, step: Float[np.ndarray, " w"]) -> bool:
@@ -577,11 +577,11 @@ def jackknife_errors(
 ) -> Float[np.ndarray, " k"]:
     """Standard error of each of the fit's columns by `block_jackknife_covariance`, less than which none is; zero where
     there are no `blocks`."""
-    found = np.zeros(len(fit.columns))
+    errors = np.zeros(len(fit.columns))
     if blocks is not None:
         columns, covariance = block_jackknife_covariance(state, fit)
-        found[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
-    return found
+        errors[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
+    return errors
 
 
 def jackknife_p_value(
@@ -611,11 +611,11 @@ class RefitScore:
         blocks = [b[1] for b in state.blocks if b[0] not in state.active]
         self.projected = PartialledRegression(state, self.fit, blocks)
         self.noise = noise
-        found = autocorrelation_of(state.left(wider), state.folds)
-        noises = self._noises(found, noise.correction)
-        self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
-        own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
-        (estimate,), (covariance,) = self._judged(own, state.left(self.fit)[None], [self.colour])
+        first = autocorrelation_of(state.left(wider), state.folds)
+        noises = self._noises(first, noise.correction)
+        self.colour = unbiased(first, self._left(noises, self._leaders(noises)))
+        number = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
+        (estimate,), (covariance,) = self._judged(number, state.left(self.fit)[None], [self.colour])
         self.score = equivalent(estimate, covariance)
         at = np.array(standing.columns, int)
         self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.variance_inflation)

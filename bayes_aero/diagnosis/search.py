@@ -89,7 +89,7 @@ class SearchResult:
     @property
     def not_testable(self) -> Mapping[str, str]:
         """Why effects could not be tested: a lag is tested where the search has tried it and added it."""
-        added = {name for _, one in self.stages for name in one.state.active}
+        added = {name for _, extension in self.stages for name in extension.state.active}
         return {name: why for name, why in self.full.not_testable.items() if name not in added}
 
     @property
@@ -99,7 +99,7 @@ class SearchResult:
 
 
 def _by_stage(*extensions: Extension) -> tuple[tuple[str, Extension], ...]:
-    return tuple((one.state.responses.stage, one) for one in extensions)
+    return tuple((extension.state.responses.stage, extension) for extension in extensions)
 
 
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
@@ -108,16 +108,16 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))
 
 
-def noise_report(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
+def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
-    state, names = found.state, found.state.outputs
+    state, names = extension.state, extension.state.outputs
     if names == state.responses.model.coefficients:
         left = np.asarray(state.responses.evaluate(state.theta)[1]["residual"])[:, : len(names)]
         blocks, manoeuvre = np.asarray(state.responses.block(left)), state.responses.manoeuvre
         lag1 = [lag1_within(x, manoeuvre) for x in blocks.T]
         growth = [float(x) for x in state.noise_growth.max(axis=0)]
     else:
-        left = state.left(found.fit)
+        left = state.left(extension.fit)
         lag1 = [float(np.sum(x[1:] * x[:-1]) / np.sum(x**2)) for x in left.T]
         growth = [1.0] * len(names)
     deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
@@ -159,12 +159,12 @@ class Search:
             lambda: unexplained(both.aerodynamics, seed=self.seed + 2000),
             Left((), ()),
         )
-        found, failed = attempted(
+        forms, failed = attempted(
             "The form of unexplained structure was not sought",
             lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
             Forms((), ()),
         )
-        aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *found.replaced), found.sizes)
+        aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *forms.replaced), forms.sizes)
         notes = []
         if filtered := filtered_channels(flights):
             notes.append(
@@ -181,13 +181,13 @@ class Search:
         return SearchResult(
             full,
             _by_stage(*(() if both.sensors is None else (both.sensors,)), aerodynamics),
-            (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
+            (*described(left.unknown, forms), *offsets_found(aerodynamics, forms.idle)),
             noise_report(aerodynamics, outliers),
             tuple(notes),
             (*failures, *failed),
             changes=left.changes,
-            terms=found.terms,
-            forms=found.rivals,
+            terms=forms.terms,
+            forms=forms.rivals,
         )
 
     def innovations(self) -> SearchResult:
@@ -207,15 +207,15 @@ class Search:
         brief = segments(flights, base, window=FIRST[-1], substeps=base.substeps(start, flights))
         fit = self._inside(fit_output_error(brief, max_iterations=START_STEPS))
         full = without_lags(candidate_model(self.model, flights, self.extra, self.settings))
-        known = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
-        found, status = _searched(_Filtered(full, flights, base, fit.R), known, self.seed, self.progress)
+        values = full.neutral | dict(zip(fit.names, fit.estimate, strict=True))
+        extension, status = _searched(_Filtered(full, flights, base, fit.R), values, self.seed, self.progress)
         notes = [
             "Of structure without a name, terms of the library are sought in innovations, and no functions of a "
             "channel or of time."
         ]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
-        return self._with_terms(found, flights, outliers, notes)
+        return self._with_terms(extension, flights, outliers, notes)
 
     def trajectories(self) -> SearchResult:
         """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
@@ -232,11 +232,11 @@ class Search:
         fit = self._inside(in_windows(flights, base))
         whole = candidate_model(self.model, flights, self.extra, self.settings)
         state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
-        found = plausible_selection(state, seed=self.seed, progress=self.progress)
+        extension = plausible_selection(state, seed=self.seed, progress=self.progress)
         with np.errstate(over="raise", invalid="raise", divide="raise"):  # numbers that overflow are no answer
             lagged, failures = attempted(
                 "Whether the separation point lags was not tested",
-                lambda: _with_lag(whole, found, flights, base, self.seed, self.progress),
+                lambda: _with_lag(whole, extension, flights, base, self.seed, self.progress),
                 None,
             )
         notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
@@ -246,7 +246,7 @@ class Search:
                 "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
                 "channel or of time."
             )
-        return self._with_terms(lagged or found, flights, outliers, notes, failures)
+        return self._with_terms(lagged or extension, flights, outliers, notes, failures)
 
     def _inside(self, fit: OutputErrorResult) -> OutputErrorResult:
         """A fit whose simulation stays in the envelope."""
@@ -256,7 +256,7 @@ class Search:
 
     def _with_terms(
         self,
-        found: Extension,
+        extension: Extension,
         flights: Flights,
         outliers: Mapping[str, int],
         notes: list[str],
@@ -265,17 +265,17 @@ class Search:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
         left, failed = attempted(
             "The form of what the catalogue does not explain was not sought",
-            lambda: flown_forms(found, seed=self.seed + 3000, progress=self.progress),
+            lambda: flown_forms(extension, seed=self.seed + 3000, progress=self.progress),
             Forms((), ()),
         )
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
-        found = withdrawn(found, left.replaced, left.sizes)
+        extension = withdrawn(extension, left.replaced, left.sizes)
         return SearchResult(
-            found.state.full,
-            _by_stage(found),
-            (*left.unknown, *offsets_found(found, left.idle)),
-            noise_report(found, outliers),
+            extension.state.full,
+            _by_stage(extension),
+            (*left.unknown, *offsets_found(extension, left.idle)),
+            noise_report(extension, outliers),
             tuple(notes),
             (*failures, *failed),
             terms=left.terms,
@@ -315,11 +315,11 @@ def search_in_stages(
             off = (*sensors.state.full.base, *without_hold(sensors))
             begin = sensors.state.full.at_neutral(sensors.state.theta, off)
         state = linearised(_after(full, sensors), responses, responses.model.coefficients, begin)
-        found = plausible_selection(state, seed=seed + 1000, progress=progress)
-        if left := offsets_left(found.state, seed=seed + 1500):
-            state = moved(state, begin, apart=(*found.state.apart, *left))
-            found = plausible_selection(state, seed=seed + 1000, progress=progress)
-        return found
+        extension = plausible_selection(state, seed=seed + 1000, progress=progress)
+        if left := offsets_left(extension.state, seed=seed + 1500):
+            state = moved(state, begin, apart=(*extension.state.apart, *left))
+            extension = plausible_selection(state, seed=seed + 1000, progress=progress)
+        return extension
 
     path = FlightPathError.of(responses.flights, responses.model)
     if not path.outputs:
@@ -356,10 +356,10 @@ def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
     if sensors is None:
         return replace(full, priors={})
     taken = {*sensors.state.active, *(n for larger in sensors.larger for n in without_hold(larger))}
-    priors, own = {}, {p.name: p.prior for p in full.model.free}
+    priors, own_priors = {}, {p.name: p.prior for p in full.model.free}
     for standing in sensors.steps[-1].screening.candidate_scores if sensors.steps else ():
         for name, step, sd in zip(full.parameters_of(standing.effect), standing.step, standing.sd, strict=False):
-            mean, deviation = own[name].normal
+            mean, deviation = own_priors[name].normal
             weight = deviation**-2.0 + sd**-2.0
             combined = (mean * deviation**-2.0 + step * sd**-2.0) / weight
             priors[name] = Prior("normal", combined, weight**-0.5, "flight-path kinematics of the same record")
@@ -476,13 +476,13 @@ def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResul
     """The card's model fitted to windows of `WINDOW` s: the first fit that converges, or the best."""
     start = np.array([p.start for p in dynamics.free])
     finer = dynamics.substeps(start, flights)
-    found = []
+    fits = []
     for seconds in FIRST:
         first, windows = (segments(flights, dynamics, window=w, substeps=finer) for w in (seconds, WINDOW))
-        found.append(fit_cascade([first, windows], [start]))
-        if found[-1].status is OutputErrorStatus.CONVERGED:
-            return found[-1]
-    return min(found, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
+        fits.append(fit_cascade([first, windows], [start]))
+        if fits[-1].status is OutputErrorStatus.CONVERGED:
+            return fits[-1]
+    return min(fits, key=lambda fit: (fit.status is OutputErrorStatus.LEFT_ENVELOPE, fit.cost))
 
 
 def _first_state(
@@ -501,7 +501,7 @@ def _first_state(
 
 def _with_lag(
     whole: CandidateModel,
-    found: Extension,
+    extension: Extension,
     flights: Flights,
     dynamics: AircraftDynamics,
     seed: int,
@@ -509,24 +509,24 @@ def _with_lag(
 ) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
     lag = lag_of(whole)
-    if lag is None or not found.state.active:
+    if lag is None or not extension.state.active:
         return None
     if progress:
         progress("lag of the separation point", 0.0)
-    base = found.base
+    base = extension.base
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
     state, fit = refitted(_first_state(whole, flights, dynamics, values, (lag.name,)))
-    among = found.steps[0].screening
-    gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
+    among = extension.steps[0].screening
+    gain = nats(extension.base_fit.deviance - fit.deviance, extension.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)
     if not (gain > settings.decisive and chance <= settings.block_false_alarm_rate):
         return None  # a lag that is none leaves nothing to linearise
     other = plausible_selection(state, seed=seed, most=settings.max_effects - 1, progress=progress)
-    if lag.name not in other.state.active or nats_gained(found, other) <= settings.decisive:
+    if lag.name not in other.state.active or nats_gained(extension, other) <= settings.decisive:
         return None
     p = between_p_value(other.state, other.fit, lag.name, len(among.candidate_scores) + 1)
     step = SelectionStep(lag.name, p, among, np.nan)
-    return replace(other, base=base, base_fit=found.base_fit, steps=(step, *other.steps))
+    return replace(other, base=base, base_fit=extension.base_fit, steps=(step, *other.steps))
 
 
 def without_lags(full: CandidateModel) -> CandidateModel:

@@ -68,8 +68,8 @@ class Extension:
     @property
     def implausible(self) -> tuple[str, ...]:
         """Additions of this selection that are larger than aircraft have."""
-        own = {e.name: e for e in self.state.full.candidates if e.name not in self.base.active}
-        return tuple(n for n in self.state.active if n in own and implausible(own[n], self.sizes))
+        candidates = {e.name: e for e in self.state.full.candidates if e.name not in self.base.active}
+        return tuple(n for n in self.state.active if n in candidates and implausible(candidates[n], self.sizes))
 
     @property
     def larger(self) -> tuple[Extension, ...]:
@@ -93,9 +93,9 @@ def forward_selection(
 
     `checked` may take some out again before the others are sized. Other arguments as of `selected`.
     """
-    found = selected(state, seed=seed, most=most, progress=progress, barred=barred)
-    after, fit = checked(found.state, found.fit)
-    return sized(replace(found, state=after, fit=fit))
+    extension = selected(state, seed=seed, most=most, progress=progress, barred=barred)
+    after, fit = checked(extension.state, extension.fit)
+    return sized(replace(extension, state=after, fit=fit))
 
 
 def plausible_selection(
@@ -105,11 +105,11 @@ def plausible_selection(
     selected beside it is judged without it."""
     barred, before = (), None
     while True:
-        found = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
-        found = replace(found, too_large=before)
-        if not found.implausible:
-            return found
-        barred, before = (*barred, *found.implausible), found
+        extension = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
+        extension = replace(extension, too_large=before)
+        if not extension.implausible:
+            return extension
+        barred, before = (*barred, *extension.implausible), extension
 
 
 def selected(
@@ -189,14 +189,14 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
     return tuple(n for n in coefficients if constant_of(n) in own)
 
 
-def sized(found: Extension) -> Extension:
+def sized(extension: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
-    state, fit = found.state, found.fit
+    state, fit = extension.state, extension.fit
     names, errors = state.full.model.names, jackknife_errors(state, fit, state.responses.stretch)
     least = {names[c]: float(x) for c, x in zip(fit.columns, errors, strict=True) if c < len(names)}
-    known = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
-    causes, minor = worth(state, fit, known)
-    return replace(found, sizes=known, causes=causes, minor=minor)
+    estimates = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
+    causes, minor = worth(state, fit, estimates)
+    return replace(extension, sizes=estimates, causes=causes, minor=minor)
 
 
 def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
@@ -205,8 +205,8 @@ def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
     bias, away = largest_noise_bias(state, fit), dict(zip(state.full.model.names, state.departure, strict=True))
     shares = {}
     for effect in state.active:
-        own = [n for n in state.full.parameters_of(effect) if n in bias]
-        made = [abs(bias[n][int(away[n] > 0.0)]) / max(abs(away[n]), 1e-300) for n in own]
+        names = [n for n in state.full.parameters_of(effect) if n in bias]
+        made = [abs(bias[n][int(away[n] > 0.0)]) / max(abs(away[n]), 1e-300) for n in names]
         shares[effect] = float(min(1.0, *made)) if made else 0.0
     return shares
 
@@ -220,10 +220,10 @@ def _election(
     reported for every candidate."""
     settings = state.settings
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
-    found = screen(state, fit, seed=seed, nulls=first, noise=noise)
+    screening = screen(state, fit, seed=seed, nulls=first, noise=noise)
     able: list[tuple[CandidateScore, float]] = []
     seen = set(barred)
-    for standing in found.candidate_scores:
+    for standing in screening.candidate_scores:
         if standing.effect in seen:
             continue
         seen.add(standing.effect)
@@ -237,27 +237,29 @@ def _election(
         able.append((standing, gain))
         if standing.score < settings.least_score or standing.log_bayes <= 0.0:
             continue
-        if not len(found.nulls):
+        if not len(screening.nulls):
             projected = PartialledRegression(state, fit, [b[1] for b in state.blocks if b[0] not in state.active])
-            found = replace(found, nulls=null_scores(state, fit, projected, found.colour, noise))
-        p = found.p_value(standing.score)
+            screening = replace(screening, nulls=null_scores(state, fit, projected, screening.colour, noise))
+        p = screening.p_value(standing.score)
         if p <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, found, gain)
+            return SelectionStep(standing.effect, p, screening, gain)
     if not state.responses.stationary:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
-            p = between_p_value(*wider, standing.effect, len(found.candidate_scores))
+            p = between_p_value(*wider, standing.effect, len(screening.candidate_scores))
             if p <= settings.refit_false_alarm_rate:
-                return SelectionStep(standing.effect, p, found, gain)
+                return SelectionStep(standing.effect, p, screening, gain)
         able = []
     for standing, gain in able:
         look = RefitScore(state, standing, noise)
         if look.score < settings.least_score or look.log_bayes <= 0.0:
             continue
         if (p := look.p_value()) <= settings.false_alarm_rate:
-            return SelectionStep(standing.effect, p, found, gain)
-    highest = max((s.score for s in found.candidate_scores if s.effect not in barred), default=0.0)
-    return SelectionStep(None, found.p_value(highest) if len(found.nulls) else float("nan"), found, float("nan"))
+            return SelectionStep(standing.effect, p, screening, gain)
+    highest = max((s.score for s in screening.candidate_scores if s.effect not in barred), default=0.0)
+    return SelectionStep(
+        None, screening.p_value(highest) if len(screening.nulls) else float("nan"), screening, float("nan")
+    )
 
 
 def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
@@ -338,7 +340,7 @@ def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore
 
 
 def worth(
-    state: SelectionState, fit: RegressionFit, found: Mapping[str, Size]
+    state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Additions large enough to be worth modelling, and those that are only a nuisance.
 
@@ -349,7 +351,7 @@ def worth(
 
     def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
         """How far a parameter is from neutral with whichever bias brings it nearest, and its deviation."""
-        size = found[parameter.name]
+        size = estimates[parameter.name]
         ends = [parameter.away(size.mean - b, size.sd) for b in (*bias, 0.0)]
         passes = min(away for away, _ in ends) * max(away for away, _ in ends) <= 0.0
         nearest = min(ends, key=lambda end: abs(end[0]))
@@ -358,7 +360,7 @@ def worth(
     def large_ones(bias: Mapping[str, tuple[float, float]]) -> list[str]:
         chosen = []
         for name in state.active:
-            sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in found]
+            sized = [p for p in added[name].parameters if p.name in added[name].sizes and p.name in estimates]
             away = {p.name: least_away(p, bias.get(p.name, (0.0, 0.0))) for p in sized}
             if large(added[name], away, state.settings.least_score):
                 chosen.append(name)
@@ -371,8 +373,8 @@ def worth(
 def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
     """Whether any parameter of an effect is as far from neutral as is worth a name, and beyond its deviation: `away`
     has both, for parameters of which the effect says what is worth it (without such, always)."""
-    told = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
-    return not told or any(size + sd >= least and size >= least_score * sd for size, sd, least in told)
+    rows = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
+    return not rows or any(size + sd >= least and size >= least_score * sd for size, sd, least in rows)
 
 
 def nats_gained(old: Extension, new: Extension) -> float:
@@ -419,14 +421,14 @@ class Absorbed:
         return frozenset((self.effect, *self.sizes))
 
 
-def absorbed(found: Extension) -> tuple[Absorbed, ...]:
+def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect that is large enough for a name.
 
     Such an effect is beyond `least_score` deviations at the least size worth modelling if the parameter is held, and
     below if it is free within its prior; and it would be of a size that aircraft have, and worth a name, were the
     parameter as usual.
     """
-    state, fit, told = found.state, found.fit, []
+    state, fit, parameters = extension.state, extension.fit, []
     if state.outputs != state.responses.model.coefficients:
         return ()
 
@@ -445,16 +447,16 @@ def absorbed(found: Extension) -> tuple[Absorbed, ...]:
             column = int(state.full.columns([name])[0])
             if column not in fit.columns or not at_rest(column):
                 continue
-            if sizes := _taken_up(found, column):
+            if sizes := _taken_up(extension, column):
                 prior = state.full.priors.get(name, parameter.prior)
-                estimate = float(state.theta[column]), found.sizes[name].sd
-                told.append(Absorbed(effect.name, name, unit, controls[0], estimate, prior.normal, sizes))
-    return tuple(told)
+                estimate = float(state.theta[column]), extension.sizes[name].sd
+                parameters.append(Absorbed(effect.name, name, unit, controls[0], estimate, prior.normal, sizes))
+    return tuple(parameters)
 
 
-def _taken_up(found: Extension, column: int) -> dict[str, Size]:
+def _taken_up(extension: Extension, column: int) -> dict[str, Size]:
     """Sizes of the candidates that the parameter of a column hides, by name."""
-    state, fit = found.state, found.fit
+    state, fit = extension.state, extension.fit
     fewer, hidden = fit.columns[fit.columns != column], {}
 
     def deviations(at: int, size: float, columns: Int[np.ndarray, " k"]) -> float:
@@ -477,19 +479,19 @@ def _taken_up(found: Extension, column: int) -> dict[str, Size]:
         least, largest = effect.sizes[parameter.name]
         if not deviations(at, least, fit.columns) < state.settings.least_score <= deviations(at, least, fewer):
             continue
-        mean, sd = _size(found, column, int(at), fewer)
+        mean, sd = _size(extension, column, int(at), fewer)
         if least <= abs(mean) <= largest:
             hidden[effect.name] = Size(mean, sd, parameter.unit)
     return hidden
 
 
-def _size(found: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
+def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
     """Size of a candidate and its deviation, the parameter of `column` held where its prior has it."""
-    state, columns = found.state, np.append(fewer, at)
+    state, columns = extension.state, np.append(fewer, at)
     away = float(state.mean[column])
     products = state.products.shifted(np.array([column]), np.array([away]))
-    fit = products.fit(columns, state.mean, state.precision, held=found.fit.variance)
-    here = state.products.fit(columns, state.mean, state.precision, held=found.fit.variance)
+    fit = products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
+    here = state.products.fit(columns, state.mean, state.precision, held=extension.fit.variance)
     slope = (fit.step[-1] - here.step[-1]) / away if away else 0.0
     variance = inverse(fit.normal)[-1, -1] + slope**2 / state.precision[column]
     return float(fit.step[-1]), float(np.sqrt(state.variance_inflation * variance))
@@ -516,7 +518,7 @@ class CancellingPair:
 def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
     """Pairs of the named causes whose estimates are correlated and whose contributions cancel, each with its
     combination of least variance; a sum or a difference where that is nearly it."""
-    state, found = extension.state, []
+    state, pairs = extension.state, []
     for effects, names, C in _correlated_parameters(extension, causes):
         i, j = map(int, state.full.columns(names))
         weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
@@ -531,24 +533,24 @@ def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingP
             factor = float(np.sign(factor))
         variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
         mean, sd = float(state.departure[i] + factor * state.departure[j]), float(np.sqrt(max(variance, 0.0)))
-        found.append(CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C)))
-    return tuple(found)
+        pairs.append(CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C)))
+    return tuple(pairs)
 
 
 def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
     """Additions whose estimates are correlated, each with its partners and the correlation: no size holds alone."""
-    found: dict[str, dict[str, float]] = {}
+    partners: dict[str, dict[str, float]] = {}
     for (one, other), _, C in _correlated_parameters(extension, effects):
-        found.setdefault(one, {})[other] = found.setdefault(other, {})[one] = _correlation(C)
-    return found
+        partners.setdefault(one, {})[other] = partners.setdefault(other, {})[one] = _correlation(C)
+    return partners
 
 
-def without_hold(found: Extension) -> dict[str, Mapping[str, float]]:
+def without_hold(extension: Extension) -> dict[str, Mapping[str, float]]:
     """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
     with such a one; each with its partners and the correlation."""
-    state, joint = found.state, correlated(found, found.state.active)
-    out = {n for n in state.active if any(found.sizes[p].at_bound for p in state.full.parameters_of(n))}
-    out |= set(found.implausible)
+    state, joint = extension.state, correlated(extension, extension.state.active)
+    out = {n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))}
+    out |= set(extension.implausible)
     return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
 
 

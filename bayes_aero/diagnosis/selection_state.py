@@ -243,10 +243,10 @@ class SelectionState:
     @cached_property
     def inside(self) -> Bool[np.ndarray, " m"]:
         """Blocks that belong to a fold: neither products nor fits have seen the others."""
-        found = np.zeros(len(self.S), bool)
+        inside = np.zeros(len(self.S), bool)
         for fold in self.folds:
-            found[fold] = True
-        return found
+            inside[fold] = True
+        return inside
 
     @property
     def offsets(self) -> Int[np.ndarray, " o"]:
@@ -277,12 +277,12 @@ class SelectionState:
         if self.components:
             return [(c.label, own, None) for c, own in zip(self.components, self.component_columns, strict=True)]
         begin, scanned = len(self.theta) + self.nuisance, {scan.effect for scan in self.scans}
-        found: list[tuple[str, np.ndarray, float | None]] = [
+        blocks: list[tuple[str, np.ndarray, float | None]] = [
             (scan.effect, np.array([begin + number]), scan.value) for number, scan in enumerate(self.scans)
         ]
         names = (effect.name for effect in self.full.candidates if effect.name not in scanned)
-        found += [(name, self.full.own_columns(name), None) for name in names]
-        return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
+        blocks += [(name, self.full.own_columns(name), None) for name in names]
+        return [block for block in blocks if np.any(self.S[:, :, block[1]] != 0.0)]
 
     def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
         """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""

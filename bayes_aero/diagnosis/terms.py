@@ -86,9 +86,9 @@ class SelectedTerm:
         return 1.0 + float(np.log(self.among))
 
 
-def components_of(found: Sequence[SelectedTerm]) -> list[Component]:
+def components_of(terms: Sequence[SelectedTerm]) -> list[Component]:
     """What selected terms add to the outputs."""
-    return [one.column.component for one in found]
+    return [term.column.component for term in terms]
 
 
 def terms_of_coefficient(
@@ -96,20 +96,20 @@ def terms_of_coefficient(
 ) -> list[SelectedTerm]:
     """Terms that describe what is left of a coefficient as well as the functions of channels by which it was found, the
     first added first; none where none predict as well. `state` has all in that was selected from the catalogue."""
-    columns, found, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
+    columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
-        one, _, trial = leader(state, columns, [f.column for f in found])
-        if nats(one.gain, one.inflation) < settings.ambiguous or one.share < settings.unnamed_share:
+        best, _, trial = leader(state, columns, [f.column for f in terms])
+        if nats(best.gain, best.inflation) < settings.ambiguous or best.share < settings.unnamed_share:
             break
-        own = trial.component_columns[trial.components.index(one.column.component)]
+        own = trial.component_columns[trial.components.index(best.column.component)]
         wider = trial.fit_columns(trial.wider(own))
         colour = autocorrelation_of(trial.left(wider), trial.folds)
-        p = chance_of(one.share, null_shares(trial, colour, wider.variance, seed + number))
+        p = chance_of(best.share, null_shares(trial, colour, wider.variance, seed + number))
         if p > settings.unnamed_false_alarm_rate:
             break
-        found.append(replace(one, p_value=p))
-    found = reconsidered(state, found)
-    if not found:
+        terms.append(replace(best, p_value=p))
+    terms = reconsidered(state, terms)
+    if not terms:
         return []
 
     def gain(components: Sequence[Component]) -> float:
@@ -117,19 +117,19 @@ def terms_of_coefficient(
         wide = state.with_components((), components)
         return holdout_deviance_gain(wide, wide.columns(), state.columns())
 
-    inflation, least = max(one.inflation for one in found), gain(functions)
-    missed = nats(least - gain(components_of(found)), inflation)
-    return found if missed < max(settings.ambiguous, AS_GOOD * nats(least, inflation)) else []
+    inflation, least = max(best.inflation for best in terms), gain(functions)
+    missed = nats(least - gain(components_of(terms)), inflation)
+    return terms if missed < max(settings.ambiguous, AS_GOOD * nats(least, inflation)) else []
 
 
-def reconsidered(state: SelectionState, found: Sequence[SelectedTerm]) -> list[SelectedTerm]:
+def reconsidered(state: SelectionState, terms: Sequence[SelectedTerm]) -> list[SelectedTerm]:
     """The terms that are still worth their place beside all others, with what each gains there."""
-    left = list(found)
-    for one in found:
-        trial = Trial(state, one.column.component, components_of([f for f in left if f is not one]))
-        at, least = left.index(one), state.least_share(state.settings.unnamed_share)
+    left = list(terms)
+    for term in terms:
+        trial = Trial(state, term.column.component, components_of([f for f in left if f is not term]))
+        at, least = left.index(term), state.least_share(state.settings.unnamed_share)
         worth = trial.share >= least and trial.gain > 0.0
-        left[at : at + 1] = [replace(one, share=trial.share, gain=trial.gain)] if worth else []
+        left[at : at + 1] = [replace(term, share=trial.share, gain=trial.gain)] if worth else []
     return left
 
 
@@ -150,11 +150,11 @@ def leader(
     column = trial.component_columns[order[first]]
     own = trial.wider(column)
     explained = nats(fit.deviance - trial.fit_columns(own).deviance, inflation)
-    one = SelectedTerm(
+    term = SelectedTerm(
         open_ones[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
         float(weights[first]), tuple(others), float("nan"), len(columns),
     )  # fmt: skip
-    return one, explained, trial
+    return term, explained, trial
 
 
 def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
@@ -183,26 +183,26 @@ def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.
     return weights / weights.sum()
 
 
-def sized(state: SelectionState, found: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
+def sized(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
     """All terms fitted together, beside the parameters of the model."""
-    whole = state.with_components((), components_of(found))
+    whole = state.with_components((), components_of(terms))
     fit = whole.fit()
     errors = jackknife_errors(whole, fit, state.responses.jackknife_blocks)
     deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
-    own = slice(len(fit.columns) - len(found), None)
-    rows = zip(found, fit.step[own], deviation[own], strict=True)
+    own = slice(len(fit.columns) - len(terms), None)
+    rows = zip(terms, fit.step[own], deviation[own], strict=True)
     return tuple(
         FoundTerm(
-            coefficient=one.column.component.coefficient,
-            term=one.column.term,
-            size=(float(size) / one.column.scale, float(sd) / one.column.scale),
-            share=one.share,
-            gain=nats(one.gain, one.inflation),
-            weight=one.weight,
-            others=one.others,
-            least=SWING[one.column.component.coefficient] / max(one.column.spread, 1e-12),
+            coefficient=term.column.component.coefficient,
+            term=term.column.term,
+            size=(float(size) / term.column.scale, float(sd) / term.column.scale),
+            share=term.share,
+            gain=nats(term.gain, term.inflation),
+            weight=term.weight,
+            others=term.others,
+            least=SWING[term.column.component.coefficient] / max(term.column.spread, 1e-12),
         )
-        for one, size, sd in rows
+        for term, size, sd in rows
     )
 
 
@@ -225,13 +225,13 @@ def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
     library = [columns_of(state, name) for name in state.responses.model.coefficients]
     left = list[SelectedTerm]()
     for number in range(state.settings.unnamed_most):
-        one = _next(state, library, left, seed + number)
-        if one is None:
+        best = _next(state, library, left, seed + number)
+        if best is None:
             break
-        left.append(one)
+        left.append(best)
     left = reconsidered(state, left)
     while left:  # those of which, beside the others, nothing sure is left go out, the least sure first
-        scores = [abs(one.size[0]) / one.size[1] for one in sized(state, left)]
+        scores = [abs(best.size[0]) / best.size[1] for best in sized(state, left)]
         if min(scores) >= state.settings.least_score:
             break
         left.pop(scores.index(min(scores)))
@@ -239,23 +239,27 @@ def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
 
 
 def _next(
-    state: SelectionState, library: Sequence[Sequence[TermColumn]], found: Sequence[SelectedTerm], seed: int
+    state: SelectionState, library: Sequence[Sequence[TermColumn]], terms: Sequence[SelectedTerm], seed: int
 ) -> SelectedTerm | None:
     """The best term beside those found; None where none is beyond chance, large enough and useful."""
     noise = SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    chosen, screened = [one.column for one in found], []
+    chosen, screened = [screened_coefficient.column for screened_coefficient in terms], []
     for columns in library:
         left = [c for c in columns if c not in chosen]
-        trial = state.with_components([c.component for c in left], components_of(found))
+        trial = state.with_components([c.component for c in left], components_of(terms))
         screened.append(_Screened(left, trial, screen(trial, trial.fit(), seed=0, nulls=False, noise=noise)))
     tried = state.settings.candidates_tried
-    leaders = [(one, standing) for one in screened for standing in one.screening.candidate_scores[:tried]]
+    leaders = [
+        (screened_coefficient, standing)
+        for screened_coefficient in screened
+        for standing in screened_coefficient.screening.candidate_scores[:tried]
+    ]
     leaders.sort(key=lambda leader: -leader[1].score)
-    among = sum(len(one.columns) for one in screened)
-    for one, standing in leaders:
-        p = _chance(one.state, standing, among)
+    among = sum(len(screened_coefficient.columns) for screened_coefficient in screened)
+    for screened_coefficient, standing in leaders:
+        p = _chance(screened_coefficient.state, standing, among)
         if p <= state.settings.unnamed_false_alarm_rate:
-            return _weighed(state, screened, components_of(found), one.column(standing), p)
+            return _weighed(state, screened, components_of(terms), screened_coefficient.column(standing), p)
     return None
 
 
@@ -344,8 +348,8 @@ class _Model:
     @cached_property
     def fitted(self) -> tuple[RegressionFit, Float[np.ndarray, "m c"]]:
         """The fit of `wide` and what it leaves, from the columns that are in alone."""
-        state, own, columns = self.state, [one.basis for one in self.components], self.state.columns()
-        S = np.concatenate([state.S[:, :, columns], *own], axis=2) / state.noise_growth[:, :, None]
+        state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
+        S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
         residual, more = state.residual / state.noise_growth, S.shape[2] - len(columns)
         size = float(np.median(np.std(residual, axis=0)))
         precision = np.append(state.precision[columns], np.full(more, state.variance_inflation / (10 * size) ** 2))
@@ -366,7 +370,7 @@ class _Model:
         """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
         state = self.state
         if isinstance(item, SelectedTerm):
-            return replace(self, terms=tuple(one for one in self.terms if one is not item))
+            return replace(self, terms=tuple(term for term in self.terms if term is not item))
         if item in state.apart:
             return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
         return replace(self, state=truncated(state, [name for name in state.active if name != item]))
@@ -420,28 +424,30 @@ def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = 
     instead, state = contest(extension), extension.state
     if instead.terms or instead.replaced:
         return instead._replace(unknown=described((), instead))
-    found, replaced = terms_of_flights(state, seed), ()
-    if found and (replaced := superfluous(state, extension.causes, components_of(found))):
+    terms, replaced = terms_of_flights(state, seed), ()
+    if terms and (replaced := superfluous(state, extension.causes, components_of(terms))):
         bare = state.without(replaced)
         again = terms_of_flights(bare, seed)
-        state, found, replaced = (bare, again, replaced) if again else (state, found, ())
-    shown = [(one, one.column.component) for one in found]
+        state, terms, replaced = (bare, again, replaced) if again else (state, terms, ())
+    shown = [(term, term.column.component) for term in terms]
     unknown = [UnexplainedStructure(c.coefficient, c.channel, f.share, f.p_value, f.elsewhere) for f, c in shown]
-    forms = instead._replace(terms=sized(state, found), replaced=replaced) if found else instead
+    forms = instead._replace(terms=sized(state, terms), replaced=replaced) if terms else instead
     return forms._replace(unknown=described(unknown, instead))
 
 
-def described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
+def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[UnexplainedStructure, ...]:
     """Structure by the first function that shows it, where terms describe all of it."""
-    known = {term.coefficient: term for term in reversed(found.terms)}
+    by_coefficient = {term.coefficient: term for term in reversed(forms.terms)}
     first = {u.coefficient: u for u in reversed(unknown)}
-    more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
+    more = [
+        UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in by_coefficient.items() if c not in first
+    ]
     more += [
         UnexplainedStructure(function.coefficient, function.channel, share, float("nan"))
-        for function, share in found.functions
-        if function.coefficient not in {**first, **known}
+        for function, share in forms.functions
+        if function.coefficient not in {**first, **by_coefficient}
     ]
-    return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
+    return (*(u for u in unknown if u.coefficient not in by_coefficient or u is first[u.coefficient]), *more)
 
 
 def contest(extension: Extension, left: Left = NOTHING) -> Forms:
@@ -528,33 +534,33 @@ def _beside(
     full: SelectionState,
 ) -> list[SelectedTerm]:
     """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
-    found = list(chosen)
+    terms = list(chosen)
     for name in reached:
         columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
         for _ in range(state.settings.terms_most):
-            one, explained, _ = leader(state, columns, [f.column for f in found])
-            if explained <= one.cost:
+            best, explained, _ = leader(state, columns, [f.column for f in terms])
+            if explained <= best.cost:
                 break
-            found.append(one)
-    return found
+            terms.append(best)
+    return terms
 
 
 def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
     """With the functions that earn their cost."""
-    for one in curves:
-        wider = replace(model, functions=(*model.functions, one))
+    for curve in curves:
+        wider = replace(model, functions=(*model.functions, curve))
         model = wider if wider.beyond(model) > 0.0 else model
     return model
 
 
 def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
     """Coefficients whose offsets a polynomial explains as well, and that."""
-    found, least = dict[str, Component](), -model.state.settings.ambiguous
+    explained, least = dict[str, Component](), -model.state.settings.ambiguous
     for name in model.state.apart:
-        own = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if f.coefficient == name]
-        gain, best = max(own, key=lambda pair: pair[0])
-        found |= {name: best} if gain > least else {}
-    return found
+        gains = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if f.coefficient == name]
+        gain, best = max(gains, key=lambda pair: pair[0])
+        explained |= {name: best} if gain > least else {}
+    return explained
 
 
 def _negligible(model: _Model) -> list[str]:
@@ -626,16 +632,16 @@ def _one_by_one(model: _Model, causes: Sequence[str]) -> _Model:
 
 def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
     """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
-    settings, found = best.state.settings, dict[str, tuple[str, float]]()
+    settings, rivals = best.state.settings, dict[str, tuple[str, float]]()
     for other in (*others, *(_less_one(best, name) for name in causes)):
         gone = [name for name in causes if name not in other.state.active]
         had = {one.label for one in best.components}
-        own = [one.label for one in other.components if one.label not in had]
-        if not (gone and own) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
+        labels = [one.label for one in other.components if one.label not in had]
+        if not (gone and labels) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
             continue
-        form = ", ".join(own[:SHOWN]) + (f" and {len(own) - SHOWN} more" if len(own) > SHOWN else "")
-        found |= {name: (f"a form ({form})", lost) for name in gone if name not in found or lost < found[name][1]}
-    return found
+        form = ", ".join(labels[:SHOWN]) + (f" and {len(labels) - SHOWN} more" if len(labels) > SHOWN else "")
+        rivals |= {name: (f"a form ({form})", lost) for name in gone if name not in rivals or lost < rivals[name][1]}
+    return rivals
 
 
 def _sizes(model: _Model, causes: Sequence[str]) -> dict[str, Size]:

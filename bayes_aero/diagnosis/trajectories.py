@@ -129,7 +129,7 @@ def compare_trajectories(
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
         fitted=fit.flown.outputs,
         outputs=tuple(n for n in fit.flown.dynamics.outputs if n in flights.channels),
-        noise_growth=noise.told(fit.flown.outputs),
+        noise_growth=noise.growth_by_output(fit.flown.outputs),
         lag=lag,
         asked=flies.confirmation,
     )
@@ -141,10 +141,10 @@ def _contenders(
     """The extended model fitted to all flights, the one with a lag where that gains, and the card's."""
     whole = diagnosis.aerodynamics.state.full
     base = [e for e in whole.model.effects if e.name in whole.base or not e.parameters]
-    found, model = dict(zip(whole.model.names, diagnosis.theta, strict=True)), _extended(whole.model, [*base, *added])
+    values, model = dict(zip(whole.model.names, diagnosis.theta, strict=True)), _extended(whole.model, [*base, *added])
     tell("extended model", 0.0)
     side = partial(_side, flights, biases)
-    ours = side(model, found)
+    ours = side(model, values)
     joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
     noise = FlightNoise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
@@ -205,9 +205,9 @@ def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, va
 
 def _extended(whole: Model, effects: Sequence) -> Model:
     """The chosen effects with the parameters and fixed values that they have in the model of all candidates."""
-    own = {p.name for e in effects for p in e.parameters}
+    names = {p.name for e in effects for p in e.parameters}
     parameters = {p.name: p for p in whole.parameters}
-    model = Model.of(effects, {k: v for k, v in whole.fixed if k in own}, whole.axes)
+    model = Model.of(effects, {k: v for k, v in whole.fixed if k in names}, whole.axes)
     return replace(model, parameters=tuple(parameters[p.name] for p in model.parameters))
 
 
@@ -260,7 +260,11 @@ def fit_trajectories(
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
-        inflation, whole, noise_growth = noise.variance_inflation, noise.on(whole), noise.told(whole.outputs)
+        inflation, whole, noise_growth = (
+            noise.variance_inflation,
+            noise.on(whole),
+            noise.growth_by_output(whole.outputs),
+        )
         weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
@@ -290,11 +294,13 @@ def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[s
 # absolute scale.
 
 
-def with_tested(found: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card) -> Diagnosis:
+def with_tested(
+    diagnosis: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card
+) -> Diagnosis:
     """The diagnosis by trajectories alone, judged on hold-out flights, with what the simulation still misses, and a
     verdict that claims no more than that. `flown` is its extended model, flown; None where that was not done."""
     tested = Tested({} if flown is None else beyond_noise(flown, records, card))
-    return replace(found, tested=tested, verdict=verdict_of(found.causes, found.left, tested))
+    return replace(diagnosis, tested=tested, verdict=verdict_of(diagnosis.causes, diagnosis.left, tested))
 
 
 def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
@@ -323,31 +329,31 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
 WORTH = 0.03  # of an estimate, a difference that matters to a simulation; our choice
 
 
-def still_apart(found: Sequence[Disagreement], fit: ProcessNoise | None) -> tuple[str, ...]:
-    """Parameters of `found` of which the fit with process noise disagrees with the coefficients as well."""
+def still_apart(disagreements: Sequence[Disagreement], fit: ProcessNoise | None) -> tuple[str, ...]:
+    """Parameters of `disagreements` of which the fit with process noise disagrees with the coefficients as well."""
     other = {} if fit is None else fit.estimates
-    return tuple(d.name for d in found if d.name in other and not _agree(d.coefficients, other[d.name]))
+    return tuple(d.name for d in disagreements if d.name in other and not _agree(d.coefficients, other[d.name]))
 
 
 def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Disagreement, ...]:
     """Parameters, none at a bound, about which the fits differ beyond chance and by more than `WORTH`."""
     if coefficients.status not in (MleStatus.CONVERGED, MleStatus.AT_BOUND) or not flown.converged:
         return ()
-    fit, found = flown.fit, []
+    fit, disagreements = flown.fit, []
     bound = {*coefficients.at_bound, *fit.at_bound, *fit.held_by_prior}
-    one = dict(
+    by_coefficients = dict(
         zip(coefficients.names, zip(coefficients.estimate, coefficients.crb_corrected, strict=True), strict=True)
     )
     for parameter, x, sd in zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True):
-        if parameter.name in bound or parameter.name not in one:
+        if parameter.name in bound or parameter.name not in by_coefficients:
             continue
-        other, its = one[parameter.name]
+        other, its = by_coefficients[parameter.name]
         both = float(np.hypot(sd, its))
         pairs = (float(other), float(its)), (float(x), float(sd))
         if np.isfinite(both) and both > 0.0 and not _agree(*pairs):
             apart = float(abs(x - other) / both)
-            found.append(Disagreement(parameter.name, parameter.unit, *pairs, apart))
-    return tuple(sorted(found, key=lambda d: -d.apart))
+            disagreements.append(Disagreement(parameter.name, parameter.unit, *pairs, apart))
+    return tuple(sorted(disagreements, key=lambda d: -d.apart))
 
 
 def _agree(one: tuple[float, float], other: tuple[float, float]) -> bool:
@@ -396,8 +402,8 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
         covariance = (
             np.zeros((count, count)) if filtered.covariance is None else filtered.covariance[np.ix_(order, order)]
         )
-    found = modes(dynamics, dynamics.values(theta), aircraft, steady)
-    slopes = np.zeros((len(found), 2, count))
+    about_trim = modes(dynamics, dynamics.values(theta), aircraft, steady)
+    slopes = np.zeros((len(about_trim), 2, count))
     scale = np.sqrt(np.diag(covariance))
     open_ones = () if filtered is not None else fit.undetermined
     unknown = [k for k, p in enumerate(fit.parameters[:count]) if p.name in open_ones]
@@ -411,14 +417,15 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
             slopes[:, :, k] = math.nan
             continue
         near = [
-            [min((m.eigenvalue for m in end), key=lambda x: abs(x - one.eigenvalue)) for end in ends] for one in found
+            [min((m.eigenvalue for m in end), key=lambda x: abs(x - mode.eigenvalue)) for end in ends]
+            for mode in about_trim
         ]
         change = np.array([plus - minus for plus, minus in near]) / (2.0 * step[k])
         slopes[:, :, k] = np.stack([change.real, change.imag], axis=1)
     moved = np.any(np.abs(slopes[:, :, unknown]) > 1e-9, axis=(1, 2))
     return tuple(
-        flown_mode(one.name, one.eigenvalue, np.full((2, 2), np.inf) if lost else J @ covariance @ J.T)
-        for one, J, lost in zip(found, slopes, moved, strict=True)
+        flown_mode(mode.name, mode.eigenvalue, np.full((2, 2), np.inf) if lost else J @ covariance @ J.T)
+        for mode, J, lost in zip(about_trim, slopes, moved, strict=True)
     )
 
 
@@ -432,7 +439,7 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
     sd_real, sd_imaginary = (root(float(x)) for x in np.diag(covariance))
     s, w = eigenvalue.real, eigenvalue.imag
 
-    def told(value: float, slope: tuple[float, float]) -> tuple[float, float]:
+    def with_error(value: float, slope: tuple[float, float]) -> tuple[float, float]:
         along = np.array(slope)
         kept = along != 0.0  # infinite errors of what it does not depend on
         part = covariance[np.ix_(kept, kept)]
@@ -441,13 +448,13 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
     quantities = {}
     if w > 0.0:
         size = abs(eigenvalue)
-        quantities["period"] = told(2.0 * math.pi / w, (0.0, -2.0 * math.pi / w**2))
-        quantities["damping_ratio"] = told(-s / size, (-(w**2) / size**3, s * w / size**3))
+        quantities["period"] = with_error(2.0 * math.pi / w, (0.0, -2.0 * math.pi / w**2))
+        quantities["damping_ratio"] = with_error(-s / size, (-(w**2) / size**3, s * w / size**3))
     if abs(s) > KNOWN * sd_real and s != 0.0:
         if w == 0.0 and s < 0.0:
-            quantities["time_constant"] = told(-1.0 / s, (1.0 / s**2, 0.0))
+            quantities["time_constant"] = with_error(-1.0 / s, (1.0 / s**2, 0.0))
         side = "half" if s < 0.0 else "double"
-        quantities[f"time_to_{side}"] = told(HALF / abs(s), (-math.copysign(HALF, s) / s**2, 0.0))
+        quantities[f"time_to_{side}"] = with_error(HALF / abs(s), (-math.copysign(HALF, s) / s**2, 0.0))
     return FlownMode(name, eigenvalue, (sd_real, sd_imaginary), quantities)
 
 
@@ -460,12 +467,12 @@ def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motio
     if flown.of_path or not flown.converged:
         return None
     steady = steady_of(flown.fit.flown.flights)
-    found, why_not = (), ""
+    modes_found, why_not = (), ""
     filtered = beside if beside is not None and beside.preferred else None
     try:
-        found = flown_modes(flown.fit, steady, filtered)
+        modes_found = flown_modes(flown.fit, steady, filtered)
     except InputError as reason:
         why_not = str(reason)
     linear = isinstance(unbiased(flown.fit.flown.dynamics), LinearDynamics)
     about = (math.nan, math.nan) if linear else (steady.airspeed, steady.altitude)
-    return Motion(*about, found, why_not, filtered is not None)
+    return Motion(*about, modes_found, why_not, filtered is not None)

@@ -221,10 +221,10 @@ def _p_value(
         return gain / (float(np.sum(residual**2 * scan.weight)) - gain)
 
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
-    found = autocorrelation_of(left, state.folds)
-    again = np.array([without_leader(one) for one in drawn(found, noise.correction)])
-    colour = unbiased(found, autocorrelations_of(again, state.folds))
-    nulls = np.array([statistic(one) for one in drawn(colour, noise.replicates)])
+    first = autocorrelation_of(left, state.folds)
+    again = np.array([without_leader(record) for record in drawn(first, noise.correction)])
+    colour = unbiased(first, autocorrelations_of(again, state.folds))
+    nulls = np.array([statistic(record) for record in drawn(colour, noise.replicates)])
     return colour, float((1 + np.sum(nulls >= statistic(state.left(fit)))) / (1 + len(nulls)))
 
 
@@ -254,15 +254,15 @@ def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]
     `least` blocks at either end of a manoeuvre are not divided; about `most` begins are tried.
     """
     count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
-    found = []
+    changes = []
     for k in range(count):
         own = np.flatnonzero(manoeuvre == k)
         first, last = int(own[0]), int(own[-1]) + 1
         begins = [*([first] if k else []), *range(first + least, last - least + 1, -(-m // most))]
         # The records may be of one flight, where a change lasts, or of several, where it does not.
         ends = {m} if k == count - 1 else {last, m}
-        found += [Span(k, begin, end) for begin in begins for end in sorted(ends)]
-    return found
+        changes += [Span(k, begin, end) for begin in begins for end in sorted(ends)]
+    return changes
 
 
 class ChangeScan:
@@ -304,7 +304,7 @@ class ChangeScan:
         noise = np.stack([within, np.sum(added, axis=0) - within])
         # By it least squares makes that value too small. All other parameters have one value, fitted beside both.
         whole = np.sum(self._S * self._weighed, axis=(0, 1))
-        shared, found = inverse(fit.normal), np.zeros_like(noise)
+        shared, shares = inverse(fit.normal), np.zeros_like(noise)
         for p, column in enumerate(self.columns):
             (at,) = fit.places([column])
             others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
@@ -312,9 +312,9 @@ class ChangeScan:
             inside, outside = cross[:, p], total - cross[:, p]
             a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
             c = -form(inside, outside)
-            told = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
-            found[:, :, p] = noise[:, :, p] / np.maximum(told, TINY)
-        return found
+            information = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
+            shares[:, :, p] = noise[:, :, p] / np.maximum(information, TINY)
+        return shares
 
     def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
         """Sums over each span."""
@@ -334,10 +334,10 @@ class ChangeScan:
 
     def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
         """What a change of this size takes away of the residual, scaled as that is."""
-        found = -self._B @ self._shares[span, parameter]
+        explained = -self._B @ self._shares[span, parameter]
         here = slice(self._begin[span], self._end[span])
-        found[here] += self._S[here, :, parameter]
-        return estimate * found
+        explained[here] += self._S[here, :, parameter]
+        return estimate * explained
 
 
 # --- What is reported of a change: the parameter before and after, when, and what else explains as much.
@@ -345,7 +345,7 @@ class ChangeScan:
 NEAREST = 200  # moments that are compared with the best one, those that explain most
 
 
-def told(
+def reported_change(
     state: SelectionState, found: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
@@ -382,23 +382,23 @@ def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component
     fit = whole.fit()
     covariance = uncertainty(whole, fit)
     widths = [c.basis.shape[2] for c in chosen]
-    own = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
+    place = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
     (at,) = fit.places([change.column])
     combinations = np.zeros((3, len(fit.columns)))
-    combinations[[0, 1], at], combinations[[1, 2], own] = 1.0, change.unit
+    combinations[[0, 1], at], combinations[[1, 2], place] = 1.0, change.unit
     sd = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", combinations, covariance, combinations), 0.0))
     values = combinations @ fit.step + state.theta[change.column] * np.array([1.0, 1.0, 0.0])
     before, after, size = ((float(x), float(s)) for x, s in zip(values, sd, strict=True))
     return before, after, size
 
 
-def _as_good(state: SelectionState, found: FoundChange) -> tuple[tuple[int, int], list[str], float]:
+def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
     """First and last block from which the change may as well begin; other parameters that explain about as much; and
     the variance inflation of the change itself."""
-    scan, settings, (span, parameter) = found.scan, state.settings, found.change.at
-    estimates = scan.estimates(found.residual)
+    scan, settings, (span, parameter) = change.scan, state.settings, change.change.at
+    estimates = scan.estimates(change.residual)
     gains, own = scan.gains(estimates), scan.over[span]
-    same = [i for i, one in enumerate(scan.over) if (one.manoeuvre, one.end) == (own.manoeuvre, own.end)]
+    same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
     same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
     best = np.argmax(gains, axis=0)
     others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
@@ -410,7 +410,7 @@ def _as_good(state: SelectionState, found: FoundChange) -> tuple[tuple[int, int]
     # Two changes are told from each other by the residual along the difference of what they explain.
     leader = explained((span, parameter))
     apart = np.stack([leader, *(leader - explained(place) for place in places[1:])], axis=2)
-    inflation = inflation_along(apart, scan.weight, found.folds, found.colour)
+    inflation = inflation_along(apart, scan.weight, change.folds, change.colour)
     lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
     times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
     names = [state.full.model.names[scan.columns[p]] for _, p in others]
@@ -430,19 +430,19 @@ class Left:
 
 def unexplained(extension: Extension, *, seed: int) -> Left:
     """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
-    state, found = extension.state, list[FoundComponent]()
+    state, components = extension.state, list[FoundComponent]()
     for number in range(max(state.settings.unnamed_most, len(state.outputs))):
-        one = _best(state, [f.component for f in found], seed + number)
-        if one is None:
+        best = _best(state, [f.component for f in components], seed + number)
+        if best is None:
             break
-        found.append(one)
-        state = one.state
-    if found:
-        replaced = superfluous(state, extension.causes, [f.component for f in found])
-        over = {(f.component.coefficient, f.component.channel) for f in found}
+        components.append(best)
+        state = best.state
+    if components:
+        replaced = superfluous(state, extension.causes, [f.component for f in components])
+        over = {(f.component.coefficient, f.component.channel) for f in components}
         lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
         line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
-        return _left(extension, found, tuple(name for name in replaced if name not in line))
+        return _left(extension, components, tuple(name for name in replaced if name not in line))
     # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
     # coefficients together: they were then stand-ins for something that is in no catalogue.
     proxies = [] if not extension.causes else [_changing_in(extension, seed), _standing_in(extension)]
@@ -455,7 +455,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
     """Each coefficient not among the `idle` ones, which terms explain, whose constant differs between manoeuvres beyond
     chance, and additions that explain it as well."""
-    state, found = extension.state, []
+    state, structures = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
         less, fit = fewer.fit(), state.fit()
@@ -473,8 +473,8 @@ def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[Unexp
         names = state.responses.flights.names[1:]
         offsets = {n: (float(x), float(sd)) for n, x, sd in zip(names, size, deviation, strict=True)}
         share = float(np.max(1.0 - fit.variance / less.variance))
-        found.append(UnexplainedStructure(name, "manoeuvre", share, p, tuple(dict.fromkeys(rivals)), offsets))
-    return tuple(found)
+        structures.append(UnexplainedStructure(name, "manoeuvre", share, p, tuple(dict.fromkeys(rivals)), offsets))
+    return tuple(structures)
 
 
 def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
@@ -484,21 +484,21 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
     return state.offsets[first : first + width]
 
 
-def _left(extension: Extension, found: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
+def _left(extension: Extension, components: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
     """What was found, as it is reported."""
-    unknown, changes, chosen = [], [], [f.component for f in found]
-    bare = found[-1].state.without([name for name in replaced if name in found[-1].state.active])
+    unknown, changes, chosen = [], [], [f.component for f in components]
+    bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
     election = None if last is None or last.chosen is not None else last.screening
-    for one in found:
-        if isinstance(one, FoundChange):
-            change = told(bare, one, chosen, election)
+    for component in components:
+        if isinstance(component, FoundChange):
+            change = reported_change(bare, component, chosen, election)
             if not (change.between and set(change.ambiguous_with) & _constants(bare)):
                 changes.append(change)
         else:
-            of = one.component
-            unknown.append(UnexplainedStructure(of.coefficient, of.channel, one.share, one.p_value))
-    functions = tuple(one.component for one in found if not isinstance(one, FoundChange))
+            of = component.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, component.share, component.p_value))
+    functions = tuple(component.component for component in components if not isinstance(component, FoundChange))
     return Left(tuple(unknown), replaced, tuple(changes), functions)
 
 
@@ -522,11 +522,11 @@ def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[C
     return tuple(dropped)
 
 
-def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
+def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
     """Causes `names` of which little is left beside what is unexplained become nuisances; `sizes` are the others'."""
-    causes = tuple(name for name in found.causes if name not in names)
-    minor = (*found.minor, *(name for name in found.causes if name in names))
-    return replace(found, causes=causes, minor=minor, sizes={**found.sizes, **sizes})
+    causes = tuple(name for name in extension.causes if name not in names)
+    minor = (*extension.minor, *(name for name in extension.causes if name in names))
+    return replace(extension, causes=causes, minor=minor, sizes={**extension.sizes, **sizes})
 
 
 def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
@@ -570,17 +570,17 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent
     parts = parts_of(state, state.settings.change_parts)
     products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
     own = state.full.own_columns(*extension.causes)
-    known = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
-    found = sought_change(bare, (), seed=seed, least=max(known, 0.0))
-    if found is None:
+    of_causes = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    change = sought_change(bare, (), seed=seed, least=max(of_causes, 0.0))
+    if change is None:
         return None
-    margin = _margin(state, found.gained, known)
-    return (margin, found) if margin > 0.0 else None
+    margin = _margin(state, change.gained, of_causes)
+    return (margin, change) if margin > 0.0 else None
 
 
-def _margin(state: SelectionState, gained: float, known: float) -> float:
-    """Deviance by which a component predicts more than it must to take the place of causes that gain `known`."""
-    return gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation
+def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
+    """Deviance by which a component predicts more than it must to take the place of causes that gain `of_causes`."""
+    return gained - state.settings.stand_in * max(of_causes, 0.0) - 6.0 * state.variance_inflation
 
 
 def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
@@ -596,7 +596,7 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
         bare = trial.columns(())
         products = trial.products.shifted(own, -state.departure[own])
         taken_out = replace(trial, products=products, active=())
-        known = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
+        of_causes = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
         width = max(len(columns) for columns in trial.component_columns)
         dummy = trial.S.shape[2] - 1
         rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
@@ -604,7 +604,7 @@ def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
         for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
             columns = trial.component_columns[i]
             gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
-            margin = _margin(state, gained, known)
+            margin = _margin(state, gained, of_causes)
             share = taken_out.share_of(columns)
             left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
             if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):

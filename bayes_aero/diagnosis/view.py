@@ -129,16 +129,19 @@ def profiles(
     residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
 ) -> list[ResidualProfile]:
     """How the residual depends on each channel, the clearest first."""
-    found, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks at least, that they have a deviation
+    profiles_by_channel, bins = (
+        [],
+        max(1, min(BINS, len(residual) // 2)),
+    )  # of two blocks at least, that they have a deviation
     for name, x in channels.items():
         if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):
             continue
         parts = np.array_split(np.argsort(x, kind="stable"), bins)
         mean = np.array([residual[p].mean() for p in parts])
         sd = np.array([residual[p].std() * np.sqrt(variance_inflation / len(p)) for p in parts])
-        found.append(ResidualProfile(name, np.array([x[p].mean() for p in parts]), mean, sd))
+        profiles_by_channel.append(ResidualProfile(name, np.array([x[p].mean() for p in parts]), mean, sd))
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
-    return sorted(found, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
+    return sorted(profiles_by_channel, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
 
 
 def _stall(fitted: Fitted) -> Stall:
@@ -158,13 +161,13 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
         return {fitted.state.full.model.names[c]: float(x) for c, x in zip(columns, sd, strict=True)}
 
     full, sd, sd_after = after.state.full, deviations(before), deviations(after)
-    found = {}
+    moves = {}
     for p, i in (
         (p, full.columns([p])[0]) for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after
     ):
         values = float(before.state.theta[i]), float(after.state.theta[i])
-        found[p] = ParameterMove(*values, sd[p], sd_after[p], full.model.free[i].unit)
-    return found
+        moves[p] = ParameterMove(*values, sd[p], sd_after[p], full.model.free[i].unit)
+    return moves
 
 
 def _composition(
@@ -177,12 +180,12 @@ def _composition(
     """
     standard = state.left(fit) / np.sqrt(fit.variance)
     inside = np.concatenate([standard[fold] for fold in state.folds])
-    manoeuvre, found = state.responses.flights.manoeuvre, {}
+    manoeuvre, composition = state.responses.flights.manoeuvre, {}
     for c, name in enumerate(state.outputs):
         z, e = measured[:, c], residual[:, c]
         scores, parts = score(z, z - e), theil_parts(z, z - e)
         bands = {f"{p:g}": np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
-        found[name] = {
+        composition[name] = {
             "r": scores.r,
             "rmse": scores.rmse,
             "r2": scores.r2,
@@ -193,7 +196,7 @@ def _composition(
             "lag1": lag1_within(e, manoeuvre),
             "calibration": {level: float(np.mean(within)) for level, within in bands.items()},
         }
-    return found
+    return composition
 
 
 # --- The covariance of a fitted model's estimates, with what a diagnosis adds to it for its causes.
@@ -201,8 +204,8 @@ def _composition(
 
 def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Which parameters were fitted, and the covariance of their estimates that coloured residuals leave."""
-    own = np.flatnonzero(model.fit.columns < len(model.state.theta))
-    return model.fit.columns[own], uncertainty(model.state, model.fit)[np.ix_(own, own)]
+    parameters = np.flatnonzero(model.fit.columns < len(model.state.theta))
+    return model.fit.columns[parameters], uncertainty(model.state, model.fit)[np.ix_(parameters, parameters)]
 
 
 def joint_covariance(
@@ -234,8 +237,8 @@ def holdout_scores(view: View) -> HoldoutScores:
         for model, fitted in models.items():
             for split, residual in (("fitted", fitted.state.residual), ("hold_out", left[model].residual)):
                 scores[model, split, k] = scores_of(state.outputs, measured[here], residual[here])
-        found = compared(left["card"], left["extended"], state, measured, k)
-        gains |= {(manoeuvre, name): gain for name, gain in found.items()}
+        differences = compared(left["card"], left["extended"], state, measured, k)
+        gains |= {(manoeuvre, name): gain for name, gain in differences.items()}
     return HoldoutScores(view.names, scores, gains, state.settings.hold_out)
 
 
@@ -271,27 +274,27 @@ def compared(
 
 def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
     """Candidates of every stage."""
-    found, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
+    rankings, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
     for stage, extension in stages.items():
         if extension is not None and extension.steps:
             screening = extension.steps[0].screening
             level = extension.state.settings.false_alarm_rate
-            found.append(Ranking(stage, _ranked(extension, screening), screening.threshold(level), level))
-    return tuple(found)
+            rankings.append(Ranking(stage, _ranked(extension, screening), screening.threshold(level), level))
+    return tuple(rankings)
 
 
 def _ranked(extension: Extension, screening: ScreeningResult) -> tuple[RankedCandidate, ...]:
-    full, found = extension.base.full, {}
+    full, ranked = extension.base.full, {}
     for s in screening.candidate_scores:
-        if s.effect in found:
+        if s.effect in ranked:
             continue
         effect = next(e for e in full.model.effects if e.name == s.effect)
         at = [extension.base.theta[i] for i in full.own_columns(s.effect)]
         sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
-        found[s.effect] = RankedCandidate(
+        ranked[s.effect] = RankedCandidate(
             s.effect, effect.kind.value, s.score, screening.p_value(s.score), explained(extension.base, s), sizes
         )
-    return tuple(sorted(found.values(), key=lambda s: -s.score))
+    return tuple(sorted(ranked.values(), key=lambda s: -s.score))
 
 
 # --- Sizes of the causes in a band of frequencies, beside those of the coefficients: bias and drift drop out there.

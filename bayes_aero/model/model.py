@@ -97,9 +97,9 @@ class Model:
         """
         if card.linear is not None:
             raise InputError(f"card {card.name} states a linear system, which has no effects; use one with [model]")
-        own = own_effects(card.effect_files)
+        user_effects = own_effects(card.effect_files)
         try:
-            model = cls.of([own.get(name, name) for name in card.effects], card.fixed, card.axes)
+            model = cls.of([user_effects.get(name, name) for name in card.effects], card.fixed, card.axes)
         except InputError as reason:
             raise InputError(f"card {card.name}, [model]: {reason}") from None
         for name in card.changes:
@@ -119,9 +119,9 @@ class Model:
         Raises:
             InputError: an effect or a parameter is unknown.
         """
-        known = {p.name: p for p in self.parameters}
+        present = {p.name: p for p in self.parameters}
         wider = Model.of((*self.effects, *effects), dict(self.fixed) | dict(fixed or {}), self.axes)
-        parameters = tuple(known.get(p.name, per_length(p, self.lengths)) for p in wider.parameters)
+        parameters = tuple(present.get(p.name, per_length(p, self.lengths)) for p in wider.parameters)
         return replace(wider, parameters=parameters, lengths=self.lengths)
 
     @property
@@ -210,9 +210,9 @@ class Model:
 
     def static_points(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> tuple[Any, ...]:
         """Separation points of a steady flow: one, or those of the right and the left wing."""
-        known = self._separated((Stage.SEPARATION,), values, signals, aircraft)
-        half = known["X_difference"] / 2.0
-        return (known["X"] + half, known["X"] - half) if self.two_wings else (known["X"],)
+        flow = self._separated((Stage.SEPARATION,), values, signals, aircraft)
+        half = flow["X_difference"] / 2.0
+        return (flow["X"] + half, flow["X"] - half) if self.two_wings else (flow["X"],)
 
     def attached(self, values: Mapping[str, Any], signals: Signals, aircraft: Aircraft) -> dict[str, Any]:
         """`CL_attached`, CD and Cm of the effects of stage ATTACHED alone."""
@@ -291,8 +291,8 @@ class Model:
         Returns:
             Its `coefficients` along the last axis, (n, c).
         """
-        known = self.flow(self.values(theta), signals, aircraft)
-        return namespace(known["CL"]).stack([known[name] for name in self.coefficients], axis=-1)
+        flow = self.flow(self.values(theta), signals, aircraft)
+        return namespace(flow["CL"]).stack([flow[name] for name in self.coefficients], axis=-1)
 
 
 # --- Effects and parameters as a card or a caller chooses them.
@@ -349,7 +349,7 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
     The files are Python code and are run. A card given by its path is trusted; a study needs --trust-effects. Each
     content is run once, so that an effect is always the same object and its compiled programs are used again.
     """
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for path in files:
         try:
             if not path.is_file():
@@ -362,17 +362,17 @@ def own_effects(files: Sequence[Path]) -> dict[str, Effect]:
         except (OSError, ValueError) as error:
             raise InputError(f"effect file {path} cannot be read ({error}); mend the path on the card") from None
         for effect in _run(path, text):
-            if effect.name in CATALOGUE or effect.name in found:
+            if effect.name in CATALOGUE or effect.name in effects:
                 raise InputError(f"effect file {path}: the name {effect.name} is taken; give the effect another one")
-            others = (*CATALOGUE.values(), *found.values())
+            others = (*CATALOGUE.values(), *effects.values())
             taken = {p.name for e in others for p in e.parameters} & {p.name for p in effect.parameters}
             if taken:
                 raise InputError(
                     f"effect file {path}: the parameter {', '.join(sorted(taken))} of {effect.name} belongs to another "
                     "effect; give it another name"
                 )
-            found[effect.name] = effect
-    return found
+            effects[effect.name] = effect
+    return effects
 
 
 @lru_cache(maxsize=32)

@@ -197,9 +197,9 @@ class Density(LogDensity):
         # that no short autoregression describes. With every sample the autoregression would fit the smoothness, and the
         # likelihood would weigh only changes from sample to sample, in which filtered and unfiltered signals differ.
         # One sample in `FILTER_STEP` keeps the band that the filter passes, in which the coloured model holds.
-        known = None if bias is None else jnp.asarray(bias)
-        own = replace(noise, coefficients=observations.coefficients)
-        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, own, known)
+        bias_of = None if bias is None else jnp.asarray(bias)
+        noise_of = replace(noise, coefficients=observations.coefficients)
+        return cls(observations if noise.colour is Colour.WHITE else observations.thinned(), model, noise_of, bias_of)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -232,8 +232,8 @@ class Density(LogDensity):
 
     def replicate(self, x: Float[Array, " k"], white: Float[Array, "n c"]) -> Float[Array, "n c"]:
         """Coefficients that the model with its noise would have produced from standard normal `white`."""
-        known = self._flow(x)
-        return self._stacked(known) + self.noise.simulate(self.values(x), white, known["X"], self.observations.start)
+        flow = self._flow(x)
+        return self._stacked(flow) + self.noise.simulate(self.values(x), white, flow["X"], self.observations.start)
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
@@ -241,13 +241,13 @@ class Density(LogDensity):
 
     def _by_coefficient(self, x: Float[Array, " k"], function: Callable[..., Any]) -> list[Any]:
         """A function of the noise model for the residuals of each coefficient."""
-        o, known, values = self.observations, self._flow(x), self.values(x)
-        residuals = {name: o.measured[:, c] - known[name] for c, name in enumerate(self.model.coefficients)}
-        return [function(name, values, residual, known["X"], o.start) for name, residual in residuals.items()]
+        o, flow, values = self.observations, self._flow(x), self.values(x)
+        residuals = {name: o.measured[:, c] - flow[name] for c, name in enumerate(self.model.coefficients)}
+        return [function(name, values, residual, flow["X"], o.start) for name, residual in residuals.items()]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
         """The coefficients and the separation point."""
         return self.model.flow(self.values(x), self.observations.signals, self.observations.aircraft)
 
-    def _stacked(self, known: Mapping[str, Array]) -> Float[Array, "n c"]:
-        return jnp.stack([known[name] for name in self.model.coefficients], axis=-1)
+    def _stacked(self, flow: Mapping[str, Array]) -> Float[Array, "n c"]:
+        return jnp.stack([flow[name] for name in self.model.coefficients], axis=-1)

@@ -60,8 +60,8 @@ def response_scales(
         return model.corrected(values, {**channels, name: series}, aircraft)[name]
 
     # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count.
-    own = {name: channels[name] for name in names if name in channels}
-    return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in own.items()}
+    series_by_name = {name: channels[name] for name in names if name in channels}
+    return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in series_by_name.items()}
 
 
 def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:

@@ -237,7 +237,7 @@ def despiked_records(records: Sequence[FlightRecord]) -> tuple[list[FlightRecord
     repaired_channels, count = [], {}
     for record in records:
         channels, spikes = without_spikes(record.channels, (record.n,))
-        count |= {name: count.get(name, 0) + found for name, found in spikes.items()}
+        count |= {name: count.get(name, 0) + replaced for name, replaced in spikes.items()}
         repaired_channels.append(replace(record, channels=channels))
     return repaired_channels, count
 
@@ -263,8 +263,8 @@ def on_recorded_axes(
     present = [(record.name, with_sums(record, card)) for record in records]
     lacking: dict[Axis, tuple[str, list[str]]] = {}  # the first record that lacks channels of an axis, and these
     for axis in card.axes:
-        own = (channel for effect in every if effect.axes == (axis,) for channel in effect.channels)
-        asked = dict.fromkeys((*needed[axis], *own))
+        channels = (channel for effect in every if effect.axes == (axis,) for channel in effect.channels)
+        asked = dict.fromkeys((*needed[axis], *channels))
         for name, have in present:
             if lacks := [need for need in asked if need not in have and need not in made]:
                 lacking.setdefault(axis, (name, lacks))

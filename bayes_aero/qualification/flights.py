@@ -39,11 +39,11 @@ def errors(
     """Recorded minus simulated from the measured initial states, SI; the separated share of the flow (0 without a
     separation point); whether each manoeuvre stays inside the envelope."""
     still = jnp.zeros((len(flown.index), len(flown.dynamics.start)))
-    found = trajectories(flown, jnp.asarray(theta), still)
-    X = found.trajectory.outputs.get("X")
+    simulated = trajectories(flown, jnp.asarray(theta), still)
+    X = simulated.trajectory.outputs.get("X")
     separated = np.zeros(flown.index.shape) if X is None else np.clip(1.0 - np.asarray(X), 0.0, 1.0)
-    sound = np.all(np.asarray(found.trajectory.inside) | ~flown.inside, axis=1)
-    return np.asarray(found.residual), separated, sound
+    sound = np.all(np.asarray(simulated.trajectory.inside) | ~flown.inside, axis=1)
+    return np.asarray(simulated.residual), separated, sound
 
 
 def spread(
@@ -75,8 +75,8 @@ def gust_spread(
     n, s = alone.index.shape[1], len(gusty.dynamics.states)
 
     def one(job: tuple[Float[np.ndarray, " k"], np.ndarray]) -> Float[np.ndarray, "n c"]:
-        known = calm | dict(zip(alone.dynamics.names, job[0], strict=True)) | dict(gusts)
-        theta = jnp.asarray([known[p.name] for p in free])
+        values = calm | dict(zip(alone.dynamics.names, job[0], strict=True)) | dict(gusts)
+        theta = jnp.asarray([values[p.name] for p in free])
         return np.asarray(_added(gusty.nameless, theta, jnp.asarray(job[1])))
 
     with ThreadPoolExecutor(cores()) as pool:
@@ -170,9 +170,9 @@ def further_flights(
     first = np.cov(errors, rowvar=False).reshape(len(names), len(names))
     points, refused = (), {}
 
-    def nats(told: Float[np.ndarray, "k k"]) -> float:
+    def nats(information: Float[np.ndarray, "k k"]) -> float:
         """Log of how many times the part by the parameters is narrowed, the sum of all tests that they leave open."""
-        after = _after(first, told)
+        after = _after(first, information)
         moved = [one for one in useful if one.deviation(first) > 0.0]
         return float(np.sum(np.log([one.deviation(first) / max(one.deviation(after), 1e-300) for one in moved])))
 
@@ -185,7 +185,7 @@ def further_flights(
         state = linearised(full, EquationError.of(flights, model), model.coefficients, estimate)
         variants = variants_of(state, (), envelope)
         possible = [
-            replace(one, told=_precision(one.told, names, scale[moving]))
+            replace(one, information=_precision(one.information, names, scale[moving]))
             for one in possible_points(state, variants, (), noise_of(state), envelope)
         ]
         refused = refused_points(variants, envelope)
@@ -193,8 +193,12 @@ def further_flights(
             possible,
             np.zeros_like(first),
             nats=nats,
-            expected=lambda told: tuple(one.probability(errors, _shrunk(errors, first, told)) for one in open_),
-            decided=lambda told: all(_decided(one.probability(errors, _shrunk(errors, first, told))) for one in useful),
+            expected=lambda information: tuple(
+                one.probability(errors, _shrunk(errors, first, information)) for one in open_
+            ),
+            decided=lambda information: all(
+                _decided(one.probability(errors, _shrunk(errors, first, information))) for one in useful
+            ),
         )
     questions = tuple(
         OpenTolerance(t.kind, t.manoeuvre, t.output, one.probability(errors, errors), chance)
@@ -207,14 +211,14 @@ def _decided(chance: float) -> bool:
     return not FAILS_TO < chance < PASSES_FROM
 
 
-def _after(first: Float[np.ndarray, "k k"], told: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+def _after(first: Float[np.ndarray, "k k"], information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
     """Covariance with further information."""
-    return first - first @ told @ np.linalg.solve(np.eye(len(first)) + first @ told, first)
+    return first - first @ information @ np.linalg.solve(np.eye(len(first)) + first @ information, first)
 
 
-def _shrunk(errors: np.ndarray, first: np.ndarray, told: np.ndarray) -> Float[np.ndarray, "m k"]:
+def _shrunk(errors: np.ndarray, first: np.ndarray, information: np.ndarray) -> Float[np.ndarray, "m k"]:
     """Errors of the covariance that is left, made of the drawn ones."""
-    return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, told))
+    return errors @ np.linalg.pinv(_root(first)) @ _root(_after(first, information))
 
 
 def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
@@ -223,12 +227,14 @@ def _root(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
     return (vectors * np.sqrt(size)) @ vectors.T
 
 
-def _precision(told: Information, names: Sequence[str], scale: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+def _precision(
+    information: Information, names: Sequence[str], scale: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k k"]:
     """Of a record by itself on scaled parameters, under coloured noise: I M^-1 I."""
-    at = [k for k, label in enumerate(told.labels) if label in names]
-    place = [list(names).index(told.labels[k]) for k in at]
+    at = [k for k, label in enumerate(information.labels) if label in names]
+    place = [list(names).index(information.labels[k]) for k in at]
     unit = np.outer(scale[place], scale[place])
-    matrix, score = told.matrix[np.ix_(at, at)] * unit, told.score_variance[np.ix_(at, at)] * unit
+    matrix, score = information.matrix[np.ix_(at, at)] * unit, information.score_variance[np.ix_(at, at)] * unit
     whole = np.zeros((len(names), len(names)))
     whole[np.ix_(place, place)] = matrix @ np.linalg.pinv(score, rcond=KEPT, hermitian=True) @ matrix
     return whole
@@ -253,14 +259,14 @@ def fits_without(fit: OutputErrorResult, noise: FlightNoise) -> list[OutputError
     """For each manoeuvre the fit to all others."""
     candidate = CandidateFit("qualified", fit)
     silent = {candidate.name: {k: {} for k in range(len(fit.flown.index))}}
-    return [found for _, found in left_out([candidate], silent, noise)]
+    return [fit_without for _, fit_without in left_out([candidate], silent, noise)]
 
 
 def hold_out(
     wide: SegmentTrajectories, fits: Sequence[OutputErrorResult], inflation: float, seed: int
 ) -> HoldOut | None:
     """Errors of every manoeuvre by the fit without it; None where one of these fits cannot fly it."""
-    found, explained, counts = [], [], []
+    errors_by_manoeuvre, explained, counts = [], [], []
     for k, fit in enumerate(fits):
         alone = wide.part([k])
         error, _, sound = errors(alone, fit.estimate)
@@ -268,10 +274,10 @@ def hold_out(
             return None
         draws = posterior_draws(fit, inflation, seed, DRAWS)
         apart = spread(alone, fit.estimate, draws)[:, alone.inside[0]]
-        found.append(error[0])
+        errors_by_manoeuvre.append(error[0])
         explained.append(mean_square(apart))
         counts.append(float(alone.inside.sum()))
-    return HoldOut(np.stack(found), np.average(explained, axis=0, weights=counts))
+    return HoldOut(np.stack(errors_by_manoeuvre), np.average(explained, axis=0, weights=counts))
 
 
 def mean_square(apart: Float[np.ndarray, "m n c"]) -> Float[np.ndarray, " c"]:
@@ -304,9 +310,9 @@ def next_parameters(
     )
     following = drawn.following.reshape(-1, len(parameters))
     kept = np.random.default_rng([seed, 11]).choice(len(following), count, replace=len(following) < count)
-    found = [from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)]
+    drawn_parameters = [from_prior_units(p.prior, following[kept, i]) for i, p in enumerate(parameters)]
     lower, upper = (np.array([p.bounds[i] for p in parameters], float) for i in (0, 1))
-    return np.clip(np.stack(found, axis=1), lower, upper)
+    return np.clip(np.stack(drawn_parameters, axis=1), lower, upper)
 
 
 def _of_data(fit: OutputErrorResult, inflation: float) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:

@@ -84,9 +84,9 @@ class Structure:
         separated: Float[np.ndarray, " n"],
         dt: float,
         rng: np.random.Generator,
-        own: Float[np.ndarray, "n c"] | None = None,
+        recorded: Float[np.ndarray, "n c"] | None = None,
     ) -> Float[np.ndarray, "m n c"]:
-        """`count` histories of the errors of one manoeuvre, SI; of its `own` errors as recorded a part repeats."""
+        """`count` histories of the errors of one manoeuvre, SI; of its `recorded` errors as recorded a part repeats."""
         n, c = len(separated), len(self.innovation)
         block = _block(dt)
         size = np.sqrt(self.sizes / rng.chisquare(self.sizes, (c, count)))
@@ -97,12 +97,12 @@ class Structure:
         share = (at - low)[:, None, None]
         slow = series[low] * (1.0 - share) + series[low + 1] * share
         grown = 1.0 + self.growth * separated[:, None]
-        found = np.moveaxis(slow, 2, 0) * grown
-        if own is not None:
+        histories = np.moveaxis(slow, 2, 0) * grown
+        if recorded is not None:
             again = rng.uniform(size=(count, 1, c))
-            repeated = (own - _means(own, dt)[1]) * np.sqrt(self.left)
-            found = np.sqrt(again) * repeated + np.sqrt(1.0 - again) * found
-        return found + self.fast * rng.standard_normal(found.shape) * grown
+            repeated = (recorded - _means(recorded, dt)[1]) * np.sqrt(self.left)
+            histories = np.sqrt(again) * repeated + np.sqrt(1.0 - again) * histories
+        return histories + self.fast * rng.standard_normal(histories.shape) * grown
 
 
 def _block(dt: float) -> int:
@@ -122,12 +122,12 @@ def _means(error: Float[np.ndarray, "n c"], dt: float) -> tuple[Float[np.ndarray
 
 def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int]) -> float:
     """Mean square of series of these lengths that begin at zero, of unit innovations."""
-    A, P, found = np.vstack([phi, np.eye(ORDER - 1, ORDER)]), np.zeros((ORDER, ORDER)), []
+    A, P, variances = np.vstack([phi, np.eye(ORDER - 1, ORDER)]), np.zeros((ORDER, ORDER)), []
     for _ in range(max(lengths)):
         P = A @ P @ A.T
         P[0, 0] += 1.0
-        found.append(P[0, 0])
-    total = np.cumsum(found)
+        variances.append(P[0, 0])
+    total = np.cumsum(variances)
     return float(sum(total[length - 1] for length in lengths) / sum(lengths))
 
 
@@ -190,19 +190,19 @@ def qualify(
     a band; `tests`: others; `bands`: half the width of the tolerance by output, SI; `progress` is called with a stage
     and the share of it that is done."""
     cases = _cases(flown, tests, unknown, seed)
-    found: list[Test] = []
+    judged: list[Test] = []
     strips: list[Strip] = []
     undecided: list[OpenTest] = []
     for number, case in enumerate(cases):
         if progress:
             progress("flights", number / len(cases))
         result, strip, still = _judged(case, unknown, bands, np.random.default_rng([seed, 3, number]))
-        found += result
+        judged += result
         strips.append(strip)
         undecided += still if case.draws is unknown.draws else []
     ahead = [case for case in cases if case.kind is FlightKind.NEXT]
     scattered = ahead[0].draws is unknown.following if ahead else None
-    return QualifiedFlights(tuple(found), tuple(strips), scattered, tuple(undecided))
+    return QualifiedFlights(tuple(judged), tuple(strips), scattered, tuple(undecided))
 
 
 def _cases(flown: SegmentTrajectories, tests: SegmentTrajectories | None, unknown: Uncertain, seed: int) -> list[_Case]:
@@ -267,21 +267,21 @@ def _judged(
     chances, limits = {}, np.array([bands[n] for n in outputs])
     for counted in ("parameters", "structure", *(("gusts",) if unknown.gusts else ())):
         if counted == "structure":
-            own = error if case.kind is FlightKind.AGAIN else None
-            flights = flights + case.structure.draws(len(flights), separated, dt, rng, own)
+            recorded = error if case.kind is FlightKind.AGAIN else None
+            flights = flights + case.structure.draws(len(flights), separated, dt, rng, recorded)
         if counted == "gusts":
             flights = flights + gust_spread(alone, case.draws, unknown.gusts, rng)
         inside = np.abs(np.nan_to_num(flights[:, keep], nan=np.inf)) <= limits
         passed = np.all(inside, axis=1).sum(axis=0)
         chances[counted] = [Chance.of(int(k), len(flights)) for k in passed]
-    size, found, still = np.abs(error[keep]), [], []
+    size, tests, still = np.abs(error[keep]), [], []
     rest = np.nan_to_num(flights - by_parameters, nan=np.inf)
     for c, output in enumerate(outputs):
         beside = RecordBeside(float(size[:, c].max()), float(np.mean(size[:, c] <= limits[c])))
         by = {counted: each[c] for counted, each in chances.items()}
         shown = None if case.kind is FlightKind.NEXT else beside
-        found.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
-        if found[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
+        tests.append(Test(case.kind, name, output, bands[output], by, float(inside[:, :, c].mean()), shown))
+        if tests[-1].chance.verdict is ToleranceVerdict.UNDECIDED:
             parts = by_parameters[:, keep, c], rest[:, keep, c]
             still.append(OpenTest(case.kind, name, output, bands[output], *parts))
     record, index = alone.flights, alone.index[0][keep]
@@ -290,7 +290,7 @@ def _judged(
     ends = np.quantile(np.nan_to_num(flights[:, keep], posinf=FAR, neginf=-FAR), CENTRAL, axis=0)
     low, high = ({n: simulated[n] + x[:, c] for c, n in enumerate(outputs)} for x in ends)
     strip = Strip(case.kind, name, np.asarray(record.time)[index], measured, simulated, low, high)
-    return found, strip, still
+    return tests, strip, still
 
 
 # --- The flown region: the convex hull of flown samples, and how far another motion lies outside.
@@ -345,8 +345,8 @@ class Region:
             kept = np.linspace(0, len(points) - 1, MOST_FLOWN).astype(int)
             points = points[np.unique([*kept, *np.argmin(points, axis=0), *np.argmax(points, axis=0)])]
         points = np.unique(points / self.scale, axis=0)
-        found = np.array([sample - nearest(points, sample) for sample in samples])
-        return np.where(np.linalg.norm(found, axis=1, keepdims=True) > ROUNDING, found, 0.0)
+        offsets = np.array([sample - nearest(points, sample) for sample in samples])
+        return np.where(np.linalg.norm(offsets, axis=1, keepdims=True) > ROUNDING, offsets, 0.0)
 
     def outside(
         self, manoeuvre: str, kind: str, time: Float[np.ndarray, " m"], motion: Mapping[str, Float[np.ndarray, " m"]]

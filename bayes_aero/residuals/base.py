@@ -336,8 +336,8 @@ class FlightPathError(Blockwise):
         ends, scales, sines = [f.channels[name] for name in ("dt", "first", "last")], {}, []
         same = {name: signals[name] is x for name, x in f.channels.items()}
         for name in RATES:
-            own = self._recorded_slopes[name] if same[name] else differentiate_joined(signals[name], *ends)
-            signals[f"{name}_dot"] = own
+            slope = self._recorded_slopes[name] if same[name] else differentiate_joined(signals[name], *ends)
+            signals[f"{name}_dot"] = slope
         for name in ANGLES:
             sines += self._sines[name] if same[name] else (np.sin(signals[name]), np.cos(signals[name]))
         for name in (name for name in self.outputs if not same[name]):  # derivatives by the recorded channels

@@ -119,8 +119,8 @@ class _Signals:
 
     def modelled(self, values: Mapping[str, Any]) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
         """Coefficients of the model, and the separation point."""
-        known = self.responses.model.flow(values, self.signals, self.aircraft)
-        return jnp.stack([known[name] for name in self.responses.model.coefficients], axis=-1), known["X"]
+        flow = self.responses.model.flow(values, self.signals, self.aircraft)
+        return jnp.stack([flow[name] for name in self.responses.model.coefficients], axis=-1), flow["X"]
 
     @property
     def factors(self) -> Float[Array, "n c"]:
@@ -131,12 +131,12 @@ class _Signals:
         ratio = pressure / nominal
         force = ratio * (f.aircraft.mass / aircraft.mass)
         pitch = ratio * (f.aircraft.Iy / aircraft.Iy) / scales["q"]
-        found = {"CL": force, "CD": force, "Cm": pitch}
+        factors = {"CL": force, "CD": force, "Cm": pitch}
         if Axis.LATERAL in self.responses.model.axes:
             roll = ratio * (f.aircraft.Ix / aircraft.Ix) / scales["p"]
             yaw = ratio * (f.aircraft.Iz / aircraft.Iz) / scales["r"]
-            found |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
-        return jnp.stack([found[name] for name in self.responses.model.coefficients], axis=-1)
+            factors |= {"CY": force / scales["ay"], "Cl": roll, "Cn": yaw}
+        return jnp.stack([factors[name] for name in self.responses.model.coefficients], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -215,8 +215,8 @@ def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> 
     used = jnp.sum(jnp.any(groups != 0.0, axis=(1, 2)))
     shape = jax.eval_shape(slope, directions[0])
     nothing = jnp.zeros((len(groups), DIRECTIONS_AT_ONCE, *shape.shape), shape.dtype)
-    found = jax.lax.fori_loop(0, used, lambda i, x: x.at[i].set(jax.vmap(slope)(groups[i])), nothing)
-    return found.reshape(-1, *shape.shape)
+    slopes = jax.lax.fori_loop(0, used, lambda i, x: x.at[i].set(jax.vmap(slope)(groups[i])), nothing)
+    return slopes.reshape(-1, *shape.shape)
 
 
 # --- Residuals in the frequency domain: finite Fourier transforms over a band, in which bias and drift drop out.
@@ -301,8 +301,8 @@ def sampling_times(flights: Flights) -> list[float]:
 
 
 def _rows(flights: Flights, band: Band) -> tuple[Float[np.ndarray, "_ _"], ...]:
-    told = zip(flights.lengths, sampling_times(flights), flights.names, strict=True)
-    return tuple(without_trend(transform_rows(lines_in(band, n, dt, name), n, dt)) for n, dt, name in told)
+    manoeuvres = zip(flights.lengths, sampling_times(flights), flights.names, strict=True)
+    return tuple(without_trend(transform_rows(lines_in(band, n, dt, name), n, dt)) for n, dt, name in manoeuvres)
 
 
 class FrequencyError(InBand, EquationError):
@@ -382,10 +382,10 @@ class LinearFrequencyError(InBand, eqx.Module):
         system, drives = self.system_and_inputs(theta)
         channels = self.flights.channels
         x = jnp.stack([channels[name] for name in self.states], axis=1)
-        rates, found = jax.vmap(system.motion)(x, drives)
+        rates, outputs = jax.vmap(system.motion)(x, drives)
         ends = [channels[name] for name in ("dt", "first", "last")]
         derivatives = jnp.stack([differentiate_joined(column, *ends) for column in x.T], axis=1)
-        more = [(channels[name] - found[name])[:, None] for name in self.further]
+        more = [(channels[name] - outputs[name])[:, None] for name in self.further]
         return self.block(jnp.concatenate([derivatives - rates, *more], axis=1))
 
 
@@ -407,8 +407,8 @@ class LinearFrequencyOutputError(LinearFrequencyError):
     def in_band(cls, flights: Flights, dynamics: LinearDynamics, band: Band) -> LinearFrequencyOutputError:
         """`flights` under `dynamics`, in `band` (Hz). Raises `InputError` where a state was not recorded."""
         LinearFrequencyError.in_band(flights, dynamics, band)
-        told = zip(flights.lengths, sampling_times(flights), flights.names, strict=True)
-        rows = [transform_rows(lines_in(band, n - 1, dt, name), n - 1, dt) for n, dt, name in told]
+        manoeuvres = zip(flights.lengths, sampling_times(flights), flights.names, strict=True)
+        rows = [transform_rows(lines_in(band, n - 1, dt, name), n - 1, dt) for n, dt, name in manoeuvres]
         x = np.stack([np.asarray(flights.channels[name]) for name in dynamics.states], axis=1)
         ends = np.cumsum(flights.lengths)
         changes = x[ends - 1] - x[ends - np.array(flights.lengths)]
@@ -446,10 +446,10 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         u = jnp.stack([drives[name] for name in (*system.inputs_read, ONE)], axis=1)
         parts = []
         for k, rows in enumerate(self.rows):
-            own = slice(ends[k], ends[k + 1])
-            U = _complex(rows @ u[own][:-1]), u[own][-1] - u[own][0]
+            samples = slice(ends[k], ends[k + 1])
+            U = _complex(rows @ u[samples][:-1]), u[samples][-1] - u[samples][0]
             modelled = self.transforms(system, theta, k, U, jnp.asarray(self.changes[k]))
-            parts.append(rows @ recorded[own][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
+            parts.append(rows @ recorded[samples][:-1] - jnp.concatenate([modelled.real, modelled.imag]))
         return jnp.concatenate(parts)
 
     def transforms(
@@ -478,11 +478,11 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         read = X @ C.T + U[0] @ D.T
         values = self.dynamics.values(theta)
         late = {name: values[p] for name, p in self.dynamics.delays(self.outputs).items()}
-        found = {name: X[:, i] for i, name in enumerate(self.states)}
+        signals = {name: X[:, i] for i, name in enumerate(self.states)}
         for row, name in enumerate(system.read):
-            found[name] = read[:, row] + found.get(name, 0.0)
+            signals[name] = read[:, row] + signals.get(name, 0.0)
         delayed = {name: jnp.exp(-1j * phase / dt * late[name]) for name in late}
-        return jnp.stack([found[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
+        return jnp.stack([signals[name] * delayed.get(name, 1.0) for name in self.outputs], axis=1)
 
 
 def _complex(parts: Array | np.ndarray) -> Array:
@@ -499,7 +499,7 @@ def _changes(responses: LinearFrequencyOutputError, theta, k: int):
     nothing = jnp.zeros((len(responses.rows[k]) // 2, inputs), complex), jnp.zeros(inputs)
 
     def parts(change):
-        found = responses.transforms(system, theta, k, nothing, change)
-        return jnp.concatenate([found.real, found.imag])
+        modelled = responses.transforms(system, theta, k, nothing, change)
+        return jnp.concatenate([modelled.real, modelled.imag])
 
     return jax.jacfwd(parts)(jnp.zeros(len(responses.states)))

@@ -127,8 +127,8 @@ class OutputError(ResidualModel, eqx.Module):
         states, rest = len(self.windows.dynamics.start), np.zeros((DIRECTIONS_PER_CALL, len(theta)))
         directions = np.eye(-(-states // DIRECTIONS_PER_CALL) * DIRECTIONS_PER_CALL, states)
         parts = np.split(directions, len(directions) // DIRECTIONS_PER_CALL)  # by the program of `slopes`
-        found = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
-        slope = -np.concatenate(found)[:states][:, :, keep]  # s m c
+        slopes = [_slopes(self.nameless, *map(jnp.asarray, (theta, rest, part)))[1] for part in parts]
+        slope = -np.concatenate(slopes)[:states][:, :, keep]  # s m c
         window = self.stretch
         s, m, c = slope.shape
         S = np.zeros((m, c, len(self.windows.index) * s))
@@ -143,8 +143,8 @@ class OutputError(ResidualModel, eqx.Module):
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
-        found = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
-        return self._mean(found.residual)
+        simulated = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
+        return self._mean(simulated.residual)
 
     def states(self, theta: Any) -> Float[Array, "w n s"]:
         """States of the simulated windows from their measured initial states."""
@@ -187,16 +187,16 @@ class FilterError(OutputError):
         cut: SegmentTrajectories,
         theta: Float[np.ndarray, " k"],
         R: Float[np.ndarray, " c"],
-        found: Filtered,
+        filtered: Filtered,
         dynamics: AircraftDynamics,
     ) -> FilterError:
         """Innovations of a filtered record (`cut`) under extended dynamics, at the filter's `theta`, `R` and result."""
         # The dynamics may lack states of the filter, such as gusts without intensity, and have two separation points
         # where the filter has one, with which both move while the effects are neutral.
-        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), found)
+        by = _observer(cut.nameless, jnp.asarray(theta), jnp.asarray(R), filtered)
         dynamics, states = dynamics.for_filter(), cut.dynamics.states
-        own = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
-        rows = np.array([states.index(name) for name in own])
+        names = [name if name in states or name not in POINTS else POINTS[0] for name in dynamics.states]
+        rows = np.array([states.index(name) for name in names])
         by = Observer(by.gain[:, :, rows], by.whitening)
         cut, place = replace(cut, dynamics=dynamics), np.flatnonzero(cut.inside)
         return cls(flights=cut.flights, windows=cut, place=place, model=dynamics.model, by=by)
@@ -217,13 +217,13 @@ class FilterError(OutputError):
     @property
     def jackknife_blocks(self) -> Int[np.ndarray, " m"]:
         """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
-        manoeuvre, begin, found = self.manoeuvre, 0, np.zeros(len(self.place), int)
+        manoeuvre, begin, blocks = self.manoeuvre, 0, np.zeros(len(self.place), int)
         for k in range(int(manoeuvre[-1]) + 1):
-            own = np.flatnonzero(manoeuvre == k)
-            count = max(round(len(own) * self.seconds / PART), 1)
-            found[own] = begin + np.arange(len(own)) * count // len(own)
+            samples = np.flatnonzero(manoeuvre == k)
+            count = max(round(len(samples) * self.seconds / PART), 1)
+            blocks[samples] = begin + np.arange(len(samples)) * count // len(samples)
             begin += count
-        return found
+        return blocks
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
         """What a filter does not foresee of what is added to a coefficient."""
@@ -246,10 +246,12 @@ class FilterError(OutputError):
 
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
         """`slopes` as a function of the directions; the path and its derivatives by the state are computed once."""
-        path, known = self.path_at(theta)
+        path, derivatives = self.path_at(theta)
 
         def slopes(directions):
-            residual, slope = _filter_slopes(self.nameless, jnp.asarray(theta), path, known, jnp.asarray(directions))
+            residual, slope = _filter_slopes(
+                self.nameless, jnp.asarray(theta), path, derivatives, jnp.asarray(directions)
+            )
             return np.asarray(residual), -np.moveaxis(np.asarray(slope), -1, 0)
 
         return slopes
@@ -277,15 +279,15 @@ def _path(responses: FilterError, theta):
 
 
 @eqx.filter_jit
-def _filter_slopes(responses: FilterError, theta, path, known, directions):
-    lin = linearise(responses.flown, theta, path.before, path.after, directions, known)
+def _filter_slopes(responses: FilterError, theta, path, derivatives, directions):
+    lin = linearise(responses.flown, theta, path.before, path.after, directions, derivatives)
     e = path.innovation[..., None]
     # A scale error changes the noise of the record with its signal; without this term it would fit noise.
     grown = e * lin.scale_drive / lin.scale[..., None]
-    found = responses._whitened(
+    whitened = responses._whitened(
         jnp.concatenate([e, observer_derivatives(lin, responses.by) - grown], axis=-1), lin.scale
     )
-    return found[..., 0], found[..., 1:]
+    return whitened[..., 0], whitened[..., 1:]
 
 
 # --- What a flight makes of something added to a coefficient: to first order, for whatever is a function of the flight.
@@ -369,13 +371,13 @@ class AddedCoefficients(AddedSeries):
     def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
         """The same along any path of the windows."""
         windows, flights = self.responses.windows, self.responses.flights
-        found = _signals(self.responses, self.theta, states)
+        signals = _signals(self.responses, self.theta, states)
         real = np.asarray(windows.inside)
         place, n = np.asarray(windows.index)[real], flights.n
         latest = np.full(n, -1)
         latest[place] = np.arange(len(place))
         latest = np.maximum.accumulate(latest)
-        laid = {name: np.asarray(x)[real][latest] for name, x in found.items()}
+        laid = {name: np.asarray(x)[real][latest] for name, x in signals.items()}
         marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
         return {name: x for name, x in laid.items() if name not in self.zeros} | marks
 
@@ -391,14 +393,14 @@ class AddedCoefficients(AddedSeries):
     def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the residuals by the factors of series that are added to a coefficient."""
         series = made(self.signals())
-        size, found = DIRECTIONS_PER_CALL, []
+        size, slopes = DIRECTIONS_PER_CALL, []
         for begin in range(0, len(series), size):
             part = series[begin : begin + size]
             wide = jnp.zeros((size, series.shape[1])).at[: len(part)].set(part)
             rest = jnp.zeros_like(wide)
             directions = {name: wide if name == channel_of(coefficient) else rest for name in self.zeros}
-            found.append(-np.asarray(_added_slopes(self.responses, self.theta, self.zeros, directions))[: len(part)])
-        return np.concatenate(found)
+            slopes.append(-np.asarray(_added_slopes(self.responses, self.theta, self.zeros, directions))[: len(part)])
+        return np.concatenate(slopes)
 
 
 # --- What a filter does not foresee of something added to a coefficient: to first order, its gains held.
@@ -413,11 +415,15 @@ COLUMNS = 64  # at a time
 
 @eqx.filter_jit
 def _innovation_slopes(
-    responses: FilterError, theta: Any, known: StateDerivatives, own: InputDerivatives, series: Float[Array, "2 d n"]
+    responses: FilterError,
+    theta: Any,
+    by_state: StateDerivatives,
+    by_input: InputDerivatives,
+    series: Float[Array, "2 d n"],
 ) -> Float[Array, "m c d"]:
     flown = responses.flown
     before, after = (jnp.moveaxis(x[:, flown.index], 0, -1) for x in series)  # w n d
-    return responses.whitened(theta, input_innovations(flown, theta, known, own, responses.by, before, after))
+    return responses.whitened(theta, input_innovations(flown, theta, by_state, by_input, responses.by, before, after))
 
 
 class AddedToFilter(AddedCoefficients):
@@ -441,13 +447,13 @@ class AddedToFilter(AddedCoefficients):
         responses = self.responses
         assert isinstance(responses, FilterError)
         direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
-        own = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
+        by_input = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
         series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
-        found = []
+        slopes = []
         for begin in range(0, series.shape[1], COLUMNS):
             part = series[:, begin : begin + COLUMNS]
             wide = np.zeros((2, COLUMNS, series.shape[2]))
             wide[:, : part.shape[1]] = part
-            slope = _innovation_slopes(responses, self.theta, self.known, own, jnp.asarray(wide))
-            found.append(-np.moveaxis(np.asarray(slope), -1, 0)[: part.shape[1]])
-        return np.concatenate(found)
+            slope = _innovation_slopes(responses, self.theta, self.known, by_input, jnp.asarray(wide))
+            slopes.append(-np.moveaxis(np.asarray(slope), -1, 0)[: part.shape[1]])
+        return np.concatenate(slopes)
