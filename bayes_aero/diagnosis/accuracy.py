@@ -233,13 +233,11 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
-        import jax.numpy as jnp  # not before: `check` does not load JAX
-
         residual = np.zeros_like(state.residual)
         for number, fold in enumerate(state.folds):
             others = [f for f in range(len(state.folds)) if f != number]
             theta = optimum(state, others, state.settings.hold_out_steps)
-            residual[fold] = np.asarray(state.responses.evaluate(jnp.asarray(theta))[0])[:, state.kept_outputs][fold]
+            residual[fold] = np.asarray(state.responses.evaluate(theta)[0])[:, state.kept_outputs][fold]
         return cls._of(state, residual)
 
     @classmethod

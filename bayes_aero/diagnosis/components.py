@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.accuracy import holdout_deviance_gain
 from bayes_aero.diagnosis.candidate_set import moves, noise_channels
-from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of, explained_shares
+from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of, chance_of, null_shares
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, manoeuvre_constants
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.health.signals import noise_of
@@ -362,21 +362,6 @@ class Trial:
     def colour(self) -> Autocorrelation:
         """Of what is left with it in."""
         return autocorrelation_of(self.state.left(self.fit), self.state.folds)
-
-
-def null_shares(
-    trial: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
-) -> Float[np.ndarray, " r"]:
-    """Largest share that any component explains in noise-only records, of this autocorrelation and these variances."""
-    # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
-    # noise, and noise of the other outputs for a share of it.
-    fit = trial.fit_columns(trial.columns(), held=variance)
-    return explained_shares(trial, fit, colour, seed, trial.settings.unnamed_replicates)
-
-
-def chance_of(share: float, null: Float[np.ndarray, " r"]) -> float:
-    """p-value of a share among those of noise-only records."""
-    return float((1 + np.sum(null >= share)) / (1 + len(null)))
 
 
 # --- The library's terms, and polynomials, as columns of a regression.

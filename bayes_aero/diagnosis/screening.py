@@ -408,7 +408,7 @@ class ScreeningResult:
 
     def p_value(self, score: float) -> float:
         """Share of noise-only replicates in which some candidate scores at least as high."""
-        return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
+        return chance_of(score, self.nulls)
 
     def threshold(self, level: float) -> float:
         """The score above which the p-value is at most `level`; not a number without replicates, or with too few."""
@@ -444,7 +444,7 @@ def screen(
     noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
     colour = autocorrelation_of(residual, state.folds)
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
-    drawn = without_active(state, fit, colour.coloured(noise.correction, state.folds, len(residual)))
+    drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
     stretch, freedom = state.responses.stretch, state.responses.freedom
     estimates, covariances = projected.scores(residual, colour, stretch)
@@ -493,18 +493,22 @@ def null_scores(
     noise: SharedNoise,
 ) -> Float[np.ndarray, " r"]:
     """The largest score of any candidate in each noise-only replicate of this colour."""
-    noises = without_active(state, fit, colour.coloured(noise.replicates, state.folds, len(state.residual)))
+    noises = noise_records(state, fit, colour, noise.replicates)
     return projected.largest(noises, autocorrelations_of(noises, state.folds))
 
 
-def explained_shares(
-    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, seed: int, count: int
+def null_shares(
+    state: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
 ) -> Float[np.ndarray, " r"]:
-    """Largest share of one output's variance that any block, acting on one output, explains in each noise record."""
+    """Largest share of one output's variance that any block, acting on one output, explains in each noise-only record,
+    of this autocorrelation and these variances."""
+    # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
+    # noise, and noise of the other outputs for a share of it.
+    fit, count = state.fit_columns(state.columns(), held=variance), state.settings.unnamed_replicates
     projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
     output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
-    drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
-    noises = without_active(state, fit, drawn)
+    white = white_noise(count, state.folds, len(colour.sigma), np.random.default_rng(seed))
+    noises = noise_records(state, fit, colour, white)
     total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
     shares = [
         np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
@@ -513,13 +517,19 @@ def explained_shares(
     return np.max(shares, axis=0)
 
 
-def without_active(
-    state: SelectionState, fit: RegressionFit, residual: Float[np.ndarray, "*r m c"]
-) -> Float[np.ndarray, "*r m c"]:
-    """What is left of noise records when the active columns are fitted to them."""
+def noise_records(
+    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]
+) -> Float[np.ndarray, "r m c"]:
+    """What is left of noise records of a colour, made of `white_noise`, when the active columns are fitted to them."""
+    residual = colour.coloured(white, state.folds, len(state.residual))
     B = state.scaled[:, :, fit.columns]
     step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
     return residual - np.tensordot(step, B, (-1, 2))
+
+
+def chance_of(score: float, nulls: Float[np.ndarray, " r"]) -> float:
+    """p-value of a score among those of noise-only records."""
+    return float((1 + np.sum(nulls >= score)) / (1 + len(nulls)))
 
 
 def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -612,7 +622,7 @@ class RefitScore:
         self.projected = PartialledRegression(state, self.fit, blocks)
         self.noise = noise
         first = autocorrelation_of(state.left(wider), state.folds)
-        noises = self._noises(first, noise.correction)
+        noises = noise_records(state, self.fit, first, noise.correction)
         self.colour = unbiased(first, self._left(noises, self._leaders(noises)))
         number = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
         (estimate,), (covariance,) = self._judged(number, state.left(self.fit)[None], [self.colour])
@@ -622,19 +632,14 @@ class RefitScore:
 
     def p_value(self) -> float:
         """Share of noise-only replicates whose most explaining candidate scores at least as high."""
-        noises = self._noises(self.colour, self.noise.replicates)
+        noises = noise_records(self.state, self.fit, self.colour, self.noise.replicates)
         leaders = self._leaders(noises)
         colours, scores = self._left(noises, leaders), np.zeros(len(noises))
         for j in {j for j, _ in leaders}:
             at = [k for k, (leader, _) in enumerate(leaders) if leader == j]
             judged = self._judged(j, noises[at], [colours[k] for k in at])
             scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
-        return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
-
-    def _noises(self, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, "r m c"]:
-        """Noise records of a colour, the active columns taken out."""
-        drawn = colour.coloured(white, self.state.folds, len(self.state.residual))
-        return without_active(self.state, self.fit, drawn)
+        return chance_of(self.score, scores)
 
     def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
         """The candidate that explains most of each noise record, and its estimate."""

@@ -18,11 +18,9 @@ from bayes_aero.diagnosis.components import (
     ProductTerm,
     TermColumn,
     Trial,
-    chance_of,
     columns_of,
     is_periodic,
     likeness,
-    null_shares,
     polynomials,
     term_of,
 )
@@ -33,9 +31,11 @@ from bayes_aero.diagnosis.screening import (
     ScreeningResult,
     SharedNoise,
     autocorrelation_of,
+    chance_of,
     inflation_along,
     jackknife_errors,
     jackknife_p_value,
+    null_shares,
     screen,
     uncertainty,
 )

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 
 from bayes_aero.diagnosis.accuracy import Size, holdout_deviance_gain, recording_noise
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, manoeuvres
-from bayes_aero.diagnosis.components import Trial, chance_of, families, in_batches, null_shares, parts_of, term_of
+from bayes_aero.diagnosis.components import Trial, families, in_batches, parts_of, term_of
 from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import (
     Autocorrelation,
@@ -25,11 +25,13 @@ from bayes_aero.diagnosis.screening import (
     SharedNoise,
     autocorrelation_of,
     autocorrelations_of,
+    chance_of,
     inflation_along,
+    noise_records,
+    null_shares,
     screen,
     unbiased,
     uncertainty,
-    without_active,
 )
 from bayes_aero.diagnosis.selection import Extension, removed
 from bayes_aero.diagnosis.selection_state import (
@@ -207,9 +209,6 @@ def _p_value(
     """The colour of the noise that is `left` with the change in, and how often noise alone shows as much of one."""
     noise = SharedNoise(seed, state.folds, left.shape[1], state.settings)
 
-    def drawn(colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, "r m c"]:
-        return without_active(state, fit, colour.coloured(white, state.folds, len(state.residual)))
-
     def without_leader(residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
         estimates = scan.estimates(residual)
         leader, _ = _leader(scan, estimates)
@@ -222,10 +221,10 @@ def _p_value(
 
     # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
     first = autocorrelation_of(left, state.folds)
-    again = np.array([without_leader(record) for record in drawn(first, noise.correction)])
+    again = np.array([without_leader(record) for record in noise_records(state, fit, first, noise.correction)])
     colour = unbiased(first, autocorrelations_of(again, state.folds))
-    nulls = np.array([statistic(record) for record in drawn(colour, noise.replicates)])
-    return colour, float((1 + np.sum(nulls >= statistic(state.left(fit)))) / (1 + len(nulls)))
+    nulls = np.array([statistic(record) for record in noise_records(state, fit, colour, noise.replicates)])
+    return colour, chance_of(statistic(state.left(fit)), nulls)
 
 
 # --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
