@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51717,
+    "bayes_aero: lines": 51756,
     "bayes_aero: files": 245,
     "bayes_aero: private helpers used once": 291,
     "bayes_aero: class names with several meanings": 0,
@@ -20,7 +20,7 @@ LIMITS = {
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
     "CHANGELOG.md: lines": 161,
-    "docs: words": 27782,
+    "docs: words": 25111,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 
