@@ -27,7 +27,7 @@ import bayes_aero.flight.readers as readers
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, candidate_model
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis import selection
+from bayes_aero.diagnosis.selection import forward_selection
 from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -15,8 +15,17 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings
 from bayes_aero.diagnosis.flight_path_check import CALM, gusts_met, path_check
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening import largest_p_value, screen
-from bayes_aero.diagnosis.selection import Extension, SelectionStep, correlated, explained, nats_gained, removed, without_hold, worth
-from bayes_aero.diagnosis import selection
+from bayes_aero.diagnosis.selection import (
+    Extension,
+    SelectionStep,
+    correlated,
+    explained,
+    forward_selection,
+    nats_gained,
+    removed,
+    without_hold,
+    worth,
+)
 from bayes_aero.diagnosis.selection_state import (
     TINY,
     RegressionFit,

@@ -18,7 +18,7 @@ from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, ProductTerm, library
 from bayes_aero.diagnosis.result import FoundTerm
-from bayes_aero.diagnosis import selection
+from bayes_aero.diagnosis.selection import forward_selection
 from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.diagnosis.terms import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
