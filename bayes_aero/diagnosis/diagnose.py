@@ -23,6 +23,7 @@ from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, Diagnosi
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
+    FLIGHT_PATH,
     LITTLE,
     Cause,
     Diagnosis,
@@ -175,7 +176,7 @@ def causes_of(
         forms = searched.forms if extension is searched.model else {}
         causes += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
-            out = without_hold(larger) if larger.state.responses.kinematic else larger.implausible
+            out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
             causes += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return causes
 
@@ -195,8 +196,7 @@ def _causes_in(
         return causes
     joint = correlated(extension, extension.causes)
     noise = noise_shares(extension.state, extension.fit)
-    kinematic = extension.state.responses.kinematic
-    undecided = {e.name: e.imitators for e in open_errors(extension)} if kinematic else {}
+    undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
     for name in names:
         effect = next(e for e in full.candidates if e.name == name)
         probability, others = rivals_of(extension, name, noise=noise[name])
