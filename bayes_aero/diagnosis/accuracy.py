@@ -33,7 +33,6 @@ from bayes_aero.parameter import Parameter
 # estimates by about as much as the noise that is there has moved them: the bias grows with the noise's variance.
 # Source: simulation extrapolation (SIMEX), Cook and Stefanski 1994, J. Am. Stat. Assoc. 89, 1314.
 
-
 PAIRS = 10  # of records with the same noise added and subtracted, which cancels what is linear in it
 REGRESSORS = ("alpha", "airspeed", "q", "elevator")
 AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short

@@ -24,7 +24,6 @@ from bayes_aero.units import number
 
 # --- Every threshold of a diagnosis, each with its reason. What is called our choice has no other.
 
-
 ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separate them
 
 
@@ -116,7 +115,6 @@ DEFAULT = DiagnosisSettings()
 
 
 # --- Candidates: every effect of the catalogue that the card's model lacks and the record can test.
-
 
 MOVES = 1e-6  # of what an effect makes, a change that is no rounding
 FAR = 1e9  # stands for a neutral value at infinity
@@ -294,8 +292,8 @@ def _varies(made: Sequence[np.ndarray], flights: Flights) -> bool:
 # --- The parts of the records that are predicted from the others: manoeuvres, or parts of a single one.
 # Fits to coefficients leave out these folds: the parameters again (`LeftOut.refitted`), or to first order from inner
 # products (`Products.without`). Trajectories leave out segments, which are flown from their measured state
-# (`trajectories.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
-# (`inference.splits`).
+# (`flights.holdout_fits`); Gaussian processes are validated on samples, at random as published, too
+# (`inference.validation`).
 
 
 def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:

@@ -25,7 +25,6 @@ from bayes_aero.residuals.base import Signals
 # A term is a product of factors. A factor is a nondimensional quantity of the flight, a function of the angle of
 # attack, the separated share 1 - X, or a quantity as it was some chords ago.
 
-
 MOST_FACTORS = 3  # most factors of a product
 BREAKS = tuple(k / 20.0 for k in range(1, 20))  # quantiles of alpha or beta at which its effect may break
 BUMPS = tuple(k / 10.0 for k in range(1, 10))  # and at which it may have a bump
@@ -196,7 +195,6 @@ def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:
 
 
 # --- Components: functions of channels, periods and terms in a regression.
-
 
 PERIODS = tuple(np.round(np.geomspace(0.6, 30.0, 48), 3))  # s
 OVER_TIME = "time, period "

@@ -244,7 +244,7 @@ def best_points(
 # The outputs' noise is that which the present model leaves. What belongs to one record alone (offsets of the flight
 # path, functions without a name) is projected out, so that the matrices of several records add up. Source: Klein and
 # Morelli, *Aircraft System Identification*, 2006, ch. 9 (design of inputs from the information matrix); for coloured
-# noise ch. 6, as in `inference.variance`.
+# noise ch. 6, as in `inference.covariance`.
 
 Pair = tuple[str, str]
 Signals = Mapping[str, Mapping[str, float]]

@@ -38,7 +38,6 @@ from bayes_aero.inference.scores import COLOURED_INNOVATIONS
 
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
 
-
 TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
 
 
@@ -154,7 +153,7 @@ class Middle:
 
 
 def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
-    """Least-squares autoregression of each output's residual within folds, its roots kept inside `ROOT`."""
+    """Least-squares autoregression of each output's residual within folds, its roots kept inside `MAX_ROOT`."""
     return autocorrelations_of(residual[None], folds)[0]
 
 
@@ -170,7 +169,8 @@ def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[s
 
 def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autocorrelation:
     """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): it looks faster."""
-    # Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
+    # Coefficients are shifted by their mean bias, their roots drawn inside `MAX_ROOT`; sigma is divided by its mean
+    # ratio.
     shift = colour.phi - np.mean([c.phi for c in again], axis=0)
     phi = stationary_coefficients(colour.phi + shift)
     ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma

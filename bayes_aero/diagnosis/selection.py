@@ -394,7 +394,6 @@ def nats_gained(old: Extension, new: Extension) -> float:
 # derivative is known from that constant alone. It takes up what else is constant, and the selection finds nothing. The
 # record then does not decide between an unusual derivative and the other cause.
 
-
 CONTROLS = (
     "elevator", "stabilizer", "canard", "flap", "spoiler", "dlc", "aileron", "rudder", "spoiler_left", "spoiler_right",
 )  # fmt: skip

@@ -19,7 +19,6 @@ from bayes_aero.residuals.base import ResidualModel
 # Estimation is the published one: independent residuals, one variance per output, re-estimated (cost det R). Its
 # uncertainty is not: `screening.uncertainty` gives the covariance that coloured residuals leave it.
 
-
 ROUNDS = 5  # alternations between parameters and variances
 
 
@@ -163,7 +162,6 @@ def inverse(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
 
 
 # --- Where the criticism stands: parameters, which effects are in, and the problem linearised there.
-
 
 WIDE = 10.0  # times the residual's deviation, the prior one of an offset of a manoeuvre
 LARGEST = 1e100  # of a sensitivity: a simulation that has diverged says nothing, and its square has no number
@@ -457,7 +455,6 @@ def moved(
 
 
 # --- Parameters fitted to the residuals of any folds by Gauss-Newton.
-
 
 REFITS = 8
 ENOUGH = 0.05  # of the deviance

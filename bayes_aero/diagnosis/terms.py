@@ -59,7 +59,6 @@ from bayes_aero.progress import Progress
 # terms are screened by what they make of the residuals to first order, and must be beyond chance by how far they move
 # when a part of the flights is left out: a window of trajectories, or some seconds of innovations.
 
-
 NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
 AS_GOOD = 0.1  # of what the function gains, what terms may gain less: it bends as it likes; our choice
 SWING = {"CL": 0.01, "CD": 0.001, "Cm": 0.002, "CY": 0.01, "Cl": 0.001, "Cn": 0.001}

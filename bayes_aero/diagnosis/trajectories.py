@@ -1,7 +1,7 @@
 """The simulation before and after the extension: fitted to trajectories, flown on what it was not fitted to.
 
 Every manoeuvre is left out in turn. A single one is cut in two halves, each flown by the fit to the other. What the
-extended model misses grows as the flow separates, and counts for less there (see `inference/noise_growth.py`).
+extended model misses grows as the flow separates, and counts for less there (see `SeparatedFlow`).
 """
 
 from __future__ import annotations
@@ -366,7 +366,6 @@ def _agree(one: tuple[float, float], other: tuple[float, float]) -> bool:
 # Errors are of first order: central differences of the eigenvalues, each about its own trim, over a tenth of the
 # standard error of every parameter, with the covariance that allows for coloured residuals, or that of the fit with
 # process noise.
-
 
 STEP = 0.1  # standard errors
 KNOWN = 2.0  # standard errors from which a real part differs from zero; our choice

@@ -325,7 +325,6 @@ class Motion:
 
 # --- What is shown of a diagnosis, as plain data: both models at every sample, rankings, scores on hold-out data.
 
-
 LEADERS = 10  # candidates of a stage that are listed, by their scores
 CONSIDERED = 3  # and by the share of what is left that they explain
 LEVELS = (0.5, 0.9, 0.95)

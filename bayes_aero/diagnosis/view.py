@@ -301,7 +301,6 @@ def _ranked(extension: Extension, screening: ScreeningResult) -> tuple[RankedCan
 # The extended model is fitted again to the finite Fourier transforms of the coefficients, with the errors of sensors at
 # their values. An effect that only a drift or a slow model error has made is smaller in the band, or gone.
 
-
 PERIODS = 2.0  # of the lowest frequency in the shortest manoeuvre
 POWER, BEYOND = 0.95, 2.0  # share of the rates' power below a frequency, and how far beyond it the band reaches
 HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sampling rate that the filters pass

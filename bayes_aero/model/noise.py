@@ -112,9 +112,6 @@ class Noise:
         return residual
 
 
-# --- Posterior log-density of a model on observations: log-likelihood plus log-prior, for all samplers.
-
-
 # --- A log-density: likelihood and priors of named parameters, on the scale of the data and on the whole real line.
 
 

@@ -26,6 +26,8 @@ from bayes_aero.physics.coefficient_names import NAMES, REQUIRED, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 
+# --- Plain classes that are pytrees of compiled programs.
+
 
 def _register(kind: type, static: Collection[str] = ()) -> None:
     names = [field.name for field in fields(kind) if field.name not in static]
@@ -78,7 +80,6 @@ def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
 
 
 # --- What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres.
-
 
 STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the wings were level throughout'
 

@@ -54,7 +54,7 @@ def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, "
 class Flights:
     """Channels (n,) in SI, with `dt`, `start`, `elapsed`, `first`, `last` beside them (see `effect.Stage`)."""
 
-    # Of NumPy's arrays, or of JAX's for compiled programs (`joined_channels`). `held`: states that a simulation takes
+    # Of NumPy's arrays, or of JAX's for compiled programs (`observations.join`). `held`: states that a simulation takes
     # from the record, by the card.
     channels: dict[str, Any]
     aircraft: Aircraft

@@ -31,7 +31,6 @@ from bayes_aero.qualification.result import Chance, FlightKind, Outside, RecordB
 # What of an error repeats when a manoeuvre is flown again (a wrong model repeats, turbulence does not) is not known.
 # The share of its mean square that repeats is drawn, uniform between none and all.
 
-
 BLOCK_SECONDS = 0.2  # s of a mean: the autoregression holds for some 5 samples a second
 SHORTEST = 4 * ORDER  # means in a manoeuvre that an autoregression needs
 SIZES = 3  # independent values of the size in a manoeuvre's errors, which follow from few directions; our choice
@@ -132,7 +131,6 @@ def _mean_square_from_zero(phi: Float[np.ndarray, " p"], lengths: Sequence[int])
 
 
 # --- How probably each test passes.
-
 
 CENTRAL = (0.025, 0.975)
 EXPLAINING = 40  # draws for the mean square that parameters or gusts explain

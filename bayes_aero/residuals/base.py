@@ -221,7 +221,6 @@ def too_few_windows(records: Sequence[FlightRecord]) -> str:
 # In NumPy, without JAX, so that a check of records starts fast. Slopes are finite differences, because a flight path is
 # nearly linear in the errors of its sensors.
 
-
 CACHE_SIZE = 256  # stored residuals; a slope needs one for each direction
 LEVEL_BANK = np.radians(5.0)  # change of bank below which wings count as level where bank was not recorded
 STEP = 1e-6  # of the differences: of a parameter's prior standard deviation, and of a channel's largest value

@@ -226,7 +226,6 @@ def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> 
 # holds for the sums over samples, too, so no quadrature of the Fourier integral is needed.
 # Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 7; Morelli and Grauer, AIAA 2018-0279.
 
-
 Band = tuple[float, float]
 """Lowest and highest frequency, Hz."""
 
