@@ -38,9 +38,8 @@ from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, search_modes
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import grid_of, housed, save

@@ -41,9 +41,8 @@ from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
 from bayes_aero.jobs.fly import fly
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Colour, Noise
+from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save

@@ -32,10 +32,9 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import least_squares
 from studies import resumed
 
+from bayes_aero.diagnosis.accuracy import measured_blocks, truncated
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.parameter_fit import optimum
-from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.selection.holdout import measured_blocks, truncated
+from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.inference.gp import Priors, fit_gp

@@ -28,11 +28,10 @@ from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.posterior.calibration import prior_sensitivity
 from bayes_aero.inference.posterior.ensemble import sample_ensemble
 from bayes_aero.inference.posterior.laplace import density_start, find_mode
-from bayes_aero.model.density import Density
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.coefficients import SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.flightpath import RATES

@@ -19,8 +19,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.flightpath import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH

@@ -25,17 +25,15 @@ import bayes_aero
 import bayes_aero.effects as effects
 import bayes_aero.flight.readers as readers
 from bayes_aero.diagnosis import candidate_set
-from bayes_aero.diagnosis.candidate_set import candidate_model
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, candidate_model
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.forward_selection import forward_selection
-from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.selection import forward_selection
+from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report import figures
 from bayes_aero.report.figures import every_figure

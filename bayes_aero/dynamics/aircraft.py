@@ -24,8 +24,8 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.atmosphere import air
 from bayes_aero.flight.card.tables import HOLDABLE
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Flights
 from bayes_aero.physics.equations_of_motion import AircraftMotion, accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.flightpath import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm

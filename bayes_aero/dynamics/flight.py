@@ -30,9 +30,9 @@ from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_channels import response_scales
-from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import response_scales
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter, Role
 
 Values = Mapping[str, Any]

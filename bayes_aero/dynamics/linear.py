@@ -22,7 +22,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import Card, channel_units
 from bayes_aero.flight.card.tables import ONE, LinearCard
-from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.observations import Flights
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.units import si_unit
 

@@ -15,7 +15,7 @@ from bayes_aero.dynamics.system import OfPlain
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.observations import Flights
 from bayes_aero.parameter import Parameter, Prior
 
 

@@ -27,8 +27,8 @@ from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.health.readings import dead_heading
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics import flightpath
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined

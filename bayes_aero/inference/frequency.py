@@ -31,11 +31,11 @@ from bayes_aero.inference.covariance import BLOCK, robust_covariance
 from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.likelihood.mle import PAIRS
 from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.model.joined_channels import Flights, join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Flights, join
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.coefficient_names import required_of
-from bayes_aero.residuals.frequency_error import (
+from bayes_aero.residuals.equation_error import (
     Band,
     FrequencyError,
     InBand,

@@ -32,8 +32,8 @@ from bayes_aero.inference.posterior.ensemble import diagnose
 from bayes_aero.inference.posterior.laplace import find_mode
 from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.model.density import LogDensity
 from bayes_aero.model.model import Model
+from bayes_aero.model.noise import LogDensity
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress

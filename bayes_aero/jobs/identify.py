@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card.card import Card
@@ -30,18 +29,16 @@ from bayes_aero.inference.posterior.laplace import density_start, other_modes, s
 from bayes_aero.inference.posterior.nuts import sample_nuts
 from bayes_aero.inference.posterior.posterior import Posterior
 from bayes_aero.inference.stall import stall_of_run
-from bayes_aero.inference.validation import Training, validate
+from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
-from bayes_aero.model.density import Density
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Forming, despiked, join, observe
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.frequency import frequency_sentences
@@ -49,7 +46,7 @@ from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.text.restraints import leaning_sentences
-from bayes_aero.residuals.frequency_error import Band, lines_in
+from bayes_aero.residuals.equation_error import Band, lines_in
 
 
 def identify(

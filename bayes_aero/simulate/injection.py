@@ -17,8 +17,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 

@@ -37,8 +37,8 @@ from bayes_aero.flight.atmosphere import air
 from bayes_aero.flight.card.card import Card, read_card
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.simulate import demo
 

@@ -23,7 +23,7 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.writers import write_record
 from bayes_aero.jobs.card_template import starter_card
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
 
 CONSTANTS = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 

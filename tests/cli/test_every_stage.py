@@ -24,8 +24,8 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.flight.writers import write_record
 from bayes_aero.inference.likelihood.output_error import GUSTS
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.simulate.synthetic_record import misrecorded
 
 UNITS = {

@@ -15,7 +15,7 @@ from calling import answer, holds, page_of, refused, succeeded
 
 from bayes_aero.cli import app, main, terminal
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight.card.card import read_card

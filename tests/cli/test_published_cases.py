@@ -23,9 +23,9 @@ from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.records import on_recorded_axes
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED, ALONE = ("--initial-state", "fixed"), "--no-process-noise"

@@ -20,8 +20,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.jobs.options import Manoeuvre
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.synthetic_record import synthetic

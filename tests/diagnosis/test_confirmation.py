@@ -7,18 +7,24 @@ import numpy as np
 import pytest
 from parts import fitted_to_stalls
 
+from bayes_aero.diagnosis.accuracy import (
+    LeftOut,
+    backward_elimination,
+    confirmation,
+    filtered_channels,
+    noise_effect,
+    recording_noise,
+    sizes,
+    truncated,
+)
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.screening.accuracy import filtered_channels, noise_effect, recording_noise, sizes
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.holdout import LeftOut, backward_elimination, confirmation, truncated
-from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
+from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
+from bayes_aero.diagnosis.selection_state import linearised, refitted
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.physics.filters import smooth
 from bayes_aero.residuals.equation_error import EquationError

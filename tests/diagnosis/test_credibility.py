@@ -9,7 +9,9 @@ from parts import cause, part, with_candidates
 from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis import result
-from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis import selection as selecting
+from bayes_aero.diagnosis.accuracy import Confirmation, Size, implausible
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.design import standard
 from bayes_aero.diagnosis.diagnose import (
     as_structure,
@@ -22,17 +24,10 @@ from bayes_aero.diagnosis.diagnose import (
     structure_of,
 )
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict, verdict_of
-from bayes_aero.diagnosis.screening.accuracy import Size, implausible
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.screening import uncertainty
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening import autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
-from bayes_aero.diagnosis.selection import forward_selection as selecting
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import Confirmation
-from bayes_aero.diagnosis.selection.rivals import cancelling
-from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.selection import Extension, cancelling
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.aircraft import NO_AIRCRAFT

@@ -10,10 +10,10 @@ from gusty_flight import DT, GUST, LENGTH, SECONDS, TRUTH, gusty_flight
 
 from bayes_aero.diagnosis import diagnose as diagnosis
 from bayes_aero.diagnosis import search as searches
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
-from bayes_aero.diagnosis.settings import DiagnosisSettings
+from bayes_aero.diagnosis.screening import NoiseReport
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.likelihood.output_error import GUSTS
 from bayes_aero.jobs import fly as job

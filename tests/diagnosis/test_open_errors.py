@@ -10,6 +10,7 @@ from parts import part
 from stranger_six import drawn, fly
 
 from bayes_aero.api import read
+from bayes_aero.diagnosis.accuracy import Size
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import (
     KnownErrors,
@@ -20,20 +21,18 @@ from bayes_aero.diagnosis.consistency import (
     screen_sensor_errors,
 )
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.model.records import joined
 from bayes_aero.report.text.check import consistency_sentences, open_sentences
-from bayes_aero.residuals.flight_path import FlightPathError
+from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import flyable, hidden_records
 

@@ -10,14 +10,13 @@ from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
-from bayes_aero.diagnosis.candidate_set import manoeuvres
+from bayes_aero.diagnosis.accuracy import Size
+from bayes_aero.diagnosis.candidate_set import DEFAULT, manoeuvres
 from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, spans
+from bayes_aero.diagnosis.selection_state import moved
+from bayes_aero.diagnosis.unexplained import ChangeScan, Span, spans
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
 

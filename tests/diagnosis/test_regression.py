@@ -12,24 +12,18 @@ from parts import part
 from scipy import stats
 from scipy.signal import lfilter
 
+from bayes_aero.diagnosis.accuracy import LeftOut
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.screening.autocorrelation import (
-    Autocorrelation,
-    Middle,
-    autocorrelation_of,
-    autocorrelations_of,
-)
-from bayes_aero.diagnosis.screening.regression import Products, inverse
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.holdout import LeftOut
-from bayes_aero.diagnosis.view.models import compared, profiles
+from bayes_aero.diagnosis.screening import Autocorrelation, Middle, autocorrelation_of, autocorrelations_of
+from bayes_aero.diagnosis.selection_state import Products, SelectionState, inverse
+from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.coefficient_names import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError

@@ -12,21 +12,21 @@ from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested
-from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
-from bayes_aero.diagnosis.search import in_windows
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.diagnosis.trajectories.holdout import (
+from bayes_aero.diagnosis.flights import (
     CandidateFit,
     confirmed,
+    fly_given,
     holdout_fits,
     left_out,
     left_out_of,
     with_lag,
 )
-from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
-from bayes_aero.diagnosis.trajectories.trajectories import beyond_noise, compare_trajectories
+from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested
+from bayes_aero.diagnosis.search import in_windows
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
+from bayes_aero.diagnosis.trajectories import beyond_noise, compare_trajectories
+from bayes_aero.diagnosis.trajectory_result import LagTest, SimulatedManoeuvre
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories
@@ -35,8 +35,8 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
 from bayes_aero.jobs.io import diagnosis_json
-from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.figures.diagnosis import autocorrelation, spectrum
 from bayes_aero.simulate.demo import TRUTH, simulate_stall

@@ -10,10 +10,9 @@ import pytest
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.in_band import band_of, causes_in_band, with_sensor_errors_held
-from bayes_aero.diagnosis.trajectories.motion import flown_mode, flown_modes, motion_of
-from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
-from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, still_apart
+from bayes_aero.diagnosis.trajectories import fit_disagreements, flown_mode, flown_modes, motion_of, still_apart
+from bayes_aero.diagnosis.trajectory_result import ProcessNoise, TrajectoryFit
+from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.modes import Steady
 from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus

@@ -18,8 +18,8 @@ from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.reading.read_record import read_records
 from bayes_aero.inference.likelihood.output_error import fit_output_error
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics import flightpath
 from bayes_aero.physics.flightpath import PATH_CORE
 

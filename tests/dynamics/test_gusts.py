@@ -23,8 +23,8 @@ from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error import disturbed
 from bayes_aero.inference.likelihood.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 
 # Gusts in the equations of motion: what feels them, how they decay, and what is known of them at the beginning
 V, ALPHA, THETA, Q = 104.0, 0.11, 0.10, 0.02

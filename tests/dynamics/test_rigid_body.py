@@ -22,7 +22,7 @@ from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
+from bayes_aero.model.observations import join
 from bayes_aero.physics.coefficients import coefficients
 
 # Six degrees of freedom against closed forms, conserved quantities and a simulator that shares no code

@@ -21,7 +21,7 @@ from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.flight.writers import write_record
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.simulate.demo import simulate_stall
 
 

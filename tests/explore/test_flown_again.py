@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayes_aero.diagnosis.trajectories.histories import fly_given
+from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, addable, open_result, shown_effects
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading.read_record import read_record
 from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
 
 
 def agree(found, expected):

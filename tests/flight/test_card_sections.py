@@ -17,8 +17,8 @@ from bayes_aero.flight.card.card import channel_units, parse_card, shipped_cards
 from bayes_aero.flight.card.tables import parse_aircraft, parse_envelope, refuse_no_body
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import with_sums
 from bayes_aero.report.text.check import card_sentences
 
 # [aircraft]: what follows from other constants need not be stated

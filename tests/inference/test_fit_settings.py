@@ -12,7 +12,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 from scipy.linalg import expm
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.trajectories.results import FITTED
+from bayes_aero.diagnosis.trajectory_result import FITTED
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
@@ -24,8 +24,8 @@ from bayes_aero.inference.likelihood.output_error import MAX_GROWTH, SeparatedFl
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
 from bayes_aero.jobs.provenance import as_json
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.report.tables.fly import parameter_rows
 from bayes_aero.report.text.fly import fly_sentences

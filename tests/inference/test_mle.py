@@ -10,9 +10,8 @@ import bayes_aero as ba
 from bayes_aero.inference.covariance import corrected_covariance
 from bayes_aero.inference.likelihood.mle import descend, fit_mle, without_noise_bias
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 

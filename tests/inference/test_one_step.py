@@ -31,11 +31,9 @@ from bayes_aero.inference.identification import Histogram
 from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
 from bayes_aero.inference.posterior.calibration import BAND, histogram, neighbours, pit
 from bayes_aero.inference.scores import Calibration, ScoreStatus, interval_coverage, score
-from bayes_aero.model.density import Density
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Observations
+from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Observations, join
 from bayes_aero.simulate.demo import TRUTH
 
 # One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does

@@ -29,8 +29,8 @@ from bayes_aero.inference.covariance import LinearFit, calibration
 from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, NormalPriors
 from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
 from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
 
 # Output error on flights whose truth is known: recovery, intervals, and what it says where it cannot tell

@@ -43,8 +43,8 @@ from bayes_aero.inference.posterior.nuts import (
     sample_innovations,
 )
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
 
 # Parameters, process noise and measurement noise of a simulated disturbed flight, jointly, against the truth

@@ -21,9 +21,8 @@ from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, fi
 from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.inference.stall import maxima, stall_of
-from bayes_aero.model.density import Density, LogDensity
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall

@@ -14,8 +14,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.coefficient_names import LATERAL, NAMES
 from bayes_aero.physics.separation import lagged
 from bayes_aero.simulate.demo import TRUTH

@@ -19,8 +19,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card.card import read_card, shipped_cards
 from bayes_aero.inference.likelihood.mle import fit_mle
 from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.simulate.demo import TRUTH, demo_records
 from bayes_aero.simulate.injection import hidden_flights, hidden_records

@@ -12,11 +12,10 @@ from scipy.stats import norm
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card.card import read_card
-from bayes_aero.model.joined_channels import join
+from bayes_aero.model.observations import join
 from bayes_aero.qualification.flights import HoldOut
-from bayes_aero.qualification.qualify import Region, Uncertain, nearest, qualify
+from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
-from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
 
 FREE = {"az0": -9.8, "azde": 1.0}
 SD, COUNT, N = 0.5, 1000, 60

@@ -13,7 +13,7 @@ from calling import holds
 from PIL import Image
 
 from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES
-from bayes_aero.diagnosis.view.results import DiagnosisView
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView
 from bayes_aero.flight.health import HealthFinding
 from bayes_aero.inference.posterior.posterior import PosteriorStatus
 from bayes_aero.jobs.provenance import provenance

@@ -18,7 +18,7 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.atmosphere import GRAVITY, air
-from bayes_aero.model import pytrees as pytrees
+from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import moments, specific_force
 from bayes_aero.physics.equations_of_motion import accelerometers, motion_of_aircraft

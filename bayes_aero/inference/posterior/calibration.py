@@ -23,8 +23,7 @@ from scipy.stats import binom, norm
 from bayes_aero.inference.identification import Histogram, Identification, PitResult
 from bayes_aero.inference.likelihood.mle_result import SENSITIVITY_LIMIT
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.model.density import Density, LogDensity
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 
 DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice
 MAX_BINS, MIN_PER_BIN = 20, 20

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from bayes_aero.inference.compiled_programs import cores
 from bayes_aero.inference.posterior.laplace import PosteriorMode
 from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
-from bayes_aero.model.density import Density, LogDensity
+from bayes_aero.model.noise import Density, LogDensity
 from bayes_aero.progress import Progress
 
 DEGREES_OF_FREEDOM = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from scipy import optimize
 
 from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.model.density import LogDensity
+from bayes_aero.model.noise import LogDensity
 
 PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
 MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records

@@ -33,7 +33,7 @@ from bayes_aero.inference.posterior.ensemble import (
 )
 from bayes_aero.inference.posterior.laplace import PosteriorMode, find_mode, inside
 from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.model.density import LogDensity
+from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress
 

@@ -8,12 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
-    Disagreement,
-    Motion,
-    ProcessNoise,
-    TrajectoryFit,
-)
+from bayes_aero.diagnosis.trajectory_result import Disagreement, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding

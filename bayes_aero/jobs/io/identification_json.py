@@ -10,7 +10,7 @@ from typing import Any
 import xarray as xr
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.inference.frequency_result import FrequencyFit
 from bayes_aero.inference.identification import GPReport, Identification
 from bayes_aero.inference.likelihood.mle_result import Inseparable, MleResult

@@ -15,9 +15,8 @@ from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding, channel_health
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import despiked_records
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import despiked_records, with_sums
 from bayes_aero.physics.coefficient_names import required_of
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.report.text.phrases import several

@@ -15,8 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
 from bayes_aero.diagnosis.result import FLIGHT_PATH
-from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
+from bayes_aero.diagnosis.trajectory_result import Fitted, Ranking, Trajectories, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.report import style

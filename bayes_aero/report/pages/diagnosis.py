@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
-from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
 from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.card.card import Card
 from bayes_aero.flight.health import HealthFinding

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
+from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
     START,
     Motion,

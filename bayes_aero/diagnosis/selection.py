@@ -1,34 +1,38 @@
-"""Extend the model by what earns its place: elect, add, refit, reconsider, until nothing is left to add."""
+"""Extend the model by what earns its place, until nothing is left to add; what else explains a selected cause."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations, product
 
 import numpy as np
+from jaxtyping import Int
 
-from bayes_aero.diagnosis.screening.accuracy import Size, implausible, largest_noise_bias, sizes
-from bayes_aero.diagnosis.screening.autocorrelation import SharedNoise
-from bayes_aero.diagnosis.screening.parameter_fit import (
-    PartialledRegression,
-    largest_p_value,
-    noise_growth_of,
-    refitted,
-)
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.screening import (
+from bayes_aero.diagnosis.accuracy import Size, addition_gain, implausible, largest_noise_bias, sizes, truncated
+from bayes_aero.diagnosis.screening import (
     CandidateScore,
+    PartialledRegression,
     RefitScore,
     ScreeningResult,
-    block_jackknife_covariance,
+    SharedNoise,
+    jackknife_errors,
+    jackknife_p_value,
     log_bayes,
+    noise_growth_of,
     null_scores,
     screen,
     uncertainty,
 )
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, constant_of, moved
-from bayes_aero.diagnosis.selection.holdout import addition_gain, truncated
+from bayes_aero.diagnosis.selection_state import (
+    RegressionFit,
+    SelectionState,
+    constant_of,
+    inverse,
+    moved,
+    refitted,
+)
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.covariance import median_inflation, nats
 from bayes_aero.parameter import Parameter
@@ -179,7 +183,7 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
     if state.outputs == coefficients:
         reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
         return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
-    if state.responses.jackknife_blocks is None:
+    if state.responses.kinematic:
         return ()
     own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
     return tuple(n for n in coefficients if constant_of(n) in own)
@@ -188,12 +192,9 @@ def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str,
 def sized(found: Extension) -> Extension:
     """What was added, with sizes, and which of it are causes."""
     state, fit = found.state, found.fit
-    known = sizes(state, fit)
-    if state.responses.stretch is not None:  # no deviation is smaller than estimates without each stretch scatter
-        columns, covariance = block_jackknife_covariance(state, fit)
-        names, sd = state.full.model.names, np.sqrt(np.diag(covariance))
-        wide = {names[c]: float(x) for c, x in zip(columns, sd, strict=True) if c < len(names)}
-        known = {name: replace(size, sd=max(size.sd, wide[name])) for name, size in known.items()}
+    names, errors = state.full.model.names, jackknife_errors(state, fit, state.responses.stretch)
+    least = {names[c]: float(x) for c, x in zip(fit.columns, errors, strict=True) if c < len(names)}
+    known = {name: replace(size, sd=max(size.sd, least[name])) for name, size in sizes(state, fit).items()}
     causes, minor = worth(state, fit, known)
     return replace(found, sizes=known, causes=causes, minor=minor)
 
@@ -242,7 +243,7 @@ def _election(
         p = found.p_value(standing.score)
         if p <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, found, gain)
-    if state.responses.stretch is not None:  # no stationary colour holds, with a leader in or out
+    if not state.responses.stationary:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
             p = between_p_value(*wider, standing.effect, len(found.candidate_scores))
@@ -266,11 +267,7 @@ def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, amon
     columns = wider.full.own_columns(effect)
     if not np.all(np.isin(columns, fit.columns)):
         return 1.0
-    away = wider.departure[columns]
-    own, covariance = block_jackknife_covariance(wider, fit)
-    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
-    freedom = int(np.max(wider.responses.stretch))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    return largest_p_value(away, covariance[np.ix_(at, at)], freedom, among)
+    return jackknife_p_value(wider, fit, columns, wider.departure[columns], among)
 
 
 def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
@@ -388,3 +385,189 @@ def nats_gained(old: Extension, new: Extension) -> float:
     gained = deviance(old.state, old.fit) - deviance(new.state, new.fit)
     choice = math.log(max(len(new.state.full.candidates), 1))
     return nats(gained, max(old.state.variance_inflation, new.state.variance_inflation)) - additions * choice
+
+
+# --- What else explains a cause: constants, collinear effects, and errors of sensors that a record leaves undecided.
+# A rudder that is held aside makes a yawing moment that stays, as uneven engines do. Where it does not move, its
+# derivative is known from that constant alone. It takes up what else is constant, and the selection finds nothing. The
+# record then does not decide between an unusual derivative and the other cause.
+
+
+CONTROLS = (
+    "elevator", "stabilizer", "canard", "flap", "spoiler", "dlc", "aileron", "rudder", "spoiler_left", "spoiler_right",
+)  # fmt: skip
+AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the manoeuvres; our choice
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up."""
+
+    effect: str
+    parameter: str
+    unit: str
+    control: str
+    estimate: tuple[float, float]  # its value in the fit, with its deviation
+    usual: tuple[float, float]  # that of its prior
+    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
+    # knows the prior's width.
+    sizes: dict[str, Size]
+
+    @property
+    def members(self) -> frozenset[str]:
+        """The effects among which the record does not decide, the card's own included."""
+        return frozenset((self.effect, *self.sizes))
+
+
+def absorbed(found: Extension) -> tuple[Absorbed, ...]:
+    """Parameters of the card that may have taken up an effect that is large enough for a name.
+
+    Such an effect is beyond `least_score` deviations at the least size worth modelling if the parameter is held, and
+    below if it is free within its prior; and it would be of a size that aircraft have, and worth a name, were the
+    parameter as usual.
+    """
+    state, fit, told = found.state, found.fit, []
+    if state.outputs != state.responses.model.coefficients:
+        return ()
+
+    def at_rest(column: int) -> bool:
+        """Whether what a parameter acts through stays where it is in all manoeuvres together, and not at zero."""
+        S = state.S[state.inside][:, :, column]
+        square = float(np.sum(S**2))
+        return square > 0.0 and float(np.sum((S - S.mean(axis=0)) ** 2)) < AT_REST**2 * square
+
+    for effect in (e for e in state.full.model.effects if e.name in state.full.base):
+        controls = [c for c in effect.channels if c in CONTROLS]
+        for parameter in effect.parameters if len(controls) == 1 else ():
+            name, unit = parameter.name, parameter.unit
+            if name not in state.full.model.names:
+                continue
+            column = int(state.full.columns([name])[0])
+            if column not in fit.columns or not at_rest(column):
+                continue
+            if sizes := _taken_up(found, column):
+                prior = state.full.priors.get(name, parameter.prior)
+                estimate = float(state.theta[column]), found.sizes[name].sd
+                told.append(Absorbed(effect.name, name, unit, controls[0], estimate, prior.normal, sizes))
+    return tuple(told)
+
+
+def _taken_up(found: Extension, column: int) -> dict[str, Size]:
+    """Sizes of the candidates that the parameter of a column hides, by name."""
+    state, fit = found.state, found.fit
+    fewer, hidden = fit.columns[fit.columns != column], {}
+
+    def deviations(at: int, size: float, columns: Int[np.ndarray, " k"]) -> float:
+        """By how many an effect of this size is seen, `columns` free within their priors."""
+        A, weight = state.scaled[state.inside][:, :, columns], 1.0 / fit.variance
+        signal = size * state.scaled[state.inside][:, :, at]
+        normal = np.einsum("mci,c,mcj->ij", A, weight, A, optimize=True) + np.diag(state.precision[columns])
+        right = np.einsum("mci,c,mc->i", A, weight, signal, optimize=True)
+        information = float(np.einsum("mc,c,mc->", signal, weight, signal) - right @ inverse(normal) @ right)
+        return float(np.sqrt(max(information, 0.0) / state.variance_inflation))
+
+    scanned = {scan.effect for scan in state.scans}
+    for effect in state.full.candidates:  # those of one parameter, with a slope at neutral, and a size worth a name
+        if len(effect.parameters) != 1 or effect.name in (*state.active, *scanned):
+            continue
+        (parameter,) = effect.parameters
+        if parameter.name not in effect.sizes:
+            continue
+        (at,) = state.full.own_columns(effect.name)
+        least, largest = effect.sizes[parameter.name]
+        if not deviations(at, least, fit.columns) < state.settings.least_score <= deviations(at, least, fewer):
+            continue
+        mean, sd = _size(found, column, int(at), fewer)
+        if least <= abs(mean) <= largest:
+            hidden[effect.name] = Size(mean, sd, parameter.unit)
+    return hidden
+
+
+def _size(found: Extension, column: int, at: int, fewer: Int[np.ndarray, " k"]) -> tuple[float, float]:
+    """Size of a candidate and its deviation, the parameter of `column` held where its prior has it."""
+    state, columns = found.state, np.append(fewer, at)
+    away = float(state.mean[column])
+    products = state.products.shifted(np.array([column]), np.array([away]))
+    fit = products.fit(columns, state.mean, state.precision, held=found.fit.variance)
+    here = state.products.fit(columns, state.mean, state.precision, held=found.fit.variance)
+    slope = (fit.step[-1] - here.step[-1]) / away if away else 0.0
+    variance = inverse(fit.normal)[-1, -1] + slope**2 / state.precision[column]
+    return float(fit.step[-1]), float(np.sqrt(state.variance_inflation * variance))
+
+
+# --- Two named terms that cancel: what the record knows of them is one combination, not either.
+# Pitch rate and the rate of the angle of attack move together in most manoeuvres. A fit then sets a large term
+# against another large one; neither is measured. The combination of the two with the least variance is.
+
+
+@dataclass(frozen=True)
+class CancellingPair:
+    """The combination `parameters[0] + factor parameters[1]` of two effects' departures from neutral, SI."""
+
+    effects: tuple[str, str]
+    parameters: tuple[str, str]
+    factor: float
+    mean: float
+    sd: float
+    unit: str
+    correlation: float  # of the two estimates
+
+
+def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
+    """Pairs of the named causes whose estimates are correlated and whose contributions cancel, each with its
+    combination of least variance; a sum or a difference where that is nearly it."""
+    state, found = extension.state, []
+    for effects, names, C in _correlated_parameters(extension, causes):
+        i, j = map(int, state.full.columns(names))
+        weight = 1.0 / np.mean(state.residual[state.inside] ** 2, axis=0)
+        moved = [state.scaled[state.inside][:, :, c] * state.departure[c] for c in (i, j)]
+        moved = [x - x.mean(axis=0) for x in moved]
+        one, other, both = (float(np.sum(weight * x**2)) for x in (*moved, moved[0] + moved[1]))
+        if both >= min(one, other):  # what they do to the outputs, means aside, is less together than either alone
+            continue
+        units = [state.full.model.free[c].unit for c in (i, j)]
+        factor = -float(C[0, 1] / C[1, 1])
+        if units[0] == units[1] and abs(abs(factor) - 1.0) < state.settings.near_one:
+            factor = float(np.sign(factor))
+        variance = float(C[0, 0] + 2.0 * factor * C[0, 1] + factor**2 * C[1, 1])
+        mean, sd = float(state.departure[i] + factor * state.departure[j]), float(np.sqrt(max(variance, 0.0)))
+        found.append(CancellingPair(effects, names, factor, mean, sd, units[0], _correlation(C)))
+    return tuple(found)
+
+
+def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Additions whose estimates are correlated, each with its partners and the correlation: no size holds alone."""
+    found: dict[str, dict[str, float]] = {}
+    for (one, other), _, C in _correlated_parameters(extension, effects):
+        found.setdefault(one, {})[other] = found.setdefault(other, {})[one] = _correlation(C)
+    return found
+
+
+def without_hold(found: Extension) -> dict[str, Mapping[str, float]]:
+    """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
+    with such a one; each with its partners and the correlation."""
+    state, joint = found.state, correlated(found, found.state.active)
+    out = {n for n in state.active if any(found.sizes[p].at_bound for p in state.full.parameters_of(n))}
+    out |= set(found.implausible)
+    return {n: joint.get(n, {}) for n in state.active if n in out or out & set(joint.get(n, {}))}
+
+
+def _correlated_parameters(
+    extension: Extension, effects: Sequence[str]
+) -> Iterator[tuple[tuple[str, str], tuple[str, str], np.ndarray]]:
+    """Pairs of effects, one parameter of each, and the covariance of these two where they are correlated."""
+    state, fit = extension.state, extension.fit
+    if len(effects) < 2:
+        return
+    covariance = uncertainty(state, fit)
+    at = {int(c): k for k, c in enumerate(fit.columns)}
+    for one, other in combinations(effects, 2):
+        for a, b in product(state.full.parameters_of(one), state.full.parameters_of(other)):
+            places = [at[c] for c in map(int, state.full.columns([a, b])) if c in at]
+            C = covariance[np.ix_(places, places)]
+            if len(places) == 2 and abs(_correlation(C)) > state.settings.correlated:
+                yield (one, other), (a, b), C
+
+
+def _correlation(C: np.ndarray) -> float:
+    return float(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))

@@ -15,13 +15,39 @@ from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.atmosphere import GAMMA, GAS, standard_air
+from bayes_aero.flight.atmosphere import GAMMA, GAS, air, standard_air
 from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import own_effects
 from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM, REQUIRED
+
+
+def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:
+    """The record's channels with what the card states, where nothing was recorded, and its sums (total thrust)."""
+    channels = {name: np.full(record.n, value) for name, value in card.constants.items()}
+    for name, rule in card.derived.items():
+        if not all(record.has(need) for need in RULES[name][rule]):
+            continue
+        if rule == ATMOSPHERE:
+            density, sound = air(record["altitude"])
+            channels[name] = density if name == "density" else record["airspeed"] / sound
+        elif rule == "dynamic pressure":
+            channels[name] = 2.0 * record["dynamic_pressure"] / record["airspeed"] ** 2
+        elif rule == "gas law":
+            channels[name] = record["static_pressure"] / (GAS * record["static_temperature"])
+        else:
+            channels[name] = record["airspeed"] / np.sqrt(GAMMA * GAS * record["static_temperature"])
+    channels |= record.channels
+    for name, table in card.tables.items():
+        looked_up = None if record.has(name) else table.of(channels, record.name, record.time)
+        if looked_up is not None:
+            channels[name] = looked_up
+    for name, parts in card.sums.items():
+        weighed = (factor * (channels[part] if part in channels else record[part]) for part, factor in parts.items())
+        channels[name] = sum(weighed, start=np.zeros(record.n))
+    return channels
 
 
 @dataclass(frozen=True, eq=False)
