@@ -35,7 +35,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
 from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
 from bayes_aero.diagnosis.structure.components import columns_of
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.simulate.injection import Beyond, hidden_records

@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, auto
 from bayes_aero.diagnosis.screening.regression import inverse
 from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
 from bayes_aero.diagnosis.settings import ENOUGH
-from bayes_aero.dynamics.simulated.manoeuvres import (
+from bayes_aero.dynamics.pilot import (
     ANYWHERE,
     EXCITED_CHANNELS,
     LATERAL_EXCITED_CHANNELS,
@@ -30,12 +30,10 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
 )
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Envelope, excursion
-from bayes_aero.flight.atmosphere import altitude_of_density
-from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
+from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import flight_path
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.results import MleResult, MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 

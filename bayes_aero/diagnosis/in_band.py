@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.design import flights_of, narrowed
 from bayes_aero.diagnosis.result import COEFFICIENTS, CausesInBand, Diagnosis, SizeInBand
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
-from bayes_aero.inference.frequency_result import FrequencyFit
+from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.residuals.frequency_error import Band, FrequencyError, sampling_times

@@ -15,10 +15,10 @@ from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.selection.forward_selection import Extension
 from bayes_aero.diagnosis.selection.rivals import Absorbed, CancellingPair
 from bayes_aero.diagnosis.terms.library import ProductTerm
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.reading.inspection import RecordReport
+from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 

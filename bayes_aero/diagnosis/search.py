@@ -42,22 +42,22 @@ from bayes_aero.diagnosis.structure.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.diagnosis.terms.forms import Forms, described, flown_forms, forms_of
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_disturbed, fit_output_error
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.output_error import fit_cascade, fit_disturbed, fit_output_error
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.physics.aircraft import required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.base import WINDOW, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError

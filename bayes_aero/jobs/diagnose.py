@@ -23,17 +23,15 @@ from bayes_aero.diagnosis.trajectories.results import Trajectories
 from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
 from bayes_aero.diagnosis.view.models import view_of, with_holdout_scores, with_stalls
 from bayes_aero.diagnosis.view.results import View
-from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
-from bayes_aero.dynamics.simulated.trim import can_simulate
+from bayes_aero.dynamics.pilot import ANYWHERE
+from bayes_aero.dynamics.system import FLIGHT
+from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.aircraft import Envelope
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
@@ -43,6 +41,8 @@ from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Envelope
+from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.design import points_table
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.flight.atmosphere import GAMMA, GAS, air
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import GAMMA, GAS, air
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:

@@ -11,13 +11,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model import pytrees as pytrees
 from bayes_aero.model.joined_records import Flights, joined, without_spikes
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import REQUIRED
+from bayes_aero.physics.aircraft import REQUIRED, Aircraft
 
 
 def response_scales(

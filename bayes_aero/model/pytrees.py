@@ -8,8 +8,8 @@ from typing import Any
 
 import jax
 
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.model.joined_records import Flights
+from bayes_aero.physics.aircraft import Aircraft
 
 
 def _register(kind: type, static: Collection[str] = ()) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bayes_aero.inference.covariance import ORDER, autoregression, filtered_noise
-from bayes_aero.inference.likelihood.output_error import SeparatedFlow
+from bayes_aero.inference.output_error import SeparatedFlow
 
 BLOCK_SECONDS = 0.2  # s of a mean: the autoregression holds for some 5 samples a second
 SHORTEST = 4 * ORDER  # means in a manoeuvre that an autoregression needs

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import stacked_coefficients
 from bayes_aero.physics.filters import smooth_joined
-from bayes_aero.physics.flightpath import LATERAL, PATH
+from bayes_aero.physics.kinematics import LATERAL, PATH
 from bayes_aero.residuals.base import Blockwise
 from bayes_aero.residuals.flight_path import differences, flight_path
 

@@ -16,12 +16,11 @@ from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import Axis
 from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.residuals.base import Blockwise
 
 CACHE_SIZE = 256  # stored residuals; a slope needs one for each direction

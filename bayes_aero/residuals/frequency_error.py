@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.tables import ONE
+from bayes_aero.flight.card_tables import ONE
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.physics.filters import differentiate_joined

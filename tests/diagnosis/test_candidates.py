@@ -17,13 +17,12 @@ from bayes_aero.diagnosis.selection.forward_selection import explained
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model, lengths_of
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES, Axis
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import TRUTH

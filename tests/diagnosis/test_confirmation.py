@@ -15,11 +15,11 @@ from bayes_aero.diagnosis.selection.holdout import LeftOut, backward_elimination
 from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.physics.filters import smooth
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import simulate_stall

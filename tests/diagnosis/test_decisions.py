@@ -29,7 +29,7 @@ from bayes_aero.diagnosis.trajectories.holdout import left_out_of
 from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import OpenError
+from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 

@@ -14,8 +14,8 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
 from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
 from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.output_error import GUSTS
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.output_error import GUSTS
 from bayes_aero.jobs import fly as job
 from bayes_aero.model.model import Model
 

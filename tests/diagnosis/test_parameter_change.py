@@ -18,7 +18,7 @@ from bayes_aero.diagnosis.screening.accuracy import Size
 from bayes_aero.diagnosis.screening.selection_state import moved
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, spans
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
 
 # Stretches of a flight, and what the coefficients deny

@@ -29,9 +29,9 @@ from bayes_aero.diagnosis.selection.rivals import Absorbed, absorbed
 from bayes_aero.diagnosis.settings import DEFAULT
 from bayes_aero.diagnosis.structure.unexplained import left_beside
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.channel import Axis
 from bayes_aero.jobs.io.diagnosis_json import absorbed_results
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 
 

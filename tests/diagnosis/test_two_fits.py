@@ -14,9 +14,9 @@ from bayes_aero.diagnosis.in_band import band_of, causes_in_band, with_sensor_er
 from bayes_aero.diagnosis.trajectories.motion import flown_mode, flown_modes, motion_of
 from bayes_aero.diagnosis.trajectories.results import ProcessNoise, TrajectoryFit
 from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, still_apart
-from bayes_aero.dynamics.modes import Steady
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.dynamics.linear import Steady
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import MleResult, MleStatus
 from bayes_aero.jobs.fly import fly
 from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences

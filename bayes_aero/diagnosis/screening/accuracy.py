@@ -22,7 +22,7 @@ from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
 from bayes_aero.diagnosis.screening.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.effect import Effect
-from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.model.joined_records import Flights
 from bayes_aero.parameter import Parameter
 

@@ -23,7 +23,7 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
 from bayes_aero.diagnosis.selection.forward_selection import Extension, explained
 from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effect import Effect
-from bayes_aero.flight.agreement import OpenError
+from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.covariance import nats
 
 CONTROLS = (

@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.screening.selection_state import Component, SelectionS
 from bayes_aero.diagnosis.selection.holdout import holdout_deviance_gain
 from bayes_aero.diagnosis.terms.library import QUANTITIES, THRUST, ProductTerm, Signals, library
 from bayes_aero.inference.covariance import ORDER
-from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.physics.filters import smooth_joined
 from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError
 

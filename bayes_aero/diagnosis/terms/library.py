@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.physics.rates import reduced, reduced_lateral
+from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.physics.aircraft import Aircraft
+from bayes_aero.physics.kinematics import reduced, reduced_lateral
 
 Signals = Mapping[str, Any]
 ORDER = 3  # most factors of a product

@@ -25,15 +25,15 @@ from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
-from bayes_aero.inference.compiled_programs import blas_threads, cores
-from bayes_aero.inference.likelihood.output_error import fit_disturbed, one_by_one, trajectories
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
-from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.inference.one_step import one_step
-from bayes_aero.inference.posterior.nuts import sample_innovations
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.calibration import one_step
+from bayes_aero.inference.nuts import sample_innovations
+from bayes_aero.inference.output_error import fit_disturbed, one_by_one, trajectories
+from bayes_aero.inference.output_error_result import OutputErrorResult
+from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.results import Posterior
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances

@@ -18,19 +18,24 @@ from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backwa
 from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
 from bayes_aero.diagnosis.trajectories.histories import posterior_covariance, posterior_draws, simulated
 from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvre
-from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_biases import with_biases_of
+from bayes_aero.dynamics.flight import aircraft_dynamics, with_biases_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.compiled_programs import cores
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
-from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
-from bayes_aero.inference.likelihood.output_error import SeparatedFlow, fit_output_error
-from bayes_aero.inference.likelihood.output_error_result import THINNING, OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.mle import solve
+from bayes_aero.inference.output_error import SeparatedFlow, fit_output_error
+from bayes_aero.inference.output_error_result import (
+    THINNING,
+    NormalEquations,
+    OutputErrorResult,
+    OutputErrorStatus,
+    Point,
+    segment_equations,
+)
 from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import departure
+from bayes_aero.processes import cores
 
 
 @dataclass(frozen=True)

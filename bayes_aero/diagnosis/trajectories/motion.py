@@ -13,13 +13,12 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import manoeuvres
 from bayes_aero.diagnosis.trajectories.results import HALF, FlownMode, Motion, ProcessNoise, TrajectoryFit
-from bayes_aero.dynamics.linear import LinearDynamics
-from bayes_aero.dynamics.modes import Steady, modes
-from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.dynamics.flight import unbiased
+from bayes_aero.dynamics.linear import LinearDynamics, Steady, modes
 from bayes_aero.errors import InputError
-from bayes_aero.flight.atmosphere import altitude_of_density
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
+from bayes_aero.inference.output_error_result import OutputErrorResult
 from bayes_aero.model.joined_channels import Flights
+from bayes_aero.physics.aircraft import altitude_of_density
 
 STEP = 0.1  # standard errors
 KNOWN = 2.0  # standard errors from which a real part differs from zero; our choice

@@ -12,12 +12,10 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.result import NOT_NOISE
 from bayes_aero.diagnosis.selection.holdout import Confirmation
 from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.dynamics.flight import AircraftDynamics, unbiased
 from bayes_aero.dynamics.path import PathDynamics
-from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
-from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, initial_state_sd
+from bayes_aero.inference.results import FrequencyFit, FrequencyResponse
 from bayes_aero.inference.scores import OneStep
 
 START, FITTED = "start", "fitted"

@@ -34,11 +34,11 @@ from bayes_aero.diagnosis.view.results import (
     ResidualProfile,
     View,
 )
+from bayes_aero.inference.calibration import stall_of
 from bayes_aero.inference.covariance import standard_error_of_sum
-from bayes_aero.inference.identification import Stall
+from bayes_aero.inference.results import Stall
 from bayes_aero.inference.scores import score
-from bayes_aero.inference.stall import stall_of
-from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+from bayes_aero.physics.aircraft import LATERAL, NAMES
 
 DRAWS = 400  # of a model's parameters, for the intervals of its stall
 NOT_SIGNALS = ("X", "measured", "modelled", "residual", *NAMES, *LATERAL)

@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening.regression import RegressionFit
 from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.inference.identification import Stall
+from bayes_aero.inference.results import Stall
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
 

@@ -19,10 +19,10 @@ from bayes_aero.diagnosis.result import (
 )
 from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre, Trajectories
 from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.health.finding import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.provenance import named_pairs, picked
