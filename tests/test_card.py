@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import parse_card, read_card, shipped_cards
+from bayes_aero.flight.card import parse_card, read_card, shipped_cards
 from bayes_aero.model.model import Model
 
 

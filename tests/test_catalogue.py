@@ -7,9 +7,9 @@ import pytest
 
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.report.text.restraints import sign_sentences
 
 AIRCRAFT = Aircraft(

@@ -32,7 +32,7 @@ from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report import figures
@@ -185,9 +185,9 @@ def test_a_report_takes_results_and_computes_none(path):
 
 
 def test_the_check_sees_what_it_forbids():
-    tree = ast.parse("from bayes_aero.inference.stall import stall_of\nfrom bayes_aero.report.style import save")
-    assert taken(tree) == [("bayes_aero.inference.stall", "stall_of")]
-    assert isfunction(import_module("bayes_aero.inference.stall").stall_of)
+    tree = ast.parse("from bayes_aero.inference.calibration import stall_of\nfrom bayes_aero.report.style import save")
+    assert taken(tree) == [("bayes_aero.inference.calibration", "stall_of")]
+    assert isfunction(import_module("bayes_aero.inference.calibration").stall_of)
 
 
 def renamed(record, name):

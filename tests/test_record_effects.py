@@ -9,13 +9,13 @@ import pytest
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe, response_scales
 from bayes_aero.model.records import marks_of
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import coefficients
-from bayes_aero.physics.flightpath import path_rates
+from bayes_aero.physics.kinematics import path_rates
 
 N, DT = 400, 0.04
 

@@ -64,8 +64,7 @@ def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
     """Against the engine's own kernel matrix through its log likelihood."""
     from scipy.stats import multivariate_normal
 
-    from bayes_aero.inference.gp.emulator import ReducedData
-    from bayes_aero.inference.gp.kernel import Priors
+    from bayes_aero.inference.gp.kernel import Priors, ReducedData
     from bayes_aero.inference.gp.posterior import log_density
 
     rng = np.random.default_rng(2)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from calling import called, recorded, succeeded
 
-from bayes_aero.cli import main
+from bayes_aero.cli.app import main
 from bayes_aero.jobs import diagnose as job
 
 

@@ -26,7 +26,7 @@ import bayes_aero as ba
 from bayes_aero.diagnosis import consistency
 from bayes_aero.diagnosis.consistency import screen_sensor_errors
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.flight.card import shipped_cards
 from bayes_aero.jobs import check
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.card_template import starter_card

@@ -15,8 +15,8 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, rec
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, export_chosen, open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.record import write_record
 
 
 def test_help_names_the_options(program):

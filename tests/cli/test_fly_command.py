@@ -22,10 +22,9 @@ from linear_cards import (
 )
 
 from bayes_aero.diagnosis import flights
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
-from bayes_aero.inference.posterior.ensemble import EnsembleLength
-from bayes_aero.inference.posterior.nuts import PosteriorLength, sample_innovations
+from bayes_aero.flight.record import FlightRecord, write_record
+from bayes_aero.inference.ensemble import EnsembleLength
+from bayes_aero.inference.nuts import PosteriorLength, sample_innovations
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.simulate.demo import TRUTH, demo_records

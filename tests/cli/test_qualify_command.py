@@ -11,8 +11,8 @@ import pytest
 from calling import answer, called, holds, refused, validated
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card, shipped_cards
-from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.fitted import card_of, fitted_records
 from bayes_aero.jobs.options import FlyOptions

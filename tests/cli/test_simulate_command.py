@@ -13,12 +13,12 @@ import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
-from bayes_aero.dynamics.modes import Steady, modes
-from bayes_aero.dynamics.simulated.manoeuvres import commands, lateral_commands
-from bayes_aero.dynamics.simulated.trim import Trim
+from bayes_aero.dynamics.linear import Steady, modes
+from bayes_aero.dynamics.pilot import commands, lateral_commands
+from bayes_aero.dynamics.trim import Trim
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.jobs.options import Manoeuvre
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join

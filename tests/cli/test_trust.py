@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from calling import holds, refused
 
-from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.study import case as units
 

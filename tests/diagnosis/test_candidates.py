@@ -16,12 +16,12 @@ from bayes_aero.diagnosis.selection import explained
 from bayes_aero.diagnosis.selection_state import SelectionState, linearised
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model, lengths_of
-from bayes_aero.model.observations import Flights, despiked, join, observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import NAMES, Axis
 from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH

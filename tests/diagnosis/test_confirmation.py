@@ -22,10 +22,10 @@ from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, 
 from bayes_aero.diagnosis.selection_state import linearised, refitted
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.physics.filters import smooth
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import simulate_stall

@@ -14,19 +14,18 @@ from bayes_aero.diagnosis.consistency import consistency, in_gusts
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.flight_path_check import LIGHT_TURBULENCE, gusts, sensor_noise
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import Agreement
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.health.finding import Agreement, noise_of
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.validation import filter_mismatch_notes
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, despiked, join, observe
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
+from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
 from bayes_aero.report.text.identification import verdict
 from bayes_aero.simulate.injection import hidden_records
 

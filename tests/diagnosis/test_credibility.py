@@ -30,10 +30,9 @@ from bayes_aero.diagnosis.selection import Extension, cancelling
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import lengths_of
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.phrases import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError

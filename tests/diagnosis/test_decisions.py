@@ -25,7 +25,7 @@ from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import OpenError
+from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 

@@ -13,19 +13,20 @@ from stranger_six import Fighter, Plane, drawn, fly
 from bayes_aero.diagnosis.accuracy import integrated_deviance
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
-from bayes_aero.diagnosis.result import TRAJECTORIES, Verdict
+from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.search import search_in_stages
 from bayes_aero.diagnosis.selection import noise_shares
 from bayes_aero.diagnosis.selection_state import Products
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
-from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.physics.aircraft import required_of
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records

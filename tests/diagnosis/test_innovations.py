@@ -12,12 +12,13 @@ from bayes_aero.diagnosis import diagnose as diagnosis
 from bayes_aero.diagnosis import search as searches
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.result import INNOVATIONS, Verdict, as_white
+from bayes_aero.diagnosis.result import Verdict, as_white
 from bayes_aero.diagnosis.screening import NoiseReport
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.output_error import GUSTS
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.output_error import GUSTS
 from bayes_aero.jobs import fly as job
 from bayes_aero.model.model import Model
+from bayes_aero.residuals.base import INNOVATIONS
 
 # A flight in gusts, by a simulator that shares no code: the filter finds the gusts, and the search what is hidden
 HIDDEN, SEED = -3.0, 5  # Cma2, 1/rad2

@@ -24,13 +24,13 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection import Extension
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import Agreement, Consistency, OpenError
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.health.finding import Agreement, Consistency, OpenError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.model.records import joined
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.text.check import consistency_sentences, open_sentences
 from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall

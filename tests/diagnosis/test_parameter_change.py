@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.diagnosis.selection_state import moved
 from bayes_aero.diagnosis.unexplained import ChangeScan, Span, spans
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.simulate.injection import draw_hidden, flyable, hidden_records
 
 # Stretches of a flight, and what the coefficients deny

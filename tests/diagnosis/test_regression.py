@@ -18,13 +18,13 @@ from bayes_aero.diagnosis.screening import Autocorrelation, Middle, autocorrelat
 from bayes_aero.diagnosis.selection_state import Products, SelectionState, inverse
 from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Stage
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError
 from bayes_aero.simulate.demo import TRUTH

@@ -27,9 +27,9 @@ from bayes_aero.diagnosis.selection import Absorbed, Extension, absorbed, worth
 from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState
 from bayes_aero.diagnosis.unexplained import left_beside
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.channel import Axis
 from bayes_aero.jobs.io.diagnosis_json import absorbed_results
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 
 

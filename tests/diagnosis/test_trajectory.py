@@ -28,12 +28,12 @@ from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
 from bayes_aero.diagnosis.trajectories import beyond_noise, compare_trajectories
 from bayes_aero.diagnosis.trajectory_result import LagTest, SimulatedManoeuvre
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.jobs.io import diagnosis_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join

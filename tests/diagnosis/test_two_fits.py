@@ -13,9 +13,9 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.trajectories import fit_disagreements, flown_mode, flown_modes, motion_of, still_apart
 from bayes_aero.diagnosis.trajectory_result import ProcessNoise, TrajectoryFit
 from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
-from bayes_aero.dynamics.modes import Steady
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.dynamics.linear import Steady
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import MleResult, MleStatus
 from bayes_aero.jobs.fly import fly
 from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.simulated.manoeuvres import (
+from bayes_aero.dynamics.pilot import (
     SECONDS,
     multisine_inputs,
     multisines,

@@ -15,14 +15,14 @@ from stranger_six import G, Plane, Strips
 
 from bayes_aero.dynamics.aircraft import HELD, Longitudinal, RigidBody
 from bayes_aero.dynamics.flight import aircraft_dynamics
+from bayes_aero.dynamics.pilot import Pilot, fly_rigid
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly_rigid
-from bayes_aero.dynamics.simulated.trim import Condition, rigid_trim
 from bayes_aero.dynamics.system import integrate
+from bayes_aero.dynamics.trim import Condition, rigid_trim
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import coefficients
 
 # Six degrees of freedom against closed forms, conserved quantities and a simulator that shares no code

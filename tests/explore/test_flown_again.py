@@ -8,12 +8,12 @@ import pytest
 import xarray as xr
 
 from bayes_aero.diagnosis.flights import fly_given
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, addable, open_result, shown_effects
 from bayes_aero.explore.simulator import Simulator
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.flight.reading import read_record
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 

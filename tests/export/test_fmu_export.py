@@ -42,7 +42,7 @@ def exported(tmp_path_factory):
 
 
 def _mach(flight):
-    from bayes_aero.flight.atmosphere import air
+    from bayes_aero.physics.aircraft import air
 
     return flight["airspeed"] / np.asarray(air(flight["altitude"])[1])
 

@@ -16,7 +16,7 @@ from bayes_aero.errors import InputError
 from bayes_aero.export.fmu import slave_source
 from bayes_aero.export.identified import Identified, about, python_source
 from bayes_aero.export.program import Builder, terms, translated
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
 
 FUNCTIONS = {

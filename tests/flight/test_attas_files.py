@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.reading import read_record
 
 pytestmark = pytest.mark.attas
 

@@ -17,9 +17,8 @@ from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.read_record import read_raw, read_record
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.reading import read_raw, read_record
+from bayes_aero.flight.record import FlightRecord, write_record
 
 FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
 TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
@@ -134,7 +133,7 @@ def test_unreadable_file(tmp_path, monkeypatch):
 
 
 def test_too_large_a_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayes_aero.flight.reading.read_record.MAX_BYTES", 100)
+    monkeypatch.setattr("bayes_aero.flight.reading.MAX_BYTES", 100)
     told(written(tmp_path, sound()), CHANNELS, "more than 100", "cut it")
 
 
@@ -264,7 +263,7 @@ def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
     savemat(tmp_path / "v4.mat", {"T": t}, format="4")
     told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
     path = written(tmp_path, sound(2000), ".mat")
-    monkeypatch.setattr("bayes_aero.flight.readers.mat.MAX_VALUES", 100)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.MAX_VALUES", 100)
     told(path, CHANNELS, "claims", "-v7")
 
 
@@ -289,12 +288,12 @@ def test_matlab_v73_and_absurd_claims_of_hdf5(tmp_path):
 
 def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
     path = written(tmp_path, sound(), ".nc")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.TIME_LIMIT", 0.001)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 0.001)
     told(path, CHANNELS, "did not finish", "write it again")
     monkeypatch.undo()
     monkeypatch.setattr("sys.executable", "/bin/false")
     told(path, CHANNELS, "crashed", "write it again")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.find_spec", lambda _: None)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.find_spec", lambda _: None)
     told(path, CHANNELS, "h5py is not installed", "install h5py")
 
 

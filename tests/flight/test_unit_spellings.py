@@ -7,13 +7,12 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from bayes_aero.flight.card.card import parse_card
-from bayes_aero.flight.card.toml_tables import parse_table
+from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card_tables import parse_table
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
+from bayes_aero.flight.checks import implausible
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.checks import implausible
-from bayes_aero.flight.reading.inspection import inspect_record
-from bayes_aero.flight.reading.read_record import read_raw, read_record
+from bayes_aero.flight.reading import inspect_record, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.card_template import starter_card
 from bayes_aero.jobs.column_inference import guessed

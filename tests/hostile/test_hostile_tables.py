@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from linear_cards import SHORT_PERIOD
 
 from bayes_aero.errors import LONGEST, InputError
-from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.model.model import Model
 from bayes_aero.study.study import read_study
 

@@ -18,14 +18,14 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import parse_card, shipped_cards
-from bayes_aero.inference.likelihood.output_error import MAX_GROWTH, SeparatedFlow, fit_output_error, trajectories
+from bayes_aero.flight.card import parse_card, shipped_cards
+from bayes_aero.inference.output_error import MAX_GROWTH, SeparatedFlow, fit_output_error, trajectories
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
 from bayes_aero.jobs.provenance import as_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import NO_AIRCRAFT
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.report.tables.fly import parameter_rows
 from bayes_aero.report.text.fly import fly_sentences

@@ -21,9 +21,9 @@ from linear_cards import (
 from bayes_aero.diagnosis.trajectories import fit_trajectories
 from bayes_aero.diagnosis.trajectory_result import Setting
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.simulated.manoeuvres import multisines
+from bayes_aero.dynamics.pilot import multisines
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import channel_units, read_card
+from bayes_aero.flight.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import cramer_rao, fit_in_band, linear_in_band, solve

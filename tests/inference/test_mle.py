@@ -8,8 +8,8 @@ import pytest
 
 import bayes_aero as ba
 from bayes_aero.inference.covariance import corrected_covariance
-from bayes_aero.inference.likelihood.mle import descend, fit_mle, without_noise_bias
-from bayes_aero.inference.likelihood.mle_result import MleStatus
+from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
+from bayes_aero.inference.results import MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import observe

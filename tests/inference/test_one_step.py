@@ -26,10 +26,9 @@ from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.identification import Histogram
-from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
-from bayes_aero.inference.posterior.calibration import BAND, histogram, neighbours, pit
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.calibration import BAND, LEVELS, histogram, neighbours, one_step, pit, probability_transform
+from bayes_aero.inference.results import Histogram
 from bayes_aero.inference.scores import Calibration, ScoreStatus, interval_coverage, score
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise

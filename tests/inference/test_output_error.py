@@ -23,12 +23,11 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import LinearFit, calibration
-from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD, NormalEquations, NormalPriors
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.output_error_result import INITIAL_STATE_SD, NormalEquations, NormalPriors, OutputErrorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior

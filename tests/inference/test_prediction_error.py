@@ -16,14 +16,22 @@ from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.kalman import NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.dynamics.system import System, advance
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.dynamics.system import FLIGHT, System, advance
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood import prediction_error
-from bayes_aero.inference.likelihood.prediction_error import (
+from bayes_aero.inference import prediction_error
+from bayes_aero.inference.ensemble import EnsembleLength
+from bayes_aero.inference.nuts import (
+    SPREAD,
+    NutsLength,
+    PosteriorLength,
+    WarmUp,
+    innovations_posterior,
+    sample_innovations,
+)
+from bayes_aero.inference.prediction_error import (
     MAX_ITERATIONS,
     Evaluation,
     PredictionErrorStatus,
@@ -33,16 +41,7 @@ from bayes_aero.inference.likelihood.prediction_error import (
     fit_prediction_error,
     minimise,
 )
-from bayes_aero.inference.posterior.ensemble import EnsembleLength
-from bayes_aero.inference.posterior.nuts import (
-    SPREAD,
-    NutsLength,
-    PosteriorLength,
-    WarmUp,
-    innovations_posterior,
-    sample_innovations,
-)
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior

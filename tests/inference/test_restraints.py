@@ -5,9 +5,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayes_aero.inference.likelihood.mle_result import active_bounds, inseparable, prior_conflicts
-from bayes_aero.inference.posterior.calibration import Dependence, prior_sensitivity
-from bayes_aero.inference.posterior.ensemble import Drawn, assemble
+from bayes_aero.inference.calibration import Dependence, prior_sensitivity
+from bayes_aero.inference.ensemble import Drawn, assemble
+from bayes_aero.inference.results import active_bounds, inseparable, prior_conflicts
 from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.text.restraints import (

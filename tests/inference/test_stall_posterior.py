@@ -14,13 +14,20 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode, other_modes, search_modes
-from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.inference.stall import maxima, stall_of
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.calibration import maxima, stall_of
+from bayes_aero.inference.ensemble import (
+    EnsembleLength,
+    ModeStatus,
+    density_start,
+    find_mode,
+    other_modes,
+    sample_ensemble,
+    search_modes,
+)
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.nuts import NutsLength, WarmUp, sample_nuts
+from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.model.observations import observe

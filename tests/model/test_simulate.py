@@ -7,15 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.simulated.manoeuvres import ramps
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly
-from bayes_aero.dynamics.simulated.trim import INPUTS, FlightState, Plant, conditions
+from bayes_aero.dynamics.pilot import Pilot, fly, ramps
+from bayes_aero.dynamics.trim import INPUTS, FlightState, Plant, conditions
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.physics.flightpath import Rotation, lever_arm
+from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import PROFILES, TRUTH
 
 # The simulated flight against flight mechanics that was not taken from the simulator

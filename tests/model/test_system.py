@@ -12,9 +12,8 @@ import pytest
 
 from bayes_aero.dynamics.aircraft import ENVELOPE, LATERAL, Longitudinal
 from bayes_aero.dynamics.system import System, integrate
-from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import GRAVITY, NAMES, air
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.simulate.demo import TRUTH

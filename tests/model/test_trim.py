@@ -7,13 +7,13 @@ import six_axes as six
 import stranger_six
 from stranger_six import Plane
 
-from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
-from bayes_aero.dynamics.simulated.trim import Condition, lead, level_speed, rigid_trim, trimmed
+from bayes_aero.dynamics.pilot import fly_standard
+from bayes_aero.dynamics.trim import Condition, lead, level_speed, rigid_trim, trimmed
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.aircraft import GRAVITY, air
 from bayes_aero.simulate.demo import TRUTH
 
 # Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
     body_from_lift_drag,
     coefficient_noise,
@@ -22,7 +22,7 @@ from bayes_aero.physics.coefficients import (
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
-from bayes_aero.physics.flightpath import Rotation, lever_arm
+from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH
 
 

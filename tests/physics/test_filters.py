@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.physics import filters

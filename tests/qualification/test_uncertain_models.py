@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.observations import join
 from bayes_aero.qualification.flights import HoldOut
 from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify

@@ -11,11 +11,10 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import design
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html import page as html

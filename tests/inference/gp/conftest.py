@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.inference.gp.emulator import ReducedData
+from bayes_aero.inference.gp.kernel import ReducedData
 
 
 def draw_from_kernel(rng, n, theta, d):

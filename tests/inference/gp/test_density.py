@@ -12,8 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal, norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp.emulator import ReducedData, reduced_stats
-from bayes_aero.inference.gp.kernel import FLAT, HyperPrior, Priors
+from bayes_aero.inference.gp.kernel import FLAT, HyperPrior, Priors, ReducedData, reduced_stats
 from bayes_aero.inference.gp.optimum import SD_BOUNDS, best_sizes, slopes
 from bayes_aero.inference.gp.posterior import log_density, small_posterior
 

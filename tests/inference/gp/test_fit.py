@@ -7,8 +7,10 @@ import pytest
 import xarray as xr
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import Budget, Prediction, Priors, SampleStatus, fit, fit_gp
-from bayes_aero.inference.gp.posterior import Settings
+from bayes_aero.inference.gp import fit
+from bayes_aero.inference.gp.fit import Prediction, fit_gp
+from bayes_aero.inference.gp.kernel import Priors
+from bayes_aero.inference.gp.posterior import Budget, SampleStatus, Settings
 
 
 def make(seed, n=100):

@@ -8,10 +8,17 @@ from arviz_stats.base import array_stats
 from jax.scipy.stats import multivariate_normal
 from numpyro.infer import MCMC, NUTS
 
-from bayes_aero.inference.compiled_programs import give_back_memory
 from bayes_aero.inference.gp import posterior
-from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, fit_emulator, outputs, stats_and_gradient
-from bayes_aero.inference.gp.kernel import HyperPrior, Priors, noise_to_signal
+from bayes_aero.inference.gp.kernel import (
+    ExactPoint,
+    HyperPrior,
+    Priors,
+    ReducedData,
+    fit_emulator,
+    noise_to_signal,
+    outputs,
+    stats_and_gradient,
+)
 from bayes_aero.inference.gp.optimum import MapStatus, assemble, find_map, maximise
 from bayes_aero.inference.gp.posterior import (
     K_LIMIT,
@@ -25,6 +32,7 @@ from bayes_aero.inference.gp.posterior import (
     sample_posterior,
     thin,
 )
+from bayes_aero.processes import give_back_memory
 
 # Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
 LENGTH = Settings(250, 500, 4)
