@@ -13,6 +13,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import NAMES
@@ -61,3 +62,8 @@ def fitted_to_stalls(card, model, hidden, seed):
     noise = FlightNoise.of(first)
     again = {"start": first.estimate, "departure": first.departure, "prior_weight": noise.variance_inflation}
     return flights, fit_output_error(noise.on(whole), **again), noise
+
+
+def without_accelerometers(record: FlightRecord) -> FlightRecord:
+    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "ay", "az")}
+    return FlightRecord.from_arrays(record.name, record.time, kept)

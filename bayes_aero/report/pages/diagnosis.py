@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
+from bayes_aero.diagnosis.result import COEFFICIENTS, CausesInBand, Diagnosis
+from bayes_aero.residuals.base import INNOVATIONS, TRAJECTORIES
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
