@@ -1,4 +1,7 @@
-"""Flight-path reconstruction from the command line: errors hidden in a flight of kinematics, found and taken out."""
+"""Flight-path reconstruction from the command line: errors hidden in an invented flight, found and taken out.
+
+The flight is made of smooth attitudes and velocities; accelerations and rates follow from them by differentiation.
+"""
 
 import json
 from dataclasses import replace
@@ -8,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from calling import answer, page_of, refused
-from flight.health.flights import flight as kinematic
 
 from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
 from bayes_aero.errors import InputError
@@ -54,28 +56,48 @@ NOISE = {
 }  # fmt: skip
 """Output error knows no noise of what it integrates, so accelerometers and gyros have little."""
 HIDDEN = {"accel_z_bias": 0.08, "pitch_rate_bias": 0.002, "roll_rate_bias": -0.001, "alpha_delay": 0.06}
-SCALE, VANE, PLACE, DT, FINER = 0.05, 6.0, np.array([1.5, 0.3, -0.2]), 0.02, 10
+SCALE, VANE, PLACE, G, DT = 0.05, 6.0, (1.5, 0.3, -0.2), 9.80665, 0.02
 
 
-def true_flight():
-    """Channels of a record of kinematics alone, finer than it is recorded, accelerations where they are measured."""
-    found = kinematic(8, DT / FINER, 36.0, noise=0.0)
-    true = {name: np.array(found[name]) for name in UNITS}
-    omega = np.stack([true[name] for name in "pqr"], axis=1)
-    turning = np.cross(np.gradient(omega, DT / FINER, axis=0), PLACE) + np.cross(omega, np.cross(omega, PLACE))
-    return true | {name: true[name] + x for name, x in zip(("ax", "ay", "az"), turning.T, strict=True)}
+def true_flight(t):
+    """Body velocities, attitude, rates and specific force at the centre of gravity, and what is derived from them."""
+    # Ten times finer than the record, so that central differences are as good as derivatives.
+    fine = np.arange(0.0, t[-1] + DT, DT / 10)
+    phi, psi = 0.4 * np.sin(0.5 * fine), 1.0 + 0.3 * np.sin(0.17 * fine)
+    theta = 0.06 + 0.08 * np.sin(0.9 * fine) + 0.03 * np.sin(2.3 * fine)
+    alpha, beta = 0.08 + 0.05 * np.sin(0.8 * fine + 0.4) + 0.02 * np.sin(2.1 * fine), 0.04 * np.sin(0.7 * fine + 1.0)
+    V = 90.0 + 5.0 * np.sin(0.2 * fine)
+    d = lambda x: np.gradient(x, fine, edge_order=2)
+    p = d(phi) - d(psi) * np.sin(theta)
+    q = d(theta) * np.cos(phi) + d(psi) * np.cos(theta) * np.sin(phi)
+    r = -d(theta) * np.sin(phi) + d(psi) * np.cos(theta) * np.cos(phi)
+    v = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    omega = np.array([p, q, r])
+    down = np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
+    turn = lambda a, b: np.cross(a, b, axis=0)
+    force = np.array([d(x) for x in v]) + turn(omega, v) - G * down
+    spin = np.array([d(x) for x in omega])
+    place = np.array(PLACE)[:, None] * np.ones_like(fine)
+    at_sensor = force + turn(spin, place) + turn(omega, turn(omega, place))
+    climb = -(v * down).sum(0)
+    height = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (climb[1:] + climb[:-1]))])
+    found = dict(zip(("ax", "ay", "az"), at_sensor, strict=True)) | {"p": p, "q": q, "r": r}
+    found |= {"phi": phi, "theta": theta, "psi": psi, "alpha": alpha, "beta": beta, "airspeed": V}
+    found["altitude"] = 3000.0 + height
+    return {name: np.interp(t, fine, x) for name, x in found.items()} | {"late": (fine, alpha)}
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
     """Card and record with errors of sensors, and the truth."""
     folder, rng = tmp_path_factory.mktemp("path"), np.random.default_rng(8)
-    fine, t = true_flight(), DT * np.arange(1800)
-    at_vane = np.arctan2(np.sin(fine["alpha"]) - VANE * fine["q"] / fine["airspeed"], np.cos(fine["alpha"]))
-    truth = {name: x[::FINER][: len(t)] for name, x in fine.items()}
+    t = DT * np.arange(1800)
+    truth = true_flight(t)
+    fine, alpha = truth.pop("late")
     recorded = dict(truth)
-    late = np.interp(t - HIDDEN["alpha_delay"], DT / FINER * np.arange(len(at_vane)), at_vane)
-    recorded["alpha"] = (1.0 + SCALE) * late
+    q, V = (np.interp(fine, t, truth[name]) for name in ("q", "airspeed"))
+    at_vane = np.arctan2(np.sin(alpha) - VANE * q / V, np.cos(alpha))
+    recorded["alpha"] = (1.0 + SCALE) * np.interp(t - HIDDEN["alpha_delay"], fine, at_vane)
     recorded["beta"] = np.arctan(np.tan(truth["beta"]) + VANE * truth["r"] / truth["airspeed"])
     recorded["az"] = recorded["az"] + HIDDEN["accel_z_bias"]
     recorded["q"] = recorded["q"] + HIDDEN["pitch_rate_bias"]
@@ -212,8 +234,10 @@ def first_order(rng, t, sd, seconds):
 @pytest.mark.verify
 def test_gusts_are_met_by_vane_and_pitot_tube_alone(program, flight, tmp_path):
     """Intensities, lengths and errors of sensors, without aerodynamics; noise of accelerometers is counted."""
-    card, _, true = flight
-    t, rng, truth = DT * np.arange(1800), np.random.default_rng(1), dict(true)
+    card, _, _ = flight
+    t, rng = DT * np.arange(1800), np.random.default_rng(1)
+    truth = true_flight(t)
+    truth.pop("late")
     w, u = first_order(rng, t, 0.5, 200.0 / 90.0), first_order(rng, t, 0.3, 200.0 / 90.0)
     truth["alpha"] = 1.04 * (truth["alpha"] + w / truth["airspeed"])
     truth["airspeed"] = truth["airspeed"] + u
