@@ -100,7 +100,7 @@ def test_an_unfilled_card_names_the_first_thing_missing_and_is_not_overwritten(p
     assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "the aircraft of N123"
 
 
-def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
+def test_a_hostile_header_is_no_code_of_a_card(program, flights, card):
     record = read_record(flights.sound, card.channels)
     table = pd.DataFrame(
         {
@@ -113,14 +113,6 @@ def test_radians_metres_and_a_hostile_header(program, flights, card, tmp_path):
     done = program("card", "plain.csv")
     assert done.code in (0, 2)
     assert "Traceback" not in done.err
-    table.drop(columns="]\n[evil").to_csv("plain.csv", index=False)
-    succeeded(program("card", "plain.csv"))
-    table = tomllib.loads((tmp_path / "plain.toml").read_text())
-    units = {name: entry["unit"] for name, entry in table["channels"].items()}
-    assert units["alpha"] == units["theta"] == "rad"
-    assert (units["q"], units["airspeed"], units["altitude"], units["az"]) == ("rad/s", "m/s", "m", "m/s^2")
-    assert table["derived"] == {"density": "standard atmosphere", "mach": "standard atmosphere"}
-    assert table["constants"]["thrust"] == "TODO"
 
 
 def test_a_sign_survives_writing_and_reading(flights, card, tmp_path):
@@ -170,15 +162,8 @@ def test_newtons_and_pounds_are_not_guessed_apart_nor_a_stall_without_alpha(prog
     assert "alpha reaches" not in text
 
 
-def test_accelerations_are_found_by_their_symbol_and_missed_aloud(program, foreign, tmp_path):
+def test_accelerations_are_missed_aloud(program, foreign, tmp_path):
     table = pd.read_csv(foreign[0])
-    named = table.rename(columns={"nx": "Long. Load Factor nx [g]", "nz": "Body axis nz [g]"})
-    named.to_csv("named.csv", index=False)
-    done = program("card", "named.csv", "--out", "named.toml")
-    assert "Not found" not in done.out + done.err
-    channels = tomllib.loads((tmp_path / "named.toml").read_text())["channels"]
-    assert (channels["ax"]["label"], channels["az"]["label"]) == ("Long. Load Factor nx [g]", "Body axis nz [g]")
-    assert channels["az"]["sign"] == -1
     table.rename(columns={"nx": "S1", "nz": "S2"}).to_csv("blind.csv", index=False)
     done = program("card", "blind.csv", "--out", "blind.toml")
     assert "Not found: ax, az" in done.out + done.err
@@ -243,14 +228,11 @@ def starter_of(tmp_path, *, without=(), **columns):
     return tomllib.loads(text), text
 
 
-@pytest.mark.parametrize(
-    ("left", "right"),
-    [
-        ("net_thrust_1", "net_thrust_2"), ("Thrust Eng1", "Thrust Eng2"), ("thrust_port", "thrust_stbd"),
-        ("engine_thrust_left", "engine_thrust_right"), ("Left engine net thrust", "Right engine net thrust"),
-        ("netthrst_l", "netthrst_r"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("left", "right"), [
+    ("net_thrust_1", "net_thrust_2"), ("Thrust Eng1", "Thrust Eng2"), ("thrust_port", "thrust_stbd"),
+    ("engine_thrust_left", "engine_thrust_right"), ("Left engine net thrust", "Right engine net thrust"),
+    ("netthrst_l", "netthrst_r"),
+])  # fmt: skip
 def test_the_thrust_of_one_side_is_never_the_whole(tmp_path, left, right):
     thrust = 3000.0 + 100.0 * np.sin(flight(0, seconds=30.0).time)
     made, _ = starter_of(tmp_path, **{left: thrust, right: thrust + 50.0})
@@ -294,16 +276,13 @@ DEGREES = np.rad2deg(1.0)
 FLAT = ("alpha_deg", "theta_deg")
 
 
-@pytest.mark.parametrize(
-    ("sizes", "stated"),
-    [
-        ({"p": 1.0, "q": 1.0, "r": 1.0}, {}),
-        ({"p": DEGREES, "q": DEGREES, "r": DEGREES}, {}),
-        ({"p": DEGREES, "q": DEGREES, "r": 1.0}, {"r": "r [rad/s]"}),  # what the file says itself stays
-        ({"alpha": 1.0, "beta": 1.0, "theta": 1.0, "phi": 1.0, "psi": DEGREES, "p": 1.0, "q": 1.0, "r": DEGREES}, {}),
-        ({"alpha": DEGREES, "beta": DEGREES, "theta": DEGREES, "phi": DEGREES, "psi": DEGREES}, {}),
-    ],
-)
+@pytest.mark.parametrize(("sizes", "stated"), [
+    ({"p": 1.0, "q": 1.0, "r": 1.0}, {}),
+    ({"p": DEGREES, "q": DEGREES, "r": DEGREES}, {}),
+    ({"p": DEGREES, "q": DEGREES, "r": 1.0}, {"r": "r [rad/s]"}),  # what the file says itself stays
+    ({"alpha": 1.0, "beta": 1.0, "theta": 1.0, "phi": 1.0, "psi": DEGREES, "p": 1.0, "q": 1.0, "r": DEGREES}, {}),
+    ({"alpha": DEGREES, "beta": DEGREES, "theta": DEGREES, "phi": DEGREES, "psi": DEGREES}, {}),
+])  # fmt: skip
 def test_units_of_angles_and_rates_show_in_one_another(tmp_path, sizes, stated):
     """Roll rate shows its unit by bank angle, others go with it; heading and yaw rate may be of another instrument."""
     record = flight(0, seconds=30.0)
