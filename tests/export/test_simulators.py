@@ -1,22 +1,25 @@
-"""JSBSim with an exported model against the model itself: coefficients, forces in its units, and whole flights."""
+"""Exported models in JSBSim and as an FMU against the model itself: coefficients, forces and whole flights."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import fmpy
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from exported_models import BOTH, everything, modelled, six, stall
+from fmpy.validation import validate_fmu
 from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 
 from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
-from bayes_aero.effects import CATALOGUE
-from bayes_aero.errors import InputError
-from bayes_aero.export.jsbsim import PROPERTIES, jsbsim_files
+from bayes_aero.export.fmu import write_fmu
+from bayes_aero.export.jsbsim import PROPERTIES
+from bayes_aero.physics.aircraft import air
 from bayes_aero.simulate.demo import simulate_stall
 
-pytest.importorskip("jsbsim")
-LARGEST = 1e-3  # of an output's range, between JSBSim and the package's simulation
+LARGEST = 1e-3  # of an output's range, between another simulator and the package's own simulation
 STALL_FRAMES, SIX_FRAMES = 25, 80  # a sample of 40 ms; JSBSim's first step is of first order
+STEP = 0.001  # s: a step of the FMU holds its inputs
 SEED = 5
 
 
@@ -102,16 +105,22 @@ def within(found, expected, names):
     assert max(sizes.values()) <= LARGEST, sizes
 
 
+def recorded_stall(found, begin, end):
+    """The package's system, the state and the inputs of a recorded stall without noise, and the record."""
+    record = simulate_stall(0, sensor_noise=0.0, disturbance=0.0).window(begin, end)
+    c = record.channels
+    inputs = {"elevator": c["elevator"], "thrust": c["thrust_left"] + c["thrust_right"]}
+    start = {name: float(c[name][0]) for name in ("airspeed", "alpha", "theta", "q", "altitude")} | {"X": 1.0}
+    system = Longitudinal(found.model, {n: jnp.asarray(x) for n, x in found.values.items()}, found.aircraft)
+    return system, start, inputs, record
+
+
 @pytest.mark.parametrize("tau1", [0.0, 5.0])
 def test_a_stall_is_flown_as_the_package_flies_it(tau1, tmp_path):
     """The elevator and the thrust of a recorded stall: airspeed, alpha, pitch, rate and altitude."""
     found = stall(tau1)
-    record = simulate_stall(0, sensor_noise=0.0, disturbance=0.0).window(0.0, 60.0)
-    c = record.channels
-    inputs = {"elevator": c["elevator"], "thrust": c["thrust_left"] + c["thrust_right"]}
     names = ("airspeed", "alpha", "theta", "q", "altitude")
-    start = {name: float(c[name][0]) for name in names} | {"X": 1.0}
-    system = Longitudinal(found.model, {n: jnp.asarray(x) for n, x in found.values.items()}, found.aircraft)
+    system, start, inputs, record = recorded_stall(found, 0.0, 60.0)
     outputs = {n: STATES[n] for n in names} | {n: (f"bayes-aero/coefficient/{n}", 1.0) for n in ("CL", "CD", "Cm")}
     outputs |= {"X": ("bayes-aero/state/X" if tau1 else "bayes-aero/separation/X", 1.0)}
     sim = flown(loaded(found, tmp_path), start, inputs, record.dt, STALL_FRAMES, outputs)
@@ -136,17 +145,9 @@ def test_six_degrees_of_freedom_are_flown_as_the_package_flies_them(tmp_path):
 
 
 def test_words_of_a_card_end_no_comment(tmp_path):
-    """A title that would close the comment of the XML, and a parameter that is no property."""
+    """A title that would close the comment of the XML."""
     found = replace(stall(), title="x --> <aerodynamics> <-- & --->")
     assert loaded(found, tmp_path)["metrics/Sw-sqft"] == pytest.approx(64.0 / FOOT**2, rel=1e-6)
-    odd = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
-    wider = replace(found, model=found.model.extended(odd), values=found.values | {"CDde": 0.1})
-    with pytest.raises(InputError, match="2nd surface cannot be a property of JSBSim"):
-        jsbsim_files(wider)
-
-
-def _second(v, s, *_):
-    return {"CD": v["CDde"] * s["2nd surface"]}
 
 
 def test_an_aircraft_at_rest_falls(tmp_path):
@@ -159,3 +160,64 @@ def test_an_aircraft_at_rest_falls(tmp_path):
     read = [sim[f"bayes-aero/coefficient/{n}"] for n in ("CL", "CD", "Cm")]
     assert np.all(np.isfinite([*read, sim["velocities/q-rad_sec"], sim["bayes-aero/state/X"]]))
     assert sim["velocities/vt-fps"] * FOOT == pytest.approx(9.80665 * sim["simulation/sim-time-sec"], rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The FMU, the package's flight, and what the FMU gives along it."""
+    found, folder = stall(5.0), tmp_path_factory.mktemp("fmu")
+    path = write_fmu(found, folder)
+    system, start, inputs, record = recorded_stall(found, 25.0, 50.0)
+    flight = simulated(system, start, inputs, record.dt)
+    flight |= {"elevator": inputs["elevator"], "mach": flight["airspeed"] / np.asarray(air(flight["altitude"])[1])}
+    time = record.time - record.time[0]
+    names = found.program.inputs_of("signal")
+    signals = np.zeros(len(time), dtype=[("time", float), *((name, float) for name in names)])
+    signals["time"] = time
+    for name in names:
+        signals[name] = flight[name]
+    steps = {"output_interval": STEP, "step_size": STEP}
+    told = fmpy.simulate_fmu(str(path), stop_time=float(time[-1]), input=signals, validate=True, **steps)
+    return SimpleNamespace(found=found, path=path, time=time, flight=flight, told=told)
+
+
+def test_the_description_is_valid(exported):
+    assert validate_fmu(str(exported.path)) == []
+    description = fmpy.read_model_description(str(exported.path))
+    assert description.fmiVersion == "2.0"
+    assert description.coSimulation is not None
+    by_kind: dict = {}
+    for variable in description.modelVariables:
+        by_kind.setdefault(variable.causality, set()).add(variable.name)
+    assert by_kind["input"] == set(exported.found.program.inputs_of("signal"))
+    assert {"CL", "CD", "Cm", "X"} <= by_kind["output"]
+    start = {v.name: float(v.start) for v in description.modelVariables if v.causality == "parameter"}
+    assert start["parameter.CLa"] == exported.found.values["CLa"]
+
+
+@pytest.mark.parametrize("name", ["CL", "CD", "Cm", "X"])
+def test_it_follows_the_packages_flight(exported, name):
+    """Its own part is the lag of the separation point; the flow along the way is the input."""
+    expected, told = exported.flight[name], exported.told
+    there = np.interp(exported.time, told["time"], told[name])
+    if name == "X":
+        assert np.ptp(expected) > 0.3
+    error = np.abs(there - expected)[25:]  # X begins at its static value of either alpha-dot
+    assert error.max() <= LARGEST * np.ptp(expected)
+
+
+def test_parameters_can_be_set_and_it_runs_from_rest(exported):
+    signals = {"airspeed": 90.0, "alpha": 0.1, "mach": 0.3}
+    usual, told = (
+        fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=signals | more)
+        for more in ({}, {"parameter.CL0": 0.55})
+    )
+    assert told["CL"][-1] - usual["CL"][-1] == pytest.approx(0.55 - 0.15, abs=1e-12)
+    # Cm = Cm0 + Cma alpha + Cmq q c/V with V = 1 m/s, attached flow.
+    rest = {"airspeed": 0.0, "alpha": 0.02, "mach": 0.0, "q": 0.1, "elevator": 0.0, "alpha_dot": 0.0}
+    start = {n: x for n, x in rest.items() if n in exported.found.program.inputs_of("signal")}
+    told = fmpy.simulate_fmu(str(exported.path), stop_time=0.1, output_interval=0.1, start_values=start)
+    v, chord = exported.found.values, exported.found.aircraft.chord
+    X = told["X"][-1]
+    right = v["Cm0"] + v["Cma"] * 0.02 + v["Cmq"] * 0.1 * chord + v["CmX"] * (1.0 - X)
+    assert told["Cm"][-1] == pytest.approx(right, rel=1e-9)
