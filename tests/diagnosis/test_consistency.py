@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gusty_flight import gusty_flight
-from stranger_records import flown
+from stranger import flown
 
 from bayes_aero.diagnosis.consistency import consistency, in_gusts
 from bayes_aero.diagnosis.diagnose import diagnose

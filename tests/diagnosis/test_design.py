@@ -1,6 +1,7 @@
 """Which manoeuvres tell which effects apart, and which test points to fly next."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,17 +10,19 @@ import six_axes as six
 import stranger_six
 from parts import with_candidates
 from stranger_six import Plane
-from told_apart import deviations, weakest
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import (
+    NOT_BY_HAND,
     Information,
     candidates_of,
     next_test_points,
     noise_of,
     of_records,
     on_record,
+    signals_of,
     standard,
+    worth_of,
 )
 from bayes_aero.diagnosis.screening.selection_state import linearised
 from bayes_aero.diagnosis.settings import ENOUGH
@@ -40,6 +43,24 @@ from bayes_aero.simulate.demo import TRUTH
 # Which standard manoeuvre tells which effects apart
 RATES = ("alpha_dot_lift", "pitch_rate_lift")
 CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
+
+
+def deviations(state, effects, flights, sizes=MappingProxyType({})):
+    """By manoeuvre, and under "records" of the records alone: deviations of each ordered pair of effects."""
+    chosen, noise = candidates_of(state, effects), noise_of(state)
+    records = of_records(state, chosen, noise)
+    present, own = records.information(), signals_of(records.state, chosen, worth_of(chosen, sizes))
+    found = {"records": present.deviations(own)}
+    for name, record in flights.flown.items():
+        if name not in NOT_BY_HAND:
+            there = on_record(state, flights.model, record, flights.theta, chosen, noise)
+            found[name] = (present + there.information()).deviations(own)
+    return found
+
+
+def weakest(*given):
+    """The same of the closest pair."""
+    return {name: min(of.values()) for name, of in deviations(*given).items()}
 
 
 @pytest.fixture(scope="module")

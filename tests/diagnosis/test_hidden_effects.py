@@ -7,7 +7,7 @@ import pytest
 import six_axes
 from out_of_catalogue import unknown
 from scipy.signal import lfilter
-from stranger_records import HIDDEN, Recorder, flown
+from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis.candidate_set import candidate_model

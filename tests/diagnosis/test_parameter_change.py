@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from changing_parameters import AT, changed
+from out_of_catalogue import AT, changed
 from scipy import stats
 from six_axes import card_text, record
 from stranger_six import Plane, drawn, fly
