@@ -11,7 +11,6 @@ from importlib import import_module, resources
 from inspect import isfunction, ismodule
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -184,20 +183,12 @@ def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, fou
     assert told.stdout.splitlines() == [found, "2.0"]
 
 
-if TYPE_CHECKING:
-    from nowhere import Anything
-
 N, M = np.zeros(3), np.zeros(4)
 
 
 @check_once
 def both(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], scale: float = 1.0) -> Float[np.ndarray, " n"]:
     return np.concatenate([x, y]) if scale < 0.0 else scale * (x + y)
-
-
-@check_once
-def unknown(x: Anything, n: int) -> int:
-    return x if n else n
 
 
 @check_once
@@ -211,7 +202,6 @@ def test_what_fits_passes_and_the_package_is_checked():
     assert both(N, N, 2).shape == (3,)
     assert both(M, M).shape == (4,)  # a letter means another size at the next call
     assert Pair(N, y=N).x is N
-    assert unknown("x", 0) == 0
     with pytest.raises(BeartypeCallHintViolation):
         smooth("no signal", 0.1)
 
@@ -225,8 +215,6 @@ def test_what_fits_passes_and_the_package_is_checked():
         lambda: both(N, np.zeros(3, dtype=int)),
         lambda: both(N, N, -1.0),  # the result is twice as long
         lambda: Pair(N, M),
-        lambda: unknown(1, "1"),
-        lambda: unknown("one", 1),
     ],
 )
 def test_what_does_not_fit_is_refused(wrong):

@@ -9,10 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from out_of_catalogue import unknown
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
 from bayes_aero.dynamics.simulated.trim import INPUTS, FlightState, Plant
@@ -26,7 +24,7 @@ from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.simulate.demo import TRUTH, demo_records
-from bayes_aero.simulate.injection import hidden_flights, hidden_records
+from bayes_aero.simulate.injection import hidden_records
 
 
 @pytest.fixture(scope="module")
@@ -175,19 +173,6 @@ def test_a_card_takes_an_effect_from_its_own_folder(tmp_path):
 def test_a_file_that_is_no_effect_is_said_in_a_sentence(tmp_path, source, said):
     with pytest.raises(InputError, match=said):
         Model.from_card(read_card(own_card(tmp_path, source)))
-
-
-@pytest.mark.verify
-def test_diagnosis_names_the_users_effect_and_calls_it_unexplained_without(tmp_path, card):
-    seed = int(np.random.default_rng(5150).integers(1_000_000))
-    flights = hidden_flights({}, seed=seed, noise="ar1", seconds=90.0, beyond=unknown("bank_moment"))
-    records, size = [f.record for f in flights], flights[0].values["unknown_bank"]
-    found = diagnose(records, read_card(own_card(tmp_path)), seed=seed, gains_wanted=False)
-    assert [c.name for c in found.causes] == ["bank_pitching"]
-    assert found.causes[0].parameters["CmB"].mean == pytest.approx(size, rel=0.1)
-    assert not found.unknown
-    without = diagnose(records, card, seed=seed, gains_wanted=False)
-    assert without.unknown[0].channel.startswith("phi")
 
 
 # Effects with names of their own that declare what their parameters are: they do what the catalogue's do
