@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.dynamics.innovations import Disturbances, LinearisedFilter, linear_innovations, noise_derivatives
-from bayes_aero.dynamics.kalman import (
-    FilterInputs,
-    discrete_noise,
-    gains,
-    kalman_filter,
-    log_likelihood,
-    smooth,
-)
+from bayes_aero.dynamics.kalman import FilterInputs, discrete_noise, gains, kalman_filter, log_likelihood, smooth
 from bayes_aero.dynamics.linear import LinearSystem
 from bayes_aero.dynamics.system import advance, integrate, later
 
@@ -116,11 +109,20 @@ def test_innovations_without_process_noise_are_those_of_output_error(system, rec
     np.testing.assert_allclose(found.variance[used], np.tile(R, (N, 1))[used], rtol=1e-12)
 
 
-def test_gains_ask_no_library():
-    """Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores."""
-    shapes = ((5, 5), (7, 5), (7,), (7,))
-    given = [jnp.ones((1000, *shape), bool if k == 3 else float) for k, shape in enumerate(shapes)]
-    assert "custom_call" not in jax.jit(jax.vmap(gains)).lower(*given).as_text()
+def test_gains_are_those_of_the_whole_sample_and_ask_no_library():
+    """P C' S^-1, and the inverse of the unit factor of S: numpy's."""
+    rng, there = np.random.default_rng(3), np.arange(7) != 2
+    root, C, variance = rng.normal(size=(5, 5)), rng.normal(size=(7, 5)), rng.uniform(0.1, 2.0, 7)
+    P, seen = root @ root.T, C[there]
+    gain, innovate = gains(*map(jnp.asarray, (P, C, variance, there)))
+    S = seen @ P @ seen.T + np.diag(variance[there])
+    factor = np.linalg.cholesky(S)
+    np.testing.assert_allclose(gain[:, there], np.linalg.solve(S, seen @ P).T, atol=1e-12)
+    np.testing.assert_array_equal(gain[:, ~there], 0.0)
+    np.testing.assert_allclose(innovate[np.ix_(there, there)], np.linalg.inv(factor / np.diag(factor)), atol=1e-12)
+    # Two calls of LAPACK for a thousand matrices each, in one program, wait for each other on two cores.
+    many = (jnp.broadcast_to(x, (1000, *np.shape(x))) for x in (P, C, variance, there))
+    assert "custom_call" not in jax.jit(jax.vmap(gains)).lower(*many).as_text()
 
 
 # Derivatives of the linearised filter against automatic differentiation and finite differences
