@@ -13,8 +13,7 @@ from calling import answer, holds, refused, succeeded
 from flight.health.flights import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stranger import fly, plane
-from stranger_records import write
+from stranger import fly, plane, write
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card, read_card

@@ -13,8 +13,7 @@ import pytest
 import six_axes as six
 import stranger_six
 from fuzzing import FACTOR
-from stranger import fly, plane
-from stranger_records import NOISE
+from stranger import NOISE, fly, plane
 
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.effects import CATALOGUE

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import six_axes
-from changing_parameters import AT, changed
-from out_of_catalogue import unknown
+from out_of_catalogue import AT, changed, unknown
 from parts import without_accelerometers
 from scipy import stats
 from scipy.signal import lfilter
-from stranger_records import HIDDEN, Recorder, flown
+from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
