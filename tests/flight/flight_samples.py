@@ -1,6 +1,7 @@
 """Small sound records, what is said of bad ones, and bytes of flight logs by the published specifications."""
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,11 @@ CHANNELS = (
     Channel("static_pressure", "hPa", "PSTAT", 6, required=False),
     Channel("strain", "mm", "GAUGE_7", 7, required=False),
 )  # fmt: skip
+
+
+def remap(name: str, **fields: object) -> tuple[Channel, ...]:
+    """The card's channels with one of them changed."""
+    return tuple(replace(c, **fields) if c.name == name else c for c in CHANNELS)
 
 
 def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:
