@@ -16,11 +16,10 @@ from unittest.mock import Mock
 import asammdf
 import h5py
 import numpy as np
-import openpyxl
 import pandas as pd
 import pytest
 import xarray as xr
-from flight_samples import CHANNELS, dataflash, remap, sound, spoilt, told, ulog
+from flight_samples import CHANNELS, dataflash, remap, sound, spoilt, told, ulog, workbook
 from scipy.io import netcdf_file, savemat
 
 from bayes_aero.cli.terminal import SUFFIXES
@@ -366,19 +365,6 @@ def names_of(opened):
 
 
 # --------------------------------------------------------------------------------------------------------- Excel
-
-
-def workbook(*sheets) -> bytes:
-    """(title, rows) of each sheet."""
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for title, rows in sheets:
-        sheet = book.create_sheet(title)
-        for row in rows:
-            sheet.append(row)
-    out = io.BytesIO()
-    book.save(out)
-    return out.getvalue()
 
 
 def samples(n=60):
