@@ -1,21 +1,198 @@
-"""Claims and the verification that counts them, studies that go on where they stopped, qualification as stated."""
+"""Benchmarks: ranks and coverage, rivals, claims that are counted, studies that go on, stated probabilities."""
 
 import csv
+import importlib
+import os
+import subprocess
+import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import verify
-from qualification import CUBIC, DT, NOISE, OUTPUTS, TRUTH, N, aircraft, flight
-from scipy.stats import binomtest
+from calibration import (
+    DRAWS,
+    Replicate,
+    band_of,
+    calibration_table,
+    covariance,
+    process_replicate,
+    rank,
+    stall_replicate,
+)
+from interval_coverage import coverage_study
+from qualification import CUBIC, DT, NOISE, OUTPUTS, N, aircraft, flight
+from qualification import TRUTH as FLOWN
+from scipy.stats import binomtest, multivariate_normal
+from seed_rivals import INNER, Problem, one_step, problems
 from studies import resumed
 from verify import CLAIMS, LEVEL, ROUND, Claim, Side, begin, count, enter, flights, fly, line_of, mark
 
 from bayes_aero.errors import InputError
+from bayes_aero.inference.gp.kernel import Priors, ReducedData
+from bayes_aero.inference.gp.posterior import log_density
+from bayes_aero.simulate.demo import TRUTH
+
+
+def test_ranks_have_the_closed_form_of_quantiles_and_uniform_ones_stay_in_their_band():
+    draws = np.arange(1000.0)[:, None] / 1000.0
+    draws = np.random.default_rng(0).permutation(draws)
+    assert rank(np.array([-1.0]), draws)[0] == 0
+    assert rank(np.array([2.0]), draws)[0] == DRAWS
+    assert abs(rank(np.array([0.25]), draws)[0] - 0.25 * DRAWS) < 3.0 * np.sqrt(0.25 * 0.75 * DRAWS)
+    # 95 % simultaneous: of 200 sets, 190 are expected inside, with a deviation of 3.1.
+    rng = np.random.default_rng(3)
+    inside = sum(band_of(list(map(int, rng.integers(0, DRAWS + 1, 100)))).inside for _ in range(200))
+    assert 178 <= inside <= 199
+
+
+def test_ranks_of_a_posterior_too_narrow_or_shifted_leave_the_band():
+    rng = np.random.default_rng(4)
+    truth, n = rng.standard_normal(300), 300
+    data = truth + rng.standard_normal(n)
+    mean, sd = data / 2.0, np.sqrt(0.5)  # of the posterior, in closed form
+
+    def ranks(shift, width):
+        return [
+            int(rank(np.array([t]), (m + shift + width * sd * rng.standard_normal((DRAWS, 1))))[0])
+            for t, m in zip(truth, mean, strict=True)
+        ]
+
+    assert band_of(ranks(0.0, 1.0)).inside
+    assert not band_of(ranks(0.0, 0.6)).inside
+    assert not band_of(ranks(0.4, 1.0)).inside
+
+
+@pytest.mark.verify
+def test_both_engines_rank_a_truth_alike(thinned, model):
+    """Same truth and data: two ranks among 99 draws differ by a deviation of at most 7; five are allowed."""
+    few = thinned.thinned(4)
+    ours, theirs = (stall_replicate(model, few, engine, 2) for engine in ("emcee", "NUTS"))
+    assert len(ours.ranks) == 20
+    for name, own in ours.ranks.items():
+        assert 0 <= own <= DRAWS
+        assert abs(own - theirs.ranks[name]) < 35, name
+
+
+def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
+    """Against the engine's own kernel matrix through its log likelihood."""
+    rng = np.random.default_rng(2)
+    x, theta, y = rng.standard_normal((12, 2)), rng.normal(-0.5, 0.3, 7), rng.standard_normal(12)
+    exact = multivariate_normal(np.zeros(12), covariance(theta, x)).logpdf(y)
+    assert log_density(theta, ReducedData.of(x, y), Priors.flat()).value == pytest.approx(exact, abs=1e-8)
+
+
+@pytest.mark.verify
+def test_a_process_replicate_ranks_every_hyperparameter():
+    x = np.random.default_rng(5).standard_normal((40, 1))
+    found = process_replicate(x, ("alpha",), 1)
+    assert set(found.ranks) == {"constant", "linear[alpha]", "signal", "length_scale[alpha]", "noise"}
+    assert all(0 <= k <= DRAWS for k in found.ranks.values())
+
+
+def test_the_table_counts_coverage_in_closed_form():
+    ranks = np.arange(DRAWS + 1)
+    table = calibration_table([Replicate(int(k), {"a": int(k)}, "converged") for k in ranks])
+    row = table.loc["a"]
+    assert row["mean rank"] == pytest.approx(0.5)
+    assert row["in 50 %"] == pytest.approx(0.5)
+    assert row["in 90 %"] == pytest.approx(0.9)
+    assert bool(row["inside band"])
+
+
+COLOURED = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
+
+
+@pytest.mark.verify
+def test_coverage_under_coloured_noise(thinned, model):
+    """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
+
+    Sixty replicates of each of eight cells of colour and rate: benchmarks/interval_coverage.py.
+    """
+    found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=4, max_steps=600)
+    share = found.table().loc["all"]
+    assert 0.91 <= share["AR(1) posterior"] <= 0.98
+    assert share["CRB"] < 0.6
+    assert share["white posterior"] < 0.6
+    assert share["corrected CRB"] > 0.8
+
+
+PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
+
+
+def rows_of(text):
+    """Cells of every row of the tables, by the contender's name."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:2] == "| "]
+    return {cells[0]: cells[1:] for cells in lines}
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory, model, thinned):
+    folder = tmp_path_factory.mktemp("peers")
+    noise = np.random.default_rng(3).standard_normal(thinned.measured.shape) * [0.02, 0.004, 0.008]
+    with pytest.MonkeyPatch.context() as patch:
+        for path in (PEERS.parent, PEERS):
+            patch.syspath_prepend(path)
+        problem = importlib.import_module("problem")
+        asked = {"of": [], "sizes": [60], "quick": True}
+        problem.lay_down(model, replace(thinned, measured=thinned.measured + noise), folder, asked)
+    settings = os.environ | {"PYTHONPATH": str(PEERS.parents[1]), "JAX_COMPILATION_CACHE_DIR": str(folder / "programs")}
+    command = [sys.executable, str(PEERS), "--quick", "--blocks", "fits", "--folder", str(folder)]
+    command += ["--out", str(folder / "table.md")]
+    ended = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return (folder / "table.md").read_text(), ended.stdout
+
+
+def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(quick):
+    written, printed = quick
+    assert written == printed
+    rows = rows_of(written)
+    for name in ("bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm"):
+        assert float(rows[name][2]) < 1e-2, (name, rows[name])  # nats above the best
+    assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it does without JAX
+
+
+SEED = 11
+
+
+@pytest.mark.parametrize("kind", list(INNER))
+def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
+    m = 300
+    flights = SimpleNamespace(
+        inputs=np.zeros((m, 4)), states=np.zeros((m, 4)), measured=np.zeros((m, 3)),
+        manoeuvre=np.repeat([0, 1], [180, 120]), state=SimpleNamespace(responses=SimpleNamespace(seconds=0.2)),
+    )  # fmt: skip
+    found = problems(flights, kind)
+    held_out = sum((~p.train).astype(int) for p in found)
+    assert held_out.max() == 1
+    for p in found:
+        assert not np.any(p.inner & ~p.train)
+        assert 0.2 < p.inner.sum() / p.train.sum() < 0.4
+        if kind == "manoeuvre":
+            assert len(np.unique(p.manoeuvre[p.train])) == 1
+
+
+def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
+    pytest.importorskip("sklearn", reason="scikit-learn comes with the `bench` extra")
+    rng = np.random.default_rng(SEED)
+    m, true = 600, 0.7
+    control = np.repeat(rng.standard_normal(m // 10), 10)
+    x = np.zeros(m)
+    for k in range(m - 1):
+        x[k + 1] = 0.9 * x[k] + 0.2 * true * control[k]
+    measured = (true * control)[:, None]
+    train = np.arange(m) < 400
+    inner = train & (np.arange(m) >= 300)
+    problem = Problem(control[:, None], measured, x[:, None], np.zeros(m, int), train, inner)
+    guess = one_step(problem, SEED, lambda theta: theta[0] * control[:, None], np.array([0.2]), ([-5.0], [5.0]))
+    np.testing.assert_allclose(guess.mean, measured, atol=0.01 * true * np.abs(control).max())
+
 
 README = Path(__file__).parents[2] / "benchmarks" / "README.md"
 COUNTS = [(0, 1), (1, 1), (0, 16), (3, 16), (5, 16), (16, 16), (7, 40), (191, 200), (200, 200)]
@@ -193,14 +370,14 @@ def test_the_true_aircraft_obeys_its_equations():
     """Accelerations from noisy rates: with the cubic moment the residual of q-dot is noise and turbulence."""
     rng = np.random.default_rng(0)
     de = 0.04 * np.sin(2.0 * np.pi * DT * np.arange(N) / 3.0)
-    record = flight(TRUTH, de, rng, "one")
+    record = flight(FLOWN, de, rng, "one")
     alpha, q = record["alpha"], record["q"]
     q_dot = np.gradient(q, DT)
-    full = TRUTH["Malpha"] * alpha + CUBIC * alpha**3 + TRUTH["Mq"] * q + TRUTH["Mde"] * de
+    full = FLOWN["Malpha"] * alpha + CUBIC * alpha**3 + FLOWN["Mq"] * q + FLOWN["Mde"] * de
     noise = NOISE["q"] / DT / np.sqrt(2.0)
     assert np.std(q_dot - full) < 2.0 * noise
     assert np.std(q_dot - full + CUBIC * alpha**3) > np.std(q_dot - full)
-    assert np.allclose(record["az"].mean(), 90.0 * np.mean(TRUTH["Zalpha"] * alpha + TRUTH["Zde"] * de), atol=0.05)
+    assert np.allclose(record["az"].mean(), 90.0 * np.mean(FLOWN["Zalpha"] * alpha + FLOWN["Zde"] * de), atol=0.05)
 
 
 def test_stated_probabilities_order_what_happens():

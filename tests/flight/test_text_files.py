@@ -1,4 +1,4 @@
-"""Text files as loggers write them: layouts, quoted cells and headings, read alike or refused in words that help."""
+"""Text files as loggers write them, and as nobody should: read alike, or refused in words that help."""
 
 import re
 
@@ -8,14 +8,12 @@ import pytest
 from flight_samples import CHANNELS, sound, told
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
+from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers.base import Marks, marks_of, number_of, seconds
 from bayes_aero.flight.readers.text import laid_out, separator_of
 from bayes_aero.flight.reading import read_raw, read_record
 from bayes_aero.flight.record import write_record
-from bayes_aero.jobs.column_inference import guessed
 
-# Text files as loggers write them: every layout is read as the same record, or refused in words that help
 LABELS = [channel.heading for channel in CHANNELS]
 
 
@@ -32,9 +30,13 @@ def same(path, **options) -> None:
         np.testing.assert_allclose(found[name], plain[name], rtol=1e-6, atol=1e-6 * np.ptp(plain[name]))
 
 
-def columns(frame: pd.DataFrame, gap: str, decimal: str = ".") -> str:
+def columns(frame: pd.DataFrame, gap: str = ",", decimal: str = ".") -> str:
     rows = [gap.join(f"{x:.9f}".replace(".", decimal) for x in row) for row in frame.to_numpy()]
     return "\n".join(rows) + "\n"
+
+
+def put(place: int, value: str):
+    return lambda cells: [*cells[:place], value, *cells[place + 1 :]]
 
 
 @pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
@@ -65,7 +67,7 @@ LONG = ",".join(f"Long name {k}" for k in range(len(LABELS))) + "\n"
 ])  # fmt: skip
 def test_what_stands_above_the_samples(tmp_path, above):
     path = tmp_path / "a.csv"
-    body = columns(table(tmp_path), ",")
+    body = columns(table(tmp_path))
     path.write_text(above + body)
     same(path)
     path.write_text(above + body + "," * (len(LABELS) - 1) + "\n\n")
@@ -81,21 +83,74 @@ def test_columns_between_blanks_in_utf16_and_without_a_name(tmp_path):
     same(path)
     path.write_text("   ".join(f"{label} raw" for label in LABELS) + "\n" + body)  # names of two words
     assert [column.label for column in read_raw(path).columns] == [f"{label} raw" for label in LABELS]
-    text = HEADER.strip() + ",\n" + columns(table(tmp_path), ",").replace("\n", ",\n")
+    text = HEADER.strip() + ",\n" + columns(table(tmp_path)).replace("\n", ",\n")
     (tmp_path / "a.csv").write_text(text, encoding="utf-16")
     same(tmp_path / "a.csv")
     assert [column.label for column in read_raw(tmp_path / "a.csv").columns] == LABELS
 
 
-def test_headers_and_first_samples_at_odds_are_told(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text(",".join(LABELS[:-2]) + "\n" + columns(table(tmp_path), ","))
-    with pytest.raises(InputError, match=rf"header in line 1 names {len(LABELS) - 2} columns.* have {len(LABELS)}"):
-        read_record(path, CHANNELS)
-    lines = (HEADER + columns(table(tmp_path), ",")).splitlines()
-    lines[1] = lines[1].rsplit(",", 1)[0]
-    (tmp_path / "a.csv").write_text("\n".join(lines))
-    told(tmp_path / "a.csv", CHANNELS, "line 2", f"{len(LABELS) - 1} columns", "complete or delete")
+QUOTED_HEADER = ",".join(f'"{label}"' for label in LABELS) + "\n"
+
+
+@pytest.mark.parametrize("text", [
+    "\ufeff" + HEADER.replace("\n", "\r\n") + "{rows}",
+    "# a comment\n\n" + HEADER.replace(",", "; ") + "{semicolons}",
+    HEADER + ",".join(channel.unit.replace("deg", "°") for channel in CHANNELS) + "\n{rows}\n\n# the end\n",
+    HEADER + "{trailing}",
+    "NOTE," + HEADER + "{with_text}",
+    QUOTED_HEADER + "{quoted_commas}",
+    HEADER + UNITS.replace("[", '"').replace("]", '"') + "{quoted_commas}",
+    '"NOTE, with ""a"" comma",' + HEADER + "{quoted_text}",
+    '"a, b, c, d, e, f";' + HEADER.replace(",", ";") + "{quoted_semicolons}",
+    QUOTED_HEADER.replace(",", "\t") + "{quoted_tabs}",
+    HEADER + "{quoted_trailing}",
+])  # fmt: skip
+def test_csv_as_people_write_it(tmp_path, text):
+    body = columns(table(tmp_path)).strip()
+    rows = body.split("\n")
+    quoted = "\n".join('"' + row.replace(",", '","') + '"' for row in rows)
+    text = text.format(
+        rows=body, semicolons=body.replace(",", "; "), trailing="\n".join(row + "," for row in rows),
+        with_text="\n".join("level," + row for row in rows), quoted_commas=quoted.replace(".", ","),
+        quoted_text="\n".join('"level, ""trimmed""; 2",' + row for row in rows),
+        quoted_semicolons="\n".join('"x;y";' + row.replace(",", ";").replace(".", ",") for row in rows),
+        quoted_tabs=quoted.replace('","', '"\t"'), quoted_trailing="\n".join(f"{row}," for row in quoted.split("\n")),
+    )  # fmt: skip
+    (tmp_path / "people.csv").write_bytes(text.encode("utf-8"))
+    same(tmp_path / "people.csv")
+
+
+MISSING = lambda cells: cells[:-1]
+FAULTS = [  # suffix, line from 0, what is done to its cells, words of the refusal
+    (".asc", 31, MISSING, ("line 32", "sample 31", "6 columns where 7", "complete or delete that line")),
+    (".csv", 31, MISSING, ("line 32", "sample 30", "6 columns where 7", "complete or delete that line")),
+    (".csv", 1, MISSING, ("line 2", "6 columns", "complete or delete")),
+    (".csv", 0, lambda cells: cells[:-2], ("header in line 1 names 5 columns", "have 7")),
+    (".csv", 20, put(2, ""), ("channel q", "empty", "sample 19", "resampling")),
+    *((suffix, 20, put(2, cell), ("channel q", f"'{cell}'", "line 21", "column 3", "sample", "correct or delete"))
+      for suffix in (".asc", ".csv") for cell in ("abc", "1_0", "1.0x+00")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "row", "change", "words"), FAULTS)
+def test_a_wrong_line_is_told_with_its_place(tmp_path, suffix, row, change, words):
+    path, gap = tmp_path / f"a{suffix}", "," if suffix == ".csv" else " "
+    write_record(sound(), path, CHANNELS)
+    lines = path.read_text().splitlines()
+    lines[row] = gap.join(change(lines[row].split(gap)))
+    path.write_text("\n".join(lines))
+    told(path, CHANNELS, *words)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("T,ALCG,ALCG\n0,1,2\n", ("channel alpha", "2 columns", "rename")),
+    ("T,ALCG\n0,1\n0.04,\n", ("2 samples; at least 50",)),
+    ("T,ALCG\n", ("no samples", "again")),
+    ("\n \n# only words\n", ("no data", "write the record again")),
+])  # fmt: skip
+def test_what_is_no_table_is_told(tmp_path, text, words):
+    (tmp_path / "a.csv").write_text(text)
+    told(tmp_path / "a.csv", CHANNELS[:2], *words)
 
 
 def test_thousands_fortran_exponents_and_overflows(tmp_path):
@@ -257,50 +312,3 @@ def test_a_quote_that_is_not_closed(tmp_path, row):
 
 
 # Headings of files that nobody here has written
-@pytest.mark.parametrize(("heading", "channel", "unit"), [
-    ("Q gyro [deg/s]", "q", "deg/s"), ("NZ up [g]", "az", "g"), ("Pitch Att [deg]", "theta", "deg"),
-    ("measured AoA (deg)", "alpha", "deg"), ("TAS (kn)", "airspeed", "kt"), ("ADC_TAS_KT", "airspeed", "kt"),
-    ("BOOM_AOA_DEG", "alpha", "deg"), ("INS_PITCH_DEG", "theta", "deg"), ("INS_Q [deg/s]", "q", "deg/s"),
-    ("INS_NZ_G", "az", "g"), ("UTC_SEC", "time", "s"), ("ENG_THRUST_LBF", "thrust", "lbf"),
-    ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
-])  # fmt: skip
-def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
-    key, found = split_heading(plain_heading(heading))
-    assert (ALIASES.get(key), found) == (channel, unit)
-
-
-@pytest.mark.parametrize("heading", ["gyro", "up [g]", "sensor", "ADC_RAW"])
-def test_a_heading_of_such_words_alone_stays(heading):
-    assert plain_heading(heading) == heading
-
-
-@pytest.mark.parametrize(("heading", "symbol"), [
-    ("Long. Load Factor nx [g]", "nx"), ("Boom No. 2 AoA (deg)", "aoa"), ("ADC1_TAS", "tas"),
-    ("No2_AoA_deg", "aoa"), ("Commanded theta [deg]", None), ("alpha limit [deg]", None), ("", None),
-])  # fmt: skip
-def test_a_symbol_at_the_end_names_the_channel(heading, symbol):
-    assert symbol_of(heading) == symbol
-    assert symbol is None or symbol in ALIASES
-
-
-@pytest.mark.parametrize(("left", "right", "whole"), [
-    ("AileronL [deg]", "AileronR [deg]", "aileron"), ("L_Aileron_deg", "R_Aileron_deg", "aileron"),
-    ("SpoilerL", "SpoilerR", "spoiler"), ("Elevator LH (deg)", "Elevator RH (deg)", "elevator"),
-    ("Left Elevon", "Right Elevon", "elevon"), ("ThrottleL", "ThrottleR", "throttle"),
-])  # fmt: skip
-def test_halves_are_told_apart_and_from_the_whole(tmp_path, left, right, whole):
-    """The left aileron alone is no aileron: it would be half of it, with the other sign."""
-    path = tmp_path / "run.csv"
-    path.write_text(f"Time [s],{right},{left}\n" + "\n".join(f"{0.1 * i:.1f},{i},{-i}" for i in range(60)))
-    found, _ = guessed(read_raw(path).columns)
-    assert {name: guess.column.number for name, guess in found.items()} == {
-        "time": 1, f"{whole}_right": 2, f"{whole}_left": 3,
-    }  # fmt: skip
-
-
-def test_a_command_does_not_resemble_what_it_asks_for(tmp_path):
-    path = tmp_path / "run.csv"
-    path.write_text("Time [s],elevator_cmd [deg]\n" + "\n".join(f"{0.1 * i:.1f},{i}" for i in range(60)))
-    found, unknown = guessed(read_raw(path).columns)
-    assert list(found) == ["time"]
-    assert [column.label for column in unknown] == ["elevator_cmd [deg]"]

@@ -1,4 +1,4 @@
-"""The posterior of a stall: closed forms, agreement of engines, modes, the highest lift, and samplers' coordinates."""
+"""Fits and posteriors of a stall: published estimates, truth, closed forms, engines that agree, modes, highest lift."""
 
 from dataclasses import replace
 from functools import partial
@@ -13,6 +13,7 @@ from jax.scipy.stats import norm
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
+import bayes_aero as ba
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.calibration import maxima, stall_of
@@ -25,20 +26,206 @@ from bayes_aero.inference.ensemble import (
     sample_ensemble,
     search_modes,
 )
-from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
 from bayes_aero.inference.nuts import NutsLength, WarmUp, sample_nuts
-from bayes_aero.inference.results import PosteriorStatus
+from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
-# The posterior: closed form, agreement of engines, white noise against bounds, coloured noise
-SIGMA = np.array([0.02, 0.005, 0.004])
-COLOURED = {
-    "sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95,
+# Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms
+# ../shared/attas/README.md: estimate and Cramer-Rao deviation, reproduced from the published program.
+PUBLISHED = {
+    "CD0": (4.34961e-02, 4.3651e-04), "e": (8.39351e-01, 6.8668e-03), "CL0": (1.57696e-01, 3.2766e-03),
+    "CLa": (3.29802, 3.7654e-02), "CLaM": (9.06967, 1.9966e-01), "Cm0": (5.08510e-02, 1.7792e-03),
+    "Cma": (-1.76297e-01, 1.1134e-02), "Cmq": (-6.14636, 2.7480e-01), "Cmde": (-3.90633e-01, 1.5943e-02),
+    "a1": (23.7160, 8.0987e-01), "alpha_star": (3.08701e-01, 1.0806e-03), "tau2": (24.0248, 3.5106e-01),
+    "CDX": (7.91715e-02, 3.0226e-03), "CmX": (-1.26103e-01, 5.0156e-03),
 }  # fmt: skip
+PUBLISHED_FIT = {"CL": (0.990265, 0.030034), "CD": (0.949406, 0.009806), "Cm": (0.448006, 0.011800)}
+
+
+@pytest.fixture(scope="module")
+def published_fit(attas, model):
+    return fit_mle(model, attas)
+
+
+def test_published_estimates_bounds_cost_and_fit(published_fit, attas, model):
+    r = published_fit
+    assert r.status is MleStatus.CONVERGED
+    assert set(r.names) == set(PUBLISHED)
+    for name, estimate, crb in zip(r.names, r.estimate, r.crb, strict=True):
+        value, deviation = PUBLISHED[name]
+        assert abs(estimate - value) < 0.3 * deviation, name
+        assert crb == pytest.approx(deviation, rel=0.015), name
+    assert published_fit.det_R == pytest.approx(1.2076e-11, rel=1e-3)
+    for name, (r, rmse) in PUBLISHED_FIT.items():
+        assert published_fit.fit[name].r == pytest.approx(r, abs=2e-4)
+        assert published_fit.fit[name].rmse == pytest.approx(rmse, rel=1e-3)
+    theta = jnp.asarray([PUBLISHED[name][0] for name in model.names])
+    residual = attas.measured - model.predicted(theta, attas.signals, attas.aircraft)
+    assert published_fit.det_R <= float(jnp.prod(jnp.mean(residual**2, axis=0)))
+    costs = [cost for cost, _ in published_fit.starts]
+    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
+        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
+    )
+    assert len(costs) > 3
+    # Finite differences of the cost vanish at the optimum, to the scale of one bound.
+    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
+    for i, crb in enumerate(published_fit.crb):
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[i] += sign * 0.05 * crb
+            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
+            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
+    again = descend(model, attas, theta)
+    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
+
+
+@pytest.mark.parametrize("manoeuvre", [0, 1])
+def test_each_real_manoeuvre_alone_finds_a_stall(attas, model, manoeuvre):
+    """One quick Gauss-Newton ran from the published start to alpha* < 0 on the first; ours must recover."""
+    r = fit_mle(model, attas.only(manoeuvre))
+    assert r.status is MleStatus.CONVERGED
+    alpha_star = r.estimate[r.names.index("alpha_star")]
+    assert 0.2 < alpha_star < 0.4
+
+
+WHITE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004}
+COLOURED = WHITE | {"rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
+
+
+def simulated(observations, model, seed, noise=WHITE, colour=Colour.WHITE):
+    """The observations with coefficients of the truth and such noise in place of what was measured."""
+    density, values = Density(observations, model, Noise(colour)), TRUTH | noise
+    white = jnp.asarray(np.random.default_rng(seed).standard_normal((observations.n, 3)))
+    return observations.with_measured(density.replicate(jnp.asarray([values[n] for n in density.names]), white))
+
+
+@pytest.mark.verify
+def test_bounds_cover_the_truth_under_white_noise(thinned, model):
+    """100 replicates x 14 parameters: the spread of z = error/bound is that of a standard normal."""
+    truth = np.array([TRUTH[n] for n in model.names])
+    z = []
+    for seed in range(100):
+        r = fit_mle(model, simulated(thinned, model, seed), start=truth, extra_starts=0)
+        z.append((r.estimate - truth) / r.crb)
+    z = np.array(z)
+    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / np.sqrt(len(z)))
+    # sd of a sample sd of 100 normals is 7 %; four of them either way.
+    assert np.all((z.std(axis=0) > 0.72) & (z.std(axis=0) < 1.28))
+    assert np.mean(np.abs(z) < 1.96) == pytest.approx(0.95, abs=0.02)
+
+
+def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
+    """The correlogram is noisy on one record; over ten the median ratio is one, less a few per cent of bias."""
+    start = np.array([TRUTH[n] for n in model.names])
+    fits = [fit_mle(model, simulated(thinned, model, s), start=start, extra_starts=0) for s in range(10)]
+    assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
+
+
+def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model):
+    calm = clean.subset(np.flatnonzero(np.asarray(clean.signals["alpha"]) < 0.13))
+    r = fit_mle(model, simulated(calm, model, 3))
+    told = r.status is not MleStatus.CONVERGED or any(
+        "not identified" in w or "never approached" in w for w in r.warnings()
+    )
+    assert told
+    r = fit_mle(model, simulated(clean, model, 3))
+    assert r.status is MleStatus.CONVERGED
+    assert not any("not identified" in w or "never approached" in w for w in r.warnings())
+    # tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate.
+    r = fit_mle(model, simulated(clean, model, 3), extra_starts=0)
+    at = r.names.index("tau2")
+    zero = replace(r, estimate=np.where(np.arange(len(r.names)) == at, 0.0, r.estimate))
+    expected = f"tau2 is not identified: its Cramer-Rao standard error is {r.crb[at]:.2g}, its estimate 0."
+    assert expected in zero.warnings()
+
+
+def test_singular_information_and_bounds_are_reported(clean, model):
+    """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
+    twice = Model.of(
+        ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
+    )
+    flat = clean.with_measured(clean.measured)
+    flat.signals["mach"] = jnp.full(clean.n, 0.25)
+    r = fit_mle(twice, flat, extra_starts=0)
+    assert r.status is MleStatus.SINGULAR
+    assert np.all(np.isnan(r.crb))
+    tight = replace(
+        model,
+        parameters=tuple(p.changed(bounds=(30.0, 60.0), start=40.0) if p.name == "a1" else p for p in model.parameters),
+    )
+    r = fit_mle(tight, clean, extra_starts=0)
+    assert r.status is MleStatus.AT_BOUND
+    assert r.at_bound == ("a1",)
+    assert r.estimate[r.names.index("a1")] == 30.0
+
+
+# Estimates without the bias from recording noise: simulated truth, records without noise, an identity
+VANE = np.radians(0.3)
+
+
+def flown(card, seed, sensor_noise):
+    return [simulate_stall(i, card=card, seed=seed, sensor_noise=sensor_noise, disturbance=0.0) for i in range(2)]
+
+
+def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
+    """The mean of estimates with noise added and subtracted, less that without noise, is the bias."""
+    exact = flown(card, 11, 0.0)
+    truth = fit_mle(model, observe(exact, card, model), extra_starts=0).estimate
+    rng, before, after = np.random.default_rng(1), [], []
+    for _ in range(3):
+        noise = [VANE * rng.standard_normal(record.n) for record in exact]
+        for sign in (1.0, -1.0):
+            records = [
+                replace(record, channels={**record.channels, "alpha": record["alpha"] + sign * one})
+                for record, one in zip(exact, noise, strict=True)
+            ]
+            mle = fit_mle(model, observe(records, card, model), start=truth, extra_starts=0)
+            freed = without_noise_bias(mle, records, card, model)
+            before.append((mle.estimate - truth) / mle.crb_corrected)
+            after.append((freed.estimate - truth) / mle.crb_corrected)
+            assert np.all(np.diag(freed.corrected) >= np.diag(mle.corrected))
+    biased, rest = np.abs(np.mean(before, axis=0)), np.abs(np.mean(after, axis=0))
+    large = biased > 1.0
+    assert {"tau2", "Cmq", "Cmde"} <= {name for name, is_large in zip(mle.names, large, strict=True) if is_large}
+    assert np.all(rest[large] < 0.5 * biased[large])
+
+
+def test_without_noise_or_at_a_bound_nothing_moves(card, model):
+    records = flown(card, 11, 0.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    freed = without_noise_bias(mle, records, card, model)
+    assert freed.bias is not None
+    assert np.all(np.abs(freed.bias) < 0.05 * mle.crb_corrected)
+    records = flown(card, 11, 1.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    bounded = replace(mle, status=MleStatus.AT_BOUND)
+    assert without_noise_bias(bounded, records, card, model) is bounded
+
+
+@pytest.mark.parametrize("colour", list(Colour))
+def test_the_posterior_is_of_parameters_without_the_bias(clean, model, colour):
+    """Its density at x is that of the fitted parameters at x + bias, priors apart."""
+    noise, bias = Noise(colour), 0.01 * np.arange(len(model.names))
+    plain, freed = Density.of(clean, model, noise), Density.of(clean, model, noise, bias)
+    x = jnp.asarray([p.start for p in plain.parameters])
+    there = x.at[: len(bias)].add(bias)
+    assert float(freed.log_likelihood(x)) == pytest.approx(float(plain.log_likelihood(there)), rel=1e-12)
+    np.testing.assert_allclose(freed.predict(x), plain.predict(there))
+
+
+def test_published_coefficients_give_the_published_estimates(card):
+    records = flown(card, 11, 1.0)
+    assert ba.fit(records, card, coefficients="published").mle.bias is None
+    assert ba.fit(records, card).mle.bias is not None
+
+
+# The posterior: closed form, agreement of engines, white noise against bounds, coloured noise
+SIGMA = np.array([*WHITE.values()])
 
 
 @pytest.fixture(scope="module")
@@ -112,15 +299,8 @@ def test_maximum_likelihood_is_least_squares_on_a_linear_model(linear):
         np.testing.assert_allclose(r.crb[at], bound, rtol=1e-8)
 
 
-def simulate(density, values, seed):
-    x = jnp.asarray([values[name] for name in density.names])
-    white = jnp.asarray(np.random.default_rng(seed).standard_normal((density.observations.n, 3)))
-    return density.observations.with_measured(density.replicate(x, white))
-
-
 def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
-    density = Density(clean, model, Noise(Colour.WHITE))
-    data = simulate(density, TRUTH | {f"sigma_{k}": s for k, s in zip(("CL", "CD", "Cm"), SIGMA / 2, strict=True)}, 21)
+    data = simulated(clean, model, 21, {name: x / 2 for name, x in WHITE.items()})
     mle = fit_mle(model, data, extra_starts=0)
     density = Density(data, model, Noise(Colour.WHITE))
     posterior = sample_ensemble(density, find_mode(density, density_start(density, mle)), seed=1, predictive=False)
@@ -145,8 +325,7 @@ def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):
 def test_a_flight_without_a_stall_has_a_mode(thinned, model):
     """Estimates of what it does not tell are hundreds of deviations off, where the density's slope is not finite."""
     gentle = thinned.subset(np.flatnonzero(np.asarray(thinned.signals["alpha"]) < 0.15)[:150])
-    density = Density(gentle, model, Noise(Colour.AR1))
-    data = simulate(density, TRUTH | COLOURED, 50)
+    data = simulated(gentle, model, 50, COLOURED, Colour.AR1)
     density, mle = Density(data, model, Noise(Colour.AR1)), fit_mle(model, data)
     wild = {"CDX": 445.0, "CmX": 814.0, "a1": 199.8, "tau2": -49.9, "alpha_star": 0.29}
     covariance = np.diag([np.inf if name in wild else x for name, x in zip(mle.names, mle.crb**2, strict=True)])
@@ -210,8 +389,7 @@ def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
 
 
 def test_a_chain_too_short_is_not_called_converged(clean, model):
-    density = Density(clean, model, Noise(Colour.WHITE))
-    data = simulate(density, TRUTH | {f"sigma_{k}": 0.01 for k in ("CL", "CD", "Cm")}, 2)
+    data = simulated(clean, model, 2, dict.fromkeys(WHITE, 0.01))
     density = Density(data, model, Noise(Colour.WHITE))
     mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
     wrong = replace(mode, u=mode.u + 30.0 * np.abs(np.diag(mode.factor)), factor=0.05 * mode.factor)
