@@ -34,7 +34,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.diagnosis.screening import autocorrelation_of, block_jackknife_covariance, uncertainty
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.simulate.injection import Beyond, hidden_records

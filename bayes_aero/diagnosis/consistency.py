@@ -38,15 +38,15 @@ from bayes_aero.diagnosis.selection_state import (
 )
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Agreement, Consistency, OpenError, PathCheck
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import cluster_covariance, nats
 from bayes_aero.model.model import Model, lengths_of, own_effects
 from bayes_aero.model.records import Flights, joined, repaired
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.flightpath import PATH_CORE, PATH_NEEDS
+from bayes_aero.physics.aircraft import Axis
+from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS
 from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 

@@ -20,15 +20,13 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.candidate_set import ENOUGH, manoeuvres
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
-from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
+from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Envelope, excursion
-from bayes_aero.flight.atmosphere import altitude_of_density
-from bayes_aero.flight.channel import Axis
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
 from bayes_aero.residuals.base import flight_path
 from bayes_aero.residuals.equation_error import EquationError
 

@@ -52,12 +52,12 @@ from bayes_aero.diagnosis.selection import (
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, inverse, moved, refitted
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import blas_threads
 from bayes_aero.inference.covariance import nats
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress
 
 

@@ -26,31 +26,30 @@ from bayes_aero.diagnosis.trajectory_result import (
     TrajectoryFit,
     theil_parts,
 )
-from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics
+from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics, with_biases_of
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.kalman import smooth
-from bayes_aero.dynamics.output_biases import with_biases_of
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.inference.compiled_programs import blas_threads, cores
+from bayes_aero.inference.calibration import one_step
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
-from bayes_aero.inference.likelihood.mle import solve
-from bayes_aero.inference.likelihood.normal_equations import NormalEquations, Point, segment_equations
-from bayes_aero.inference.likelihood.output_error import (
-    SeparatedFlow,
-    fit_disturbed,
-    fit_output_error,
-    one_by_one,
-    trajectories,
+from bayes_aero.inference.mle import solve
+from bayes_aero.inference.nuts import sample_innovations
+from bayes_aero.inference.output_error import SeparatedFlow, fit_disturbed, fit_output_error, one_by_one, trajectories
+from bayes_aero.inference.output_error_result import (
+    THINNING,
+    NormalEquations,
+    OutputErrorResult,
+    OutputErrorStatus,
+    Point,
+    segment_equations,
 )
-from bayes_aero.inference.likelihood.output_error_result import THINNING, OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.inference.one_step import one_step
-from bayes_aero.inference.posterior.nuts import sample_innovations
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.results import Posterior
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Flights
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import departure
+from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 
 DRAWS = 40  # of the posterior, for the probability of staying inside the tolerances

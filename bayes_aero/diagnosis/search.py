@@ -14,12 +14,7 @@ from bayes_aero.diagnosis.accuracy import filtered_channels
 from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
-from bayes_aero.diagnosis.result import (
-    INNOVATIONS,
-    FoundTerm,
-    ParameterChange,
-    UnexplainedStructure,
-)
+from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import NoiseReport, lag1_within, screen
 from bayes_aero.diagnosis.selection import (
     Extension,
@@ -36,23 +31,24 @@ from bayes_aero.diagnosis.selection_state import SelectionState, linearised, loc
 from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
 from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_disturbed, fit_output_error
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
-from bayes_aero.inference.likelihood.prediction_error import PredictionErrorResult, PredictionErrorStatus
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.output_error import fit_cascade, fit_disturbed, fit_output_error
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Flights, despiked, join, observe
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.physics.aircraft import required_of
 from bayes_aero.progress import Progress
-from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
+from bayes_aero.residuals.base import INNOVATIONS, WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 

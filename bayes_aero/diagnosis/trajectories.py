@@ -47,24 +47,22 @@ from bayes_aero.diagnosis.trajectory_result import (
     TrajectoryEstimates,
     TrajectoryFit,
 )
-from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics
-from bayes_aero.dynamics.linear import LinearDynamics
-from bayes_aero.dynamics.modes import Steady, modes
-from bayes_aero.dynamics.output_biases import biased_dynamics, unbiased
+from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, biased_dynamics, unbiased
+from bayes_aero.dynamics.linear import LinearDynamics, Steady, modes
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.atmosphere import altitude_of_density
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.signals import channels_of
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import channels_of
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import blas_threads
-from bayes_aero.inference.likelihood.mle_result import CONFLICT_LIMIT, MleResult, MleStatus
-from bayes_aero.inference.likelihood.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Flights
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
+from bayes_aero.physics.aircraft import altitude_of_density
+from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress
 
 WINDOW = 12.0  # s, of the first fits

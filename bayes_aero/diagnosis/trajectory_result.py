@@ -17,13 +17,10 @@ from bayes_aero.diagnosis.accuracy import Confirmation
 from bayes_aero.diagnosis.candidate_set import DEFAULT
 from bayes_aero.diagnosis.result import NOT_NOISE, Diagnosis
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
-from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.output_biases import unbiased
+from bayes_aero.dynamics.flight import AircraftDynamics, unbiased
 from bayes_aero.dynamics.path import PathDynamics
-from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
-from bayes_aero.inference.identification import Stall
-from bayes_aero.inference.likelihood.normal_equations import initial_state_sd
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, initial_state_sd
+from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, Stall
 from bayes_aero.inference.scores import OneStep, Scores
 from bayes_aero.parameter import Parameter
 

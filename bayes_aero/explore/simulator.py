@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics
-from bayes_aero.dynamics.output_biases import biased_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT, OF_AXIS
+from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
+from bayes_aero.dynamics.system import FLIGHT, OF_AXIS
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, OpenedResult, flown_model, values_of
 from bayes_aero.jobs.fitted import IdentifiedLinear, drawn

@@ -17,17 +17,16 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import cores, exit_with, give_back_memory
-from bayes_aero.inference.gp import GPFit, Priors, fit_gp
-from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
-from bayes_aero.inference.identification import GPReport, Validation
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
+from bayes_aero.inference.gp.fit import MAX_SAMPLES, GPFit, fit_gp, too_many
+from bayes_aero.inference.gp.kernel import Priors
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.results import GPReport, MleResult, MleStatus, Validation
 from bayes_aero.inference.scores import score
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, Observations, observe
+from bayes_aero.processes import cores, exit_with, give_back_memory
 from bayes_aero.progress import Progress
 
 KINDS: tuple[SplitKind, ...] = ("random", "block", "manoeuvre")

@@ -13,10 +13,9 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.consistency import KnownErrors, errors_of_path, screen_sensor_errors
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Agreement
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
-from bayes_aero.flight.reading.read_record import manoeuvres
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import Agreement
+from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.result_file import writable

@@ -12,23 +12,18 @@ from typing import Any
 
 from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.read_record import rate_notes
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.reading import rate_notes
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.calibration import pit_of, prior_sensitivity, stall_of_run
+from bayes_aero.inference.ensemble import density_start, other_modes, sample_ensemble, search_modes
 from bayes_aero.inference.frequency import coefficients_in_band
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.calibration import pit_of, prior_sensitivity
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
-from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
-from bayes_aero.inference.posterior.nuts import sample_nuts
-from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.stall import stall_of_run
+from bayes_aero.inference.results import Identification, MleResult, NextFlight, Posterior
 from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.physics.filters import recurrence
 
 

@@ -16,13 +16,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bayes_aero.effect import MARKS, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.read_record import at_common_rate
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, joined, marks_of, named_apart, plain_marks, with_sums, without_spikes
-from bayes_aero.physics.coefficient_names import NAMES, REQUIRED, required_of
+from bayes_aero.physics.aircraft import NAMES, REQUIRED, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 

@@ -14,14 +14,21 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.effect import MARKS
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.atmosphere import GAMMA, GAS, air, standard_air
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import own_effects
-from bayes_aero.physics.coefficient_names import COEFFICIENTS, FORMED_FROM, REQUIRED
+from bayes_aero.physics.aircraft import (
+    COEFFICIENTS,
+    FORMED_FROM,
+    GAMMA,
+    GAS,
+    REQUIRED,
+    Aircraft,
+    Axis,
+    air,
+    standard_air,
+)
 
 
 def with_sums(record: FlightRecord, card: Card) -> dict[str, Float[np.ndarray, " n"]]:

@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.flights import label
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import ORDER, autoregression, filtered_noise
-from bayes_aero.inference.likelihood.output_error import SeparatedFlow
+from bayes_aero.inference.output_error import SeparatedFlow
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import HoldOut, OpenTest, errors, gust_spread, mean_square, spread
 from bayes_aero.qualification.result import Chance, FlightKind, Outside, RecordBeside, Strip, Test, ToleranceVerdict

@@ -13,13 +13,12 @@ from jaxtyping import Float, Int
 
 from bayes_aero.arrays import AnyArray, namespace
 from bayes_aero.effect import Effect, Stage
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights, cuts_of
+from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
+from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral, path_outputs, path_rates
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16

@@ -21,13 +21,14 @@ from jaxtyping import Array, Float, Int
 
 from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.tables import ONE
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card_tables import ONE
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Flights, response_scales
+from bayes_aero.model.observations import response_scales
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import stacked_coefficients
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import LATERAL, PATH
+from bayes_aero.physics.kinematics import LATERAL, PATH
 from bayes_aero.residuals.base import (
     COEFFICIENTS,
     AddedSeries,

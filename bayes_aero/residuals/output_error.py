@@ -33,7 +33,7 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments,
 from bayes_aero.dynamics.system import motion
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Flights
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import (
     DIRECTIONS_PER_CALL,

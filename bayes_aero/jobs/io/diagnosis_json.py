@@ -10,10 +10,9 @@ import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, ParameterChange, Tested
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, SimulatedManoeuvre, Trajectories, View
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.provenance import named_pairs, picked

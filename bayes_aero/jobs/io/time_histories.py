@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre as FlightP
 from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.results import Identification
 
 HISTORIES = "histories.nc"
 SCHEMA = "bayes_aero/histories/1"
