@@ -167,7 +167,15 @@ def next_flight(
     if len(given.names) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in given.left_out.items())
         raise InputError(f"fewer than two manoeuvres have a usable fit of their own ({reasons}); add manoeuvres")
-    drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
+    try:
+        drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
+    except np.linalg.LinAlgError as reason:
+        sizes = {name: np.linalg.eigvalsh(A)[-1] for name, A in zip(given.names, given.information, strict=True)}
+        raise InputError(
+            f"the manoeuvres cannot be pooled for the next flight: with the information of "
+            f"{max(sizes, key=lambda name: sizes[name])} a matrix is singular ({reason}); leave this record out, fix "
+            "the parameters that the correlations name on the card, or do without --next-flight"
+        ) from reason
     names, scatter = model.names, drawn.scatter
     drawn = PooledDraws(*(_each(model.free, from_prior_units, v) for v in drawn))
     drawn = drawn._replace(scatter=scatter * _each(model.free, prior_unit, drawn.aircraft))
@@ -249,10 +257,18 @@ def prior_unit(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
 
 def normal_estimates(model: Model, observations: Observations, alone: Mapping[str, MleResult]) -> NormalEstimates:
     """The normal approximations of the likelihoods of `alone`, the fits by manoeuvre of `observations`."""
-    used = {name: fit for name, fit in alone.items() if fit.status in USABLE}
-    y, information = [], []
-    for name, fit in used.items():
+    left_out = {name: fit.status.value for name, fit in alone.items() if fit.status not in USABLE}
+    used, y, information = [], [], []
+    for name in (name for name in alone if name not in left_out):
+        fit = alone[name]
         full = _information(model, observations, name, fit)
+        if full is None:
+            left_out[name] = (
+                "the covariance of its estimates is singular: this record alone does not separate the parameters; give "
+                "a longer or livelier record, or fix parameters on the card"
+            )
+            continue
+        used.append(name)
         unit = _each(model.free, prior_unit, fit.estimate)
         y.append(_each(model.free, to_prior_units, fit.estimate))
         information.append(full * np.outer(unit, unit))
@@ -267,7 +283,7 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
         shaped,
         np.diagonal(with_prior, axis1=1, axis2=2) < 0.5,
         np.sqrt(np.where(variance < INFINITE**2, np.maximum(variance, 0.0), np.inf)),
-        {name: fit.status.value for name, fit in alone.items() if name not in used},
+        left_out,
     )
 
 
@@ -277,16 +293,21 @@ def _each(
     return np.stack([function(p.prior, x[..., i]) for i, p in enumerate(parameters)], axis=-1)
 
 
-def _information(model: Model, observations: Observations, name: str, fit: MleResult) -> Float[np.ndarray, "k k"]:
-    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none."""
+def _information(
+    model: Model, observations: Observations, name: str, fit: MleResult
+) -> Float[np.ndarray, "k k"] | None:
+    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none. None
+    where that covariance is singular."""
     # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
-        scale = np.sqrt(np.diag(fit.corrected[kept]))
-        found = np.zeros_like(fit.corrected)
-        found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
-        return (found + found.T) / 2.0
+        inverse = _inverse(fit.corrected[kept])
+        if inverse is None:
+            return None
+        information = np.zeros_like(fit.corrected)
+        information[kept] = inverse
+        return information
     own = observations.only(observations.names.index(name))
     data = data_of(model, own)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
@@ -299,5 +320,15 @@ def _information(model: Model, observations: Observations, name: str, fit: MleRe
     inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
     covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
     combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    found = combined @ np.linalg.inv(combined.T @ covariance @ combined) @ combined.T
-    return (found + found.T) / 2.0
+    inverse = _inverse(combined.T @ covariance @ combined)
+    return None if inverse is None else combined @ inverse @ combined.T
+
+
+def _inverse(covariance: Float[np.ndarray, "j j"]) -> Float[np.ndarray, "j j"] | None:
+    """The inverse, symmetric; None where the matrix scaled to unit diagonal is singular."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    scaled = covariance / np.outer(scale, scale)
+    if not np.linalg.eigvalsh(scaled)[0] > SINGULAR:
+        return None
+    inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
+    return (inverse + inverse.T) / 2.0
