@@ -14,7 +14,7 @@ LIMITS = {
     "bayes_aero: files": 231,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 28586,
+    "tests: lines": 28594,
     "tests: files": 131,
     "benchmarks: lines": 5924,
     "benchmarks: files": 39,
