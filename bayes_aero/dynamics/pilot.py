@@ -40,7 +40,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.units import number
 
 
 class Pilot(NamedTuple):
@@ -102,15 +101,6 @@ def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot,
 
 _fly_one = eqx.filter_jit(_fly)
 _fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
-
-
-def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float, float]]) -> str | None:
-    """The first channel outside its range, in words; None where all are inside."""
-    for name, (lower, upper) in envelope.items():
-        x = flight[name]
-        if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
-            return f"{name} {number(x.min())} to {number(x.max())} (allowed {number(lower)} to {number(upper)})"
-    return None
 
 
 def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:

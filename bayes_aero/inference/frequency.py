@@ -27,7 +27,7 @@ from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
-from bayes_aero.inference.mle import PAIRS
+from bayes_aero.inference.mle import noise_bias, scaled_inverse
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.joined_channels import Flights, join
 from bayes_aero.model.model import Model
@@ -48,7 +48,6 @@ REWEIGHTED = 5  # solutions with renewed variances at one point
 TOLERANCE = 1e-4  # gain in log likelihood of one more step: 0.014 standard errors
 UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
 MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference from the time domain
-SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
 class BandStep(NamedTuple):
@@ -84,13 +83,11 @@ def fit_in_band(
         step = found.step[: len(free)]
         outward = ((theta[free] <= lower[free]) & (step < 0.0)) | ((theta[free] >= upper[free]) & (step > 0.0))
         if outward.any():  # held there from now on
-            at_bound += list(free[outward])
-            free = free[~outward]
+            at_bound, free = [*at_bound, *free[outward]], free[~outward]
             found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
         before = solve(residual, offsets).cost
-        converged = before - found.cost < TOLERANCE
-        if converged:
+        if converged := before - found.cost < TOLERANCE:
             break
         responses = responses.moved(found.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
@@ -150,11 +147,7 @@ def cramer_rao(
     used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
     R = R * m / np.maximum(m - used, 1)
     A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    scaled = A / np.outer(scale, scale)
-    if not (len(A) and np.all(m > used) and np.linalg.eigvalsh(scaled)[0] > SINGULAR):
-        return R, np.full_like(A, np.nan)
-    return R, np.linalg.inv(scaled) / np.outer(scale, scale)
+    return R, scaled_inverse(A)[0] if len(A) and np.all(m > used) else np.full_like(A, np.nan)
 
 
 def without_noise_bias_in_band(
@@ -164,23 +157,27 @@ def without_noise_bias_in_band(
     # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if not fit.converged:
         return fit
-    flights, rng, moves = responses.flights, np.random.default_rng(seed), []
+    flights, rng = responses.flights, np.random.default_rng(seed)
     values = dict(zip(fit.names, fit.estimate, strict=True))
     start = np.array([values.get(p.name, p.start) for p in parameters])
-    for _ in range(PAIRS):
+
+    def draw() -> dict[str, np.ndarray]:
         noise = {}
         for name in flights.recorded:
             parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
             noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
-        for sign in (1.0, -1.0):
-            noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
-            moved = responses.with_channels(noisier)
-            assert isinstance(moved, InBand)
-            found = fit_in_band(moved, parameters, start, fit.band, fit.method)
-            if not found.converged or found.names != fit.names:
-                return fit
-            moves.append(found.estimate - fit.estimate)
-    bias = np.mean(moves, axis=0)
+        return noise
+
+    def refit(noise: dict[str, np.ndarray], sign: float) -> np.ndarray | None:
+        noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
+        moved = responses.with_channels(noisier)
+        assert isinstance(moved, InBand)
+        again = fit_in_band(moved, parameters, start, fit.band, fit.method)
+        return again.estimate if again.converged and again.names == fit.names else None
+
+    bias = noise_bias(fit.estimate, draw, refit)
+    if bias is None:
+        return fit
     return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
 
 

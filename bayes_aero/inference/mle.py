@@ -6,11 +6,11 @@ covariance R re-estimated in every iteration, so the cost is det R and the infor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -132,18 +132,25 @@ def fit_mle(
     return _result(data, observations, min(usable, key=lambda run: run.cost), any(regular), table)
 
 
+def scaled_inverse(A: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """The inverse of an information or covariance, NaN where it is singular; eigenvalues of A scaled to unit
+    diagonal."""
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    scaled = A / np.outer(scale, scale)
+    eigenvalues = np.linalg.eigvalsh(scaled)
+    if not np.all(eigenvalues > SINGULAR):
+        return np.full_like(A, np.nan), eigenvalues
+    return np.linalg.inv(scaled) / np.outer(scale, scale), eigenvalues
+
+
 def _result(
     data: Data, observations: Observations, best: _Descent, regular: bool, table: tuple[tuple[float, str], ...]
 ) -> MleResult:
     model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
     residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(theta)))
     measured = np.asarray(observations.measured)
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
+    inverse, eigenvalues = scaled_inverse(A)
     singular = not eigenvalues[0] > SINGULAR
-    inverse = np.full_like(A, np.nan)
-    if not singular:
-        inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
     start = np.asarray(observations.start)
     corrected, blocks = robust_covariance(inverse, S, R, residual, observations.manoeuvre, start, observations.dt)
     sd = np.sqrt(np.diag(corrected))
@@ -190,6 +197,21 @@ def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 
 PAIRS = 5  # of records with the same noise added and subtracted, so that the linear part cancels
 
 
+def noise_bias(
+    estimate: Float[np.ndarray, " k"], draw: Callable[[], Any], refit: Callable[[Any, float], np.ndarray | None]
+) -> Float[np.ndarray, " k"] | None:
+    """Mean change of an estimate by noise: `refit` adds a `draw` of it, times a sign. None where a fit fails."""
+    moves = []
+    for _ in range(PAIRS):
+        noise = draw()
+        for sign in (1.0, -1.0):
+            moved = refit(noise, sign)
+            if moved is None:
+                return None
+            moves.append(moved - estimate)
+    return np.mean(moves, axis=0)
+
+
 def without_noise_bias(
     mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
 ) -> MleResult:
@@ -201,23 +223,26 @@ def without_noise_bias(
     # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if mle.status is not MleStatus.CONVERGED:
         return mle
-    moves, rng = [], np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
-    for _ in range(PAIRS):
-        noise = [
-            {name: sd * rng.standard_normal(record.n) for name, sd in own.items() if sd > 0.0}
-            for record, own in zip(records, sizes, strict=True)
+
+    def draw() -> list[dict[str, np.ndarray]]:
+        return [
+            {name: sd * rng.standard_normal(record.n) for name, sd in of_record.items() if sd > 0.0}
+            for record, of_record in zip(records, sizes, strict=True)
         ]
-        for sign in (1.0, -1.0):
-            noisier = [
-                replace(record, channels={**record.channels, **{n: record[n] + sign * x for n, x in own.items()}})
-                for record, own in zip(records, noise, strict=True)
-            ]
-            found = descend(model, observe(noisier, card, model, Forming.MATCHED), mle.estimate)
-            if not found.converged or found.active.any():
-                return mle
-            moves.append(found.theta - mle.estimate)
-    bias = np.mean(moves, axis=0)
+
+    def refit(noise: list[dict[str, np.ndarray]], sign: float) -> np.ndarray | None:
+        noisier = [
+            replace(record, channels={**record.channels, **{n: record[n] + sign * x for n, x in added.items()}})
+            for record, added in zip(records, noise, strict=True)
+        ]
+        fit = descend(model, observe(noisier, card, model, Forming.MATCHED), mle.estimate)
+        return fit.theta if fit.converged and not fit.active.any() else None
+
+    bias = noise_bias(mle.estimate, draw, refit)
+    if bias is None:
+        return mle
     bounds = np.array([p.bounds for p in model.free]).T
     estimate = np.clip(mle.estimate - bias, *bounds)
     return replace(mle, estimate=estimate, bias=bias, corrected=mle.corrected + np.outer(bias, bias))

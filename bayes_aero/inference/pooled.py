@@ -26,7 +26,15 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.ensemble import diagnose, find_mode
-from bayes_aero.inference.mle import MAX_SEPARATE_FITS, SINGULAR, TOLERANCE, data_of, evaluate, full_steps
+from bayes_aero.inference.mle import (
+    MAX_SEPARATE_FITS,
+    SINGULAR,
+    TOLERANCE,
+    data_of,
+    evaluate,
+    full_steps,
+    scaled_inverse,
+)
 from bayes_aero.inference.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.model.density import LogDensity
@@ -302,12 +310,9 @@ def _information(
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
-        inverse = _inverse(fit.corrected[kept])
-        if inverse is None:
-            return None
-        information = np.zeros_like(fit.corrected)
-        information[kept] = inverse
-        return information
+        found = np.zeros_like(fit.corrected)
+        found[kept] = scaled_inverse(fit.corrected[kept])[0]
+        return (found + found.T) / 2.0 if np.all(np.isfinite(found)) else None
     own = observations.only(observations.names.index(name))
     data = data_of(model, own)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
@@ -320,15 +325,5 @@ def _information(
     inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
     covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
     combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    inverse = _inverse(combined.T @ covariance @ combined)
-    return None if inverse is None else combined @ inverse @ combined.T
-
-
-def _inverse(covariance: Float[np.ndarray, "j j"]) -> Float[np.ndarray, "j j"] | None:
-    """The inverse, symmetric; None where the matrix scaled to unit diagonal is singular."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    scaled = covariance / np.outer(scale, scale)
-    if not np.linalg.eigvalsh(scaled)[0] > SINGULAR:
-        return None
-    inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
-    return (inverse + inverse.T) / 2.0
+    found = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
+    return (found + found.T) / 2.0 if np.all(np.isfinite(found)) else None

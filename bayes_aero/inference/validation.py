@@ -17,8 +17,7 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import GPFit, Priors, fit_gp
-from bayes_aero.inference.gp.fit import MAX_SAMPLES, too_many
+from bayes_aero.inference.gp import MAX_SAMPLES, GPFit, Priors, fit_gp, too_many
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import GPReport, MleResult, Validation
 from bayes_aero.inference.scores import score

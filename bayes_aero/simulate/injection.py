@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.pilot import fly_together, outside
+from bayes_aero.dynamics.pilot import fly_together
 from bayes_aero.dynamics.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
@@ -18,14 +18,14 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.physics.aircraft import Axis
+from bayes_aero.physics.aircraft import Axis, Envelope, excursion
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 
 FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
-ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
+ENVELOPE = Envelope({"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)})  # 0 to 25 deg, m/s
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _flights(
     for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, demo.DT)):
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
-        if left := outside(flown, ENVELOPE):
+        if left := ENVELOPE.left_by(excursion(flown)):
             raise InputError(
                 f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
                 "make them smaller"

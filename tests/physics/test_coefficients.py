@@ -14,11 +14,9 @@ from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
     body_from_lift_drag,
-    coefficient_noise,
     coefficients,
     condition_joined,
     lift_drag_from_body,
-    stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
@@ -26,7 +24,7 @@ from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH
 
 
-# Coefficients: rotations, propagated noise, and the way back from a simulated flight
+# Coefficients: rotations, and the way back from a simulated flight
 def test_rotation_is_its_own_inverse_and_the_lever_arm_a_cross_product():
     rng = np.random.default_rng(1)
     CX, CZ, alpha = (jnp.asarray(rng.normal(size=20)) for _ in range(3))
@@ -56,20 +54,6 @@ def test_coefficients_come_back_from_a_simulated_flight(clean, model):
     spread = np.ptp(modelled, axis=0)
     # Smoothing costs the sharpest corners of the pitching moment; lift and drag need no derivative.
     assert np.all(np.quantile(error, 0.99, axis=0) < np.array([2e-3, 2e-3, 0.05]) * spread)
-
-
-def test_propagated_noise_is_the_scatter_of_perturbed_records(card):
-    rng = np.random.default_rng(3)
-    n, dt = 20_000, 0.04
-    steady = {
-        "ax": 1.0, "az": -9.5, "p": 0.02, "q": 0.03, "r": -0.01,
-        "alpha": 0.15, "airspeed": 75.0, "density": 0.73, "thrust": 5000.0,
-    }  # fmt: skip
-    exact = {name: jnp.full(n, value) for name, value in steady.items()}
-    noisy = {name: x + card.sensors[name] * rng.standard_normal(n) for name, x in exact.items()}
-    scatter = np.std(np.asarray(stacked_coefficients(_conditioned(noisy, dt), card.aircraft)), axis=0)
-    stated = coefficient_noise(_conditioned(exact, dt), card.aircraft, card.sensors, dt)[n // 2]
-    np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
 def test_thrust_line_and_reference_point_enter_the_moment_with_the_right_sign(card):
@@ -165,19 +149,6 @@ def test_coefficients_come_back_from_a_rigid_body_six_or_three():
     yaw = (THRUST[0] - THRUST[1]) * AIRCRAFT.engine_arm * np.cos(AIRCRAFT.engine_inclination) / (area * 10.75)
     moved = float(coefficients(total, AIRCRAFT).Cn[0]) - TRUE["Cn"]
     assert moved == pytest.approx(yaw, rel=1e-9)
-
-
-def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records():
-    rng = np.random.default_rng(5)
-    print("seed 5")
-    n = 20_000
-    noise = {"ay": 0.02, "az": 0.05, "ax": 0.02, "alpha": 1e-3, "airspeed": 0.2, "thrust": 200.0}  # white, unfiltered
-    exact = {name: jnp.full(n, x) for name, x in flight(AIRCRAFT).items()}
-    noisy = {name: x + noise.get(name, 0.0) * rng.standard_normal(n) for name, x in exact.items()}
-    names = tuple(TRUE)
-    scatter = np.std(np.asarray(stacked_coefficients(noisy, AIRCRAFT, names)), axis=0)
-    stated = np.asarray(coefficient_noise(exact, AIRCRAFT, noise, 0.04, (), names))[0]
-    np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
 def test_files_of_results_may_hold_every_coefficient():

@@ -11,7 +11,7 @@ import numpy as np
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import channels_of, declared, other_units
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.aircraft import GRAVITY
+from bayes_aero.physics.aircraft import GRAVITY, standard_air
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {
@@ -229,7 +229,7 @@ def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
     if "density" in recorded and np.median(view["density"]) > 0.0:
         return np.sqrt(np.maximum(view["density"], 1e-3) / DENSITY0)
     if "altitude" in recorded:
-        return np.maximum(1.0 - 2.25577e-5 * np.clip(view["altitude"], -1000.0, 11000.0), 0.1) ** 2.12794
+        return np.sqrt(standard_air(view["altitude"])[0] / DENSITY0)
     return None
 
 

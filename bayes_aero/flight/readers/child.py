@@ -1,7 +1,7 @@
 """Parsers that run in a process of their own. Run as a script, never imported by the package.
 
 On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
-HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `isolated.py`, gives this process a
+HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `binary.py`, gives this process a
 time limit instead.
 
 In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. A parser in `ANSWERS` is called

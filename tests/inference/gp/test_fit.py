@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import Budget, Prediction, Priors, SampleStatus, fit, fit_gp
+from bayes_aero.inference import gp as fit
+from bayes_aero.inference.gp import Budget, Prediction, Priors, SampleStatus, fit_gp
 from bayes_aero.inference.gp.posterior import Settings
 
 
