@@ -328,8 +328,8 @@ def linearise(
 
     def by_parameters(theta):
         prepared = prepare(flown, theta)
-        own = eqx.filter(prepared.sensed, eqx.is_inexact_array)
-        return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, own, prepared.drives
+        numbers = eqx.filter(prepared.sensed, eqx.is_inexact_array)
+        return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, numbers, prepared.drives
 
     (true, begin, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
         lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1)
@@ -415,8 +415,8 @@ def derivatives_by_input(
 
     def slope(f):
         def of_input(x, u):
-            own = {name: u[name] for name in direction}
-            return jax.jvp(lambda given: f(prepared.sensed, x, u | given), (own,), (direction,))[1]
+            given_inputs = {name: u[name] for name in direction}
+            return jax.jvp(lambda given: f(prepared.sensed, x, u | given), (given_inputs,), (direction,))[1]
 
         return _each_sample(of_input)
 

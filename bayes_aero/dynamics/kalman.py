@@ -36,8 +36,8 @@ class Filtered(NamedTuple):
 def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
     """Outputs (c,) of these names at one instant."""
     state = zip(system.states, x, strict=True)
-    found = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
-    return jnp.stack([found[name] for name in names])
+    outputs = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
+    return jnp.stack([outputs[name] for name in names])
 
 
 def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:

@@ -140,11 +140,11 @@ def through_gusts(
         now, then, noise = row
         rate = 2.0 * system.decay(x, now)
         gained = system.noise_density(x, now) * jnp.where(rate > 0.0, -jnp.expm1(-rate * dt) / rate, dt)
-        found = system.motion(x, now)[1]
-        found |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
+        outputs_now = system.motion(x, now)[1]
+        outputs_now |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
         sound = jnp.all(jnp.isfinite(x)) & jnp.all((x >= lower) & (x <= upper))
         after = advance(system, x, now, then, dt, substeps) + jnp.sqrt(gained) * noise
-        return after, (jnp.stack([found[name] for name in outputs]), sound)
+        return after, (jnp.stack([outputs_now[name] for name in outputs]), sound)
 
     _, (made, sound) = jax.lax.scan(one_sample, start, (dict(inputs), later(inputs), white))
     return made, jnp.cumsum(~sound) == 0
@@ -233,12 +233,14 @@ def fly_rigid(
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
     fast = lag * float(aircraft.chord) / trim.state["airspeed"]
     parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, MAX_SUBSTEPS)) if lag > 0.0 else 1
-    found = _integrate(body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts)
-    flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
+    trajectory = _integrate(
+        body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts
+    )
+    flight = {name: np.asarray(x) for name, x in (inputs | trajectory.outputs).items()}
     flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
-    density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))
+    density, sound = (np.asarray(x) for x in air(trajectory.outputs["altitude"]))
     flight |= {"density": density, "mach": flight["airspeed"] / sound}
-    return {name: np.where(found.inside, x, np.nan) for name, x in flight.items()}
+    return {name: np.where(trajectory.inside, x, np.nan) for name, x in flight.items()}
 
 
 _integrate = eqx.filter_jit(integrate)

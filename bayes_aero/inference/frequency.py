@@ -78,36 +78,36 @@ def fit_in_band(
     information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
     free = np.flatnonzero(information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN)
     offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
-    found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
+    solution = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
-        step = found.step[: len(free)]
+        step = solution.step[: len(free)]
         outward = ((theta[free] <= lower[free]) & (step < 0.0)) | ((theta[free] >= upper[free]) & (step > 0.0))
         if outward.any():  # held there from now on
             at_bound, free = [*at_bound, *free[outward]], free[~outward]
-            found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
+            solution = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
         before = solve(residual, offsets).cost
-        if converged := before - found.cost < TOLERANCE:
+        if converged := before - solution.cost < TOLERANCE:
             break
-        responses = responses.moved(found.step[len(free) :])
+        responses = responses.moved(solution.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
             changed, S_free = responses.linearise(trial, free)
-            own = responses.offsets(trial, outputs)
-            if solve(changed, own).cost < before:
+            trial_offsets = responses.offsets(trial, outputs)
+            if solve(changed, trial_offsets).cost < before:
                 break
         else:
             converged = True  # rounding: no step lowers the cost
             break
-        theta, residual, offsets = trial, changed, own
-        found = solve(residual, np.concatenate([S_free, offsets], axis=2))
+        theta, residual, offsets = trial, changed, trial_offsets
+        solution = solve(residual, np.concatenate([S_free, offsets], axis=2))
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
     m, k = len(S), len(free)
-    R, D = cramer_rao(S, found.R)
+    R, D = cramer_rao(S, solution.R)
     corrected, regular = D, bool(np.all(np.isfinite(D)))
     if regular:  # each part of a line stands alone: the transform has whitened them, and only their sizes differ
-        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+        corrected, _ = robust_covariance(D, S, R, solution.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
     return FrequencyFit(
         method=method,
         band=(float(band[0]), float(band[1])),
@@ -219,8 +219,8 @@ def linear_in_band(
     assert isinstance(bare, LinearDynamics)
     start = np.array([p.start for p in bare.free])
     first = fit_in_band(LinearFrequencyError.in_band(flights, bare, band), bare.free, start, band)
-    found = dict(zip(first.names, first.estimate, strict=True))
-    start = np.array([found.get(p.name, p.start) for p in bare.free])
+    estimates = dict(zip(first.names, first.estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in bare.free])
     whole = LinearFrequencyOutputError.in_band(flights, bare, band)
     second = fit_in_band(whole, bare.free, start, band, OUTPUT_ERROR)
     responses = frequency_responses(flights, bare, second) if second.converged else ()
@@ -302,8 +302,8 @@ def _measured(
     power = np.real(np.einsum("foo->fo", S[:, k:, k:]))
     left = np.maximum(power - explained, 0.0)  # its mean over the independent segments, of which inputs take k
     segments = sum(2.0 * n / size - 1.0 for n in flights.lengths)
-    own = np.real(np.einsum("fii->fi", inverse))
-    error = np.sqrt(left[:, :, None] * own[:, None, :] / max(segments - k, 1.0))
+    power_share = np.real(np.einsum("fii->fi", inverse))
+    error = np.sqrt(left[:, :, None] * power_share[:, None, :] / max(segments - k, 1.0))
     return frequency, H, error, np.clip(explained / np.maximum(power, tiny), 0.0, 1.0)
 
 

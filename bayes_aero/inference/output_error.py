@@ -188,16 +188,18 @@ def fit_disturbed(
     # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
     gusty, outputs = disturbed(flown), flown.outputs
     names, states = gusty.dynamics.names, gusty.dynamics.states
-    known = dict(zip(flown.dynamics.names, estimate, strict=True))
-    start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
+    estimates = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
     first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
     F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
     R = FIRST_R * R
     if similar is not None:  # none so small that the likelihood is flat
-        known = dict(zip(similar.names, map(float, similar.estimate), strict=True))
-        known = {n: x for n, x in known.items() if n in gusty.dynamics.disturbance_parameters}
-        start = np.array([max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(names, start, strict=True)])
+        estimates = dict(zip(similar.names, map(float, similar.estimate), strict=True))
+        estimates = {n: x for n, x in estimates.items() if n in gusty.dynamics.disturbance_parameters}
+        start = np.array(
+            [max(estimates[n], MIN_SHARE * x) if n in estimates else x for n, x in zip(names, start, strict=True)]
+        )
         noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
         F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
     return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)

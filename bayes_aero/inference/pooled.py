@@ -118,11 +118,11 @@ def given_scatter(
 ) -> PooledDraws:
     """A draw of the aircraft, of each manoeuvre and of the next flight for each draw of the scatter."""
     estimate, factor = np.asarray(density.estimate), np.asarray(density.factor)
-    one = np.eye(density.size)
-    precision, weighed = np.broadcast_to(one, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
+    identity = np.eye(density.size)
+    precision, weighed = np.broadcast_to(identity, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
     for y, F in zip(estimate, factor, strict=True):
         scaled = scatter[..., :, None] * F
-        P = F @ np.linalg.solve(one + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
+        P = F @ np.linalg.solve(identity + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
         precision += P
         weighed += P @ y
     aircraft = _normal(precision, weighed, rng)
@@ -130,7 +130,7 @@ def given_scatter(
     for y, F in zip(estimate, factor, strict=True):
         scaled = scatter[..., :, None] * F
         pulled = np.einsum("...ij,...j->...i", scaled, (y - aircraft) @ F)
-        offset = _normal(one + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
+        offset = _normal(identity + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
         manoeuvres.append(aircraft + scatter * offset)
     following = aircraft + scatter * rng.standard_normal(scatter.shape)
     return PooledDraws(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
@@ -310,11 +310,11 @@ def _information(
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
-        found = np.zeros_like(fit.corrected)
-        found[kept] = scaled_inverse(fit.corrected[kept])[0]
-        return (found + found.T) / 2.0 if np.all(np.isfinite(found)) else None
-    own = observations.only(observations.names.index(name))
-    data = data_of(model, own)
+        information = np.zeros_like(fit.corrected)
+        information[kept] = scaled_inverse(fit.corrected[kept])[0]
+        return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None
+    alone = observations.only(observations.names.index(name))
+    data = data_of(model, alone)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
     residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
     A = point.information
@@ -323,7 +323,7 @@ def _information(
     size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
     kept = size > np.sqrt(SINGULAR)
     inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
-    covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
+    covariance, _ = robust_covariance(inverse, S, point.R, residual, alone.manoeuvre, np.asarray(alone.start), alone.dt)
     combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    found = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
-    return (found + found.T) / 2.0 if np.all(np.isfinite(found)) else None
+    information = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
+    return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None

@@ -80,8 +80,8 @@ def _filter(flown, point, start_deviation, k, s):
 @eqx.filter_jit
 def _filter_segments(flown, point, start_deviation, k, s):
     """Minus the log likelihood, and the filtered segments."""
-    found = _filter(flown, point, start_deviation, k, s)
-    return -jnp.sum(jax.vmap(log_likelihood)(found)), found
+    filtered = _filter(flown, point, start_deviation, k, s)
+    return -jnp.sum(jax.vmap(log_likelihood)(filtered)), filtered
 
 
 @eqx.filter_jit
@@ -89,14 +89,14 @@ def _evaluate(flown, point, start_deviation, k, s):
     """Cost, gradient and expected information."""
 
     def at(point):
-        found = _filter(flown, point, start_deviation, k, s)
-        return (found.innovation, found.variance), found
+        filtered = _filter(flown, point, start_deviation, k, s)
+        return (filtered.innovation, filtered.variance), filtered
 
     directions = jnp.eye(len(point))
-    (e, S), (de, dS), found = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))(
-        directions
-    )
-    return _scores(e, S, de, dS, found.used)
+    (e, S), (de, dS), filtered = jax.vmap(
+        lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None)
+    )(directions)
+    return _scores(e, S, de, dS, filtered.used)
 
 
 @eqx.filter_jit
@@ -245,8 +245,10 @@ class _Problem:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
         channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
-        own = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-        steps = [min(quantum(np.asarray(channels[name])[rows]) for rows in own) for name in flown.outputs]  # the finest
+        by_manoeuvre = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        steps = [
+            min(quantum(np.asarray(channels[name])[rows]) for rows in by_manoeuvre) for name in flown.outputs
+        ]  # the finest
         smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
         limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
@@ -403,11 +405,11 @@ def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray
     """Inverse of the information of the estimated variables; zero for held ones and those without information."""
     # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
     # beside angles in radians.
-    known = moving & (np.diag(information) > 0.0)
-    block = information[np.ix_(known, known)]
+    informed = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(informed, informed)]
     scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
     covariance = np.zeros_like(information)
-    covariance[np.ix_(known, known)] = np.linalg.pinv(block / scale, hermitian=True) / scale
+    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
     return covariance
 
 

@@ -196,10 +196,10 @@ def _known(name: str) -> Effect:
 @cache
 def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
-    known = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
-    channel = [e for e in known if e.stage is Stage.CHANNEL]
+    flyable_effects = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
+    channel = [e for e in flyable_effects if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in known if can_simulate(e)), *beyond]),
+        Model.of([*(e for e in flyable_effects if can_simulate(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
@@ -217,9 +217,9 @@ def _values(
         refuse_unsimulated(effect)
         if not effect.acts_on(FLOWN_AXES):
             raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
-        own = {p.name for p in effect.parameters}
-        if not set(given) <= own:
-            raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
+        names = {p.name for p in effect.parameters}
+        if not set(given) <= names:
+            raise InputError(f"effect {name} has the parameters {', '.join(sorted(names))}, not {', '.join(given)}")
         values |= given
     if beyond is not None:
         values |= beyond.draw(rng)

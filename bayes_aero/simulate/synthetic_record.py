@@ -155,8 +155,8 @@ def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
     sea_pressure = sea_density * sea_sound**2 / GAMMA
     calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
-    found = {"static_temperature": temperature, "static_pressure": pressure}
-    return found | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
+    air_data = {"static_temperature": temperature, "static_pressure": pressure}
+    return air_data | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
 
 
 def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:

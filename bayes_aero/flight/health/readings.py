@@ -107,9 +107,9 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
     best = ("", len(moves) + 1)
     for of in dict.fromkeys([kinds, *((kind,) for kind in kinds)]):
         for frame in FRAMES:
-            own = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
-            rest = more + sum(own.get(n) != moves.get(n) for kind in kinds for n in have[kind])
-            if own and rest < best[1]:
+            by_frame = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
+            rest = more + sum(by_frame.get(n) != moves.get(n) for kind in kinds for n in have[kind])
+            if by_frame and rest < best[1]:
                 best = (f"the axes of the {' '.join(of) if len(of) == 1 else 'sensors'} are {frame.name}", rest)
     return best
 
@@ -275,9 +275,9 @@ class Relation:
 
 def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """Channels, constants and time of a record, with zeros for what symmetric flight lacks."""
-    known = channels_of(record, card)
-    filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in known}
-    return {**filled, **known, "time": record.time}
+    channels = channels_of(record, card)
+    filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in channels}
+    return {**filled, **channels, "time": record.time}
 
 
 def _turning(v: View) -> tuple[np.ndarray, ...]:
@@ -367,14 +367,14 @@ def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None =
 
 def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, np.ndarray]:
     """What the terms (k, n) of each relation leave when they are added, over what is allowed."""
-    found = {}
+    terms_by_relation = {}
     with np.errstate(all="ignore"):
         for name, needs in {**{name: r.needs for name, r in RELATIONS.items()}, **_MEAN_NEEDS}.items():
             if set(needs) <= recorded and (names is None or name in names):
                 mean = name in _MEAN_NEEDS
                 terms = _mean_terms(name, view, recorded) if mean else RELATIONS[name].changes(view)
-                found[name] = np.stack(terms)
-    return found
+                terms_by_relation[name] = np.stack(terms)
+    return terms_by_relation
 
 
 def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:

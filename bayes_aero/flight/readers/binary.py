@@ -537,10 +537,10 @@ def _header_begins(rows: Rows, first: int) -> int:
     width, begin, named = len(rows[first][1]), first, False
     for k in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
         number, row = rows[k]
-        told = sum(map(bool, row))
+        filled = sum(map(bool, row))
         units = all(same_unit(said, said) for cell in row if (said := cell.strip("[]() ")))
         parted = k < first - 1 and rows[k + 1][0] - number > 1  # a blank row
-        few = 2 * told <= width and (named or told < 2)
+        few = 2 * filled <= width and (named or filled < 2)
         if parted or (not units and (few or (named and any(map(is_value, row))))):
             break
         begin, named = k, named or not units

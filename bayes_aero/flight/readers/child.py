@@ -108,7 +108,7 @@ def _instances(fmt, messages):
         numbers = messages[f"f{fmt.columns.index(fmt.instance_field)}"]
         texts = {n: n.decode("latin-1") if isinstance(n, bytes) else n for n in np.unique(numbers)}
         chosen = {f"[{text}]": numbers == number for number, text in texts.items()}
-    found = []
+    groups = []
     for label, rows in chosen.items():
         names = (fmt.name + label, fmt.name) if len(chosen) == 1 and label else (fmt.name + label,)
         columns = []
@@ -120,8 +120,8 @@ def _instances(fmt, messages):
             # By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double.
             scaled = values[rows] if factor is None else values[rows] / round(1.0 / factor)
             columns.append(([f"{name}.{field}" for name in names], DEGREES.get(unit, unit) or None, scaled))
-        found.append((names[0], time[rows].astype(np.int64), columns))
-    return found
+        groups.append((names[0], time[rows].astype(np.int64), columns))
+    return groups
 
 
 # --- HDF5: datasets, and the numbers in them.
