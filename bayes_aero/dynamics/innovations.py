@@ -171,24 +171,14 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
         used_now = jnp.isfinite(residual)
         deviation = mean.at[:, 0].add(-before)
         e = jnp.concatenate([jnp.where(used_now, residual, 0.0)[:, None], -direct], axis=1) - C @ deviation
-
-        def one(carry, output):
-            correction, P = carry
-            h, y, r, used = output
-            y, Ph = y - h @ correction, P @ h
-            S = h @ Ph + r
-            K = jnp.where(used, Ph / S, 0.0)
-            carry = correction + jnp.outer(K, y), P - jnp.outer(K, Ph)
-            return carry, (jnp.where(used, y, 0.0), jnp.where(used, S, 1.0))
-
-        (correction, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, used_now))
+        correction, P, e, S, _ = kalman.correct(P, C, e, variance, used_now)
         autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
         Phi = jnp.where((identity > 0.0) & autonomous, jnp.diag(decayed), Phi)
         ahead = jnp.where(autonomous, decayed * after, ahead)
         mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
         P = Phi @ P @ Phi.T + kalman.discrete_noise(Phi, density, dt)
-        return (mean, 0.5 * (P + P.T)), (found, S)
+        return (mean, 0.5 * (P + P.T)), (e, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
