@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +21,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
+from bayes_aero.inference.optimise import Evaluation, Rule, at_bounds, minimise, newton_gain, truncated_step
 from bayes_aero.inference.results import MleResult, MleStatus, active_bounds, prior_conflicts
 from bayes_aero.inference.scores import score
 from bayes_aero.model.model import Model
@@ -65,44 +65,47 @@ class _Descent:
         return not bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
 
 
-def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
-    """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
-    size, tiny = np.diag(A), np.finfo(float).tiny
-    # A diagonal element lost to rounding (unstable flight) is replaced by the largest, so that its row stays finite.
-    scale = np.sqrt(np.where(size > 0.0, np.maximum(size, tiny), np.max(size, initial=tiny)))
-    scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
-    return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
+class _Coefficients:
+    """The cost of a model's coefficients as a `Problem`, from the end of full steps; the last point is kept."""
+
+    def __init__(self, data: Data, start: Float[np.ndarray, " k"]) -> None:
+        self.data, self.bounds = data, np.array([p.bounds for p in data.model.free], float).reshape(-1, 2)
+        self.moving, self.step_limit = np.ones(len(start), bool), np.full(len(start), np.inf)
+        self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
+
+    def _steps(self, theta: Float[np.ndarray, " k"], most: int) -> GaussNewtonPoint:
+        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
+
+    def cost(self, point: Float[np.ndarray, " k"]) -> float:
+        """The cost at a point."""
+        self.tried = self.point if point is self.point.theta else self._steps(point, 0)
+        return self.tried.cost
+
+    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
+        """Cost, gradient and information at the point that was tried last."""
+        if point is not self.point.theta:
+            self.point = self.tried
+        return Evaluation(self.point.cost, -self.point.gradient, self.point.information)
+
+
+SHARES_AND_DAMPINGS = (*((share, 0.0) for share in (1.0, 0.5, 0.25, 0.125)), *((1.0, 10.0**k) for k in range(-3, 6)))
+RULE = Rule(
+    step=truncated_step,
+    gain=newton_gain,
+    trials=lambda _: SHARES_AND_DAMPINGS,
+    after=lambda *_: 0.0,
+    last=1e-5,
+    max_steps=MAX_ITERATIONS,
+)
 
 
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
     """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
     # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
-    data = data_of(model, observations)
-    lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
-    point = full_steps(data, np.clip(start, lower, upper), lower, upper, TOLERANCE, MAX_ITERATIONS)
-    active = np.zeros(len(start), bool)
-    for iteration in range(point.steps + 1, MAX_ITERATIONS + 1):
-        theta, A, g = point.theta, point.information, point.gradient
-        if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
-            return _Descent(point, False, iteration, active)
-        active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
-        free = np.flatnonzero(~active)
-        newton = solve(A[np.ix_(free, free)], g[free], 0.0)
-        gain = 0.5 * newton @ g[free]
-        if gain < TOLERANCE:
-            return _Descent(point, True, iteration, active)
-        steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
-        damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
-        for step in chain(steps, damped):
-            trial = theta.copy()
-            trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
-            found = full_steps(data, trial, lower, upper, TOLERANCE, 0)
-            if found.cost < point.cost:
-                break
-        else:
-            return _Descent(point, bool(gain < 1e-5), iteration, active)
-        point = found
-    return _Descent(point, False, MAX_ITERATIONS, active)
+    problem = _Coefficients(data_of(model, observations), start)
+    first = problem.point
+    theta, at, converged, steps = minimise(problem, first.theta, problem.evaluate, TOLERANCE, RULE, steps=first.steps)
+    return _Descent(problem.point, converged, steps, at_bounds(problem, theta, at.gradient))
 
 
 def fit_mle(

@@ -7,7 +7,7 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,13 +19,21 @@ from scipy.optimize import minimize_scalar
 
 from bayes_aero.dynamics.flight import EffectDynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
-from bayes_aero.inference.mle import solve
+from bayes_aero.inference.optimise import (
+    MAX_TRIALS,
+    Evaluation,
+    Rule,
+    at_bounds,
+    minimise,
+    newton_gain,
+    truncated_step,
+)
 from bayes_aero.inference.output_error_result import (
-    TINY,
     NormalEquations,
     NormalPriors,
     OutputErrorResult,
     OutputErrorStatus,
+    Point,
     reduced_equations,
     result_at,
 )
@@ -58,6 +66,45 @@ def one_by_one(
     return shown, {row: trajectories(wide.part([row]), theta, departure[row : row + 1]) for row in rows}
 
 
+class _Trajectories:
+    """Minus the log posterior density of the parameters as a `Problem`, with initial states at their optimum; the last
+    point is kept."""
+
+    def __init__(self, equations: NormalEquations, point: Point, bounds: Float[np.ndarray, "k 2"], moving: np.ndarray):
+        self.equations, self.point, self.tried = equations, point, point
+        self.bounds, self.moving, self.step_limit = bounds, moving, np.full(len(bounds), np.inf)
+
+    def cost(self, point: Float[np.ndarray, " k"]) -> float:
+        """The cost at a point."""
+        if point is self.point.theta:
+            return self.point.cost
+        departure = self.point.departure + self.states.step(point - self.point.theta)
+        self.tried = self.equations.evaluate(point, departure)
+        return self.tried.cost
+
+    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
+        """Cost, gradient and information at the point that was tried last."""
+        if point is not self.point.theta:
+            self.point = self.tried
+        if not math.isfinite(self.point.cost):
+            return Evaluation(self.point.cost, np.zeros(len(point)), np.eye(len(point)))
+        A, g, self.states = reduced_equations(self.point, self.equations.prior)
+        return Evaluation(self.point.cost, -g, A, self.states.gain)
+
+
+def _trials(damping: float) -> Iterator[tuple[float, float]]:
+    for _ in range(MAX_TRIALS):
+        yield 1.0, damping
+        damping = max(MIN_DAMPING, 4.0 * damping)
+
+
+def _after(damping: float, ratio: float) -> float:
+    return damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
+
+
+RULE = Rule(truncated_step, newton_gain, _trials, _after, first=FIRST_DAMPING, ratio=MIN_GAIN_RATIO, least_gain=0.0)
+
+
 def fit_output_error(
     flown: SegmentTrajectories,
     *,
@@ -77,54 +124,31 @@ def fit_output_error(
     # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
     # there, not converged.
     if biases:
-        own = len(flown.dynamics.free)
+        modelled = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
-        if start is not None and len(start) == own:
-            start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
+        if start is not None and len(start) == modelled:
+            start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[modelled:]])
     free, held, prior = flown.dynamics.free, held or {}, NormalPriors.of(flown, prior_weight, without)
-    lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
     begin = [p.start for p in free] if start is None else np.asarray(start, float)
     theta = np.array([held.get(p.name, x) for p, x in zip(free, begin, strict=True)])
     held_mask = np.array([p.name in held for p in free], bool)
-    lower, upper = np.where(held_mask, theta, lower), np.where(held_mask, theta, upper)
+    bounds = np.where(held_mask[:, None], theta[:, None], np.array([p.bounds for p in free], float).reshape(-1, 2))
     prior = replace(prior, mean=np.where(held_mask, theta, prior.mean))  # held parameters add nothing to the cost
     departure = np.zeros((len(flown.index), len(flown.dynamics.start))) if departure is None else departure
     equations = NormalEquations(flown, prior)
-    point = equations.evaluate(np.clip(theta, lower, upper), departure)
-    damping, converged, active, count = FIRST_DAMPING, False, np.zeros(len(free), bool), 0
-
-    def bounded(part: np.ndarray) -> np.ndarray:
-        """A step of the moving parameters, of all of them and within the bounds."""
-        step = np.zeros(len(free))
-        step[moving] = part
-        return np.clip(point.theta + step, lower, upper) - point.theta
-
-    while count < max_iterations and math.isfinite(point.cost) and not (stopped and stopped()):
-        count += 1
-        A, g, states = reduced_equations(point, prior)
-        active = held_mask | ((point.theta <= lower) & (g < 0.0)) | ((point.theta >= upper) & (g > 0.0))
-        moving = np.flatnonzero(~active)
-        newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
-        gain = 0.5 * float(newton @ g[moving]) + states.gain
-        if 0.0 <= gain < max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0)):
-            converged = True
-            if gain < TOLERANCE:
-                step = bounded(newton)
-                point = equations.extrapolate(point, step, states.step(step))
-            break
-        for _ in range(12):
-            step = bounded(solve(A[np.ix_(moving, moving)], g[moving], damping))
-            new = equations.evaluate(point.theta + step, point.departure + states.step(step))
-            expected = step @ g - 0.5 * step @ A @ step + states.gain
-            ratio = (point.cost - new.cost) / max(expected, TINY)
-            if new.cost < point.cost and ratio > MIN_GAIN_RATIO:
-                break
-            damping = max(MIN_DAMPING, 4.0 * damping)
-        else:
-            converged = bool(0.0 <= gain < 1e-2 * max(1.0, prior_weight))
-            break
-        damping = damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
-        point = new
+    problem = _Trajectories(equations, equations.evaluate(np.clip(theta, *bounds.T), departure), bounds, ~held_mask)
+    tolerance = max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0))
+    rule = RULE._replace(last=1e-2 * max(1.0, prior_weight), max_steps=max_iterations)
+    begin = problem.point.theta
+    theta, at, converged, count = minimise(problem, begin, problem.evaluate, tolerance, rule, stopped=stopped)
+    point, moving = problem.point, problem.moving
+    if converged:
+        A, g, limits = at.information[np.ix_(moving, moving)], -at.gradient[moving], (bounds - theta[:, None])[moving]
+        if newton_gain(A, g, limits) + at.gain < TOLERANCE:  # the last step is short: residuals are linear along it
+            step = np.zeros(len(free))
+            step[moving] = truncated_step(A, g, limits, 0.0)
+            point = equations.extrapolate(point, step, problem.states.step(step))
+    active = held_mask | at_bounds(problem, theta, at.gradient)
     return result_at(flown, point, prior, converged=converged, iterations=count, active=active, held=held_mask)
 
 

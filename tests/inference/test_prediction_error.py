@@ -31,16 +31,16 @@ from bayes_aero.inference.nuts import (
     innovations_posterior,
     sample_innovations,
 )
-from bayes_aero.inference.prediction_error import (
+from bayes_aero.inference.optimise import (
+    APPROXIMATE_SCORING,
     MAX_ITERATIONS,
+    SCORING,
     Evaluation,
-    PredictionErrorStatus,
     bfgs_update,
     bounded_step,
-    covariance_of,
-    fit_prediction_error,
     minimise,
 )
+from bayes_aero.inference.prediction_error import PredictionErrorStatus, covariance_of, fit_prediction_error
 from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
@@ -207,10 +207,8 @@ class Bowl(Overshooting):
 def test_gradients_mend_an_information_that_is_not_the_curvature():
     """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
     bowl = Bowl([5.0, 0.05, 0.2, 3.0])
-    steps = {
-        approximate: minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, approximate=approximate)[3]
-        for approximate in (False, True)
-    }
+    rules = {False: SCORING, True: APPROXIMATE_SCORING}
+    steps = {key: minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, rule)[3] for key, rule in rules.items()}
     assert minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6)[1].cost < 1e-5
     assert 2 * steps[False] < steps[True]
 

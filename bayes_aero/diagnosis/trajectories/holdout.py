@@ -22,7 +22,7 @@ from bayes_aero.dynamics.flight import aircraft_dynamics, with_biases_of
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
-from bayes_aero.inference.mle import solve
+from bayes_aero.inference.optimise import solve
 from bayes_aero.inference.output_error import SeparatedFlow, fit_output_error
 from bayes_aero.inference.output_error_result import (
     THINNING,
