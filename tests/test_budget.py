@@ -10,13 +10,13 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51593,
-    "bayes_aero: files": 231,
+    "bayes_aero: lines": 51669,
+    "bayes_aero: files": 230,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 28594,
+    "tests: lines": 28556,
     "tests: files": 131,
-    "benchmarks: lines": 5924,
+    "benchmarks: lines": 5923,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
     "CHANGELOG.md: lines": 161,

@@ -7,7 +7,7 @@ Gauss-Newton with Levenberg and Marquardt's damping on exact forward sensitiviti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,17 +92,15 @@ class _Trajectories:
         return Evaluation(self.point.cost, -g, A, self.states.gain)
 
 
-def _trials(damping: float) -> Iterator[tuple[float, float]]:
-    for _ in range(MAX_TRIALS):
-        yield 1.0, damping
-        damping = max(MIN_DAMPING, 4.0 * damping)
-
-
-def _after(damping: float, ratio: float) -> float:
-    return damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
-
-
-RULE = Rule(truncated_step, newton_gain, _trials, _after, first=FIRST_DAMPING, ratio=MIN_GAIN_RATIO, least_gain=0.0)
+RULE = Rule(
+    step=truncated_step,
+    gain=newton_gain,
+    trials=lambda d: ((1.0, max(MIN_DAMPING * 4.0 ** (k - 1), d * 4.0**k) if k else d) for k in range(MAX_TRIALS)),
+    after=lambda d, ratio: d / 10.0 if ratio > 0.75 else d if ratio > 0.3 else max(MIN_DAMPING, 2.0 * d),
+    first=FIRST_DAMPING,
+    ratio=MIN_GAIN_RATIO,
+    least_gain=0.0,
+)
 
 
 def fit_output_error(
