@@ -37,7 +37,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.gp.fit import fit_gp
+from bayes_aero.inference.gp import fit_gp
 from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
 from bayes_aero.inference.gp.optimum import maximise, starting_points
 from bayes_aero.inference.mle import fit_mle

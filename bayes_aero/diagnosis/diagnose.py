@@ -23,7 +23,6 @@ from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, Diagnosi
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
-    FLIGHT_PATH,
     LITTLE,
     Cause,
     Diagnosis,
@@ -59,6 +58,7 @@ from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress
+from bayes_aero.residuals.base import FLIGHT_PATH
 
 
 @blas_threads(0)

@@ -33,8 +33,8 @@ from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.inference.calibration import one_step
 from bayes_aero.inference.covariance import corrected_covariance, median_inflation, variance_inflation
-from bayes_aero.inference.mle import solve
 from bayes_aero.inference.nuts import sample_innovations
+from bayes_aero.inference.optimise import solve
 from bayes_aero.inference.output_error import SeparatedFlow, fit_disturbed, fit_output_error, one_by_one, trajectories
 from bayes_aero.inference.output_error_result import (
     THINNING,

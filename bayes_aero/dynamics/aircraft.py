@@ -37,21 +37,21 @@ def recorded_drives(
     axes: Collection[Axis], held: Sequence[str], read: Sequence[str], channels: Mapping[str, Array], flights: Flights
 ) -> dict[str, Array]:
     """Channels that are `read`, `held` states with their rates, forces of axes without a model."""
-    found = {name: channels[name] for name in (*read, "density") if name in channels}
+    drives = {name: channels[name] for name in (*read, "density") if name in channels}
     sloped = [n for n in (*RATES, "alpha") if n in held and n in channels]
-    found |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
+    drives |= {f"{name}_dot": _slope(channels[name], flights) for name in sloped}
     if Axis.LONGITUDINAL not in axes:
         rates = [channels[name] for name in RATES]
         turning = Rotation(*rates, *(_slope(x, flights) for x in rates))
         arm = lever_arm(turning, flights.aircraft.accelerometer)
-        found |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
+        drives |= {"force_x": channels["ax"] - arm[0], "force_z": channels["az"] - arm[2]}
     if Axis.LATERAL not in axes:
-        found |= {"ay": channels["ay"]} if "ay" in channels else {}
+        drives |= {"ay": channels["ay"]} if "ay" in channels else {}
         if "ay" not in channels and all(name in channels for name in SIDE):
-            found["beta_dot"] = _slope(channels["beta"], flights)
+            drives["beta_dot"] = _slope(channels["beta"], flights)
     if {"mach", "airspeed"} <= set(channels):
-        found["sound"] = channels["airspeed"] / channels["mach"]
-    return found | {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
+        drives["sound"] = channels["airspeed"] / channels["mach"]
+    return drives | {f"near_{n}": channels[n] for n in ("phi", "psi") if n in channels and n not in held}
 
 
 def _slope(x: Array, flights: Flights) -> Array:
@@ -98,12 +98,12 @@ class InGusts(System):
         """Gusts start in their stationary distribution; the flow was measured, the motion over ground was not."""
         intensity = {d.state: self.values[d.intensity] for d in self.model.disturbances}
         spread = jnp.stack([intensity.get(name, y) for name, y in zip(self.states, deviation, strict=True)])
-        own = tuple(name for name in FLOW if name in self.states)
-        places = jnp.array([self.states.index(name) for name in own])
+        flow_states = tuple(name for name in FLOW if name in self.states)
+        places = jnp.array([self.states.index(name) for name in flow_states])
 
         def flow(x):
             s = self.flow_signals(x, u)
-            return x.at[places].set(jnp.stack([s[name] for name in own]))
+            return x.at[places].set(jnp.stack([s[name] for name in flow_states]))
 
         factor = jnp.linalg.solve(jax.jacfwd(flow)(x), jnp.diag(spread))
         return factor @ factor.T

@@ -257,11 +257,11 @@ def aircraft_dynamics(
     """The dynamics of a model for the recorded channels of these flights, with `outputs` of `ON_REQUEST`. States that
     are `held` (default: by the card) are prescribed as recorded. Raises `InputError` for missing channels."""
     held = flights.held if held is None else tuple(held)
-    own = held_states(model.axes, held)
+    prescribed = held_states(model.axes, held)
     rigid = bool(held) or Axis.LATERAL in model.axes
-    turning = [n for n in ON_REQUEST if n.removesuffix("_dot") not in own] if rigid else ["q_dot"]
+    turning = [n for n in ON_REQUEST if n.removesuffix("_dot") not in prescribed] if rigid else ["q_dot"]
     further = tuple(n for n in turning if n in outputs)
-    altitude, heading = (n in flights.channels and not (rigid and n in own) for n in ("altitude", "psi"))
+    altitude, heading = (n in flights.channels and not (rigid and n in prescribed) for n in ("altitude", "psi"))
     dynamics = AircraftDynamics(model, altitude, further, held, heading and rigid)
     have = {*flights.channels, "alpha_dot", "X", *(f"{n}_dot" for n in ("p", "r") if n in flights.channels)}
     have |= {"density", "mach"} if "altitude" in have else set()
@@ -273,7 +273,7 @@ def aircraft_dynamics(
             f"record {flights.names[0]} has no channel {missing[0]}{other}, without which the aircraft cannot be "
             "flown; map it on the card, or give its value under [constants]"
         )
-    if model.disturbances and {"airspeed", "alpha"} & set(own if rigid else ()):
+    if model.disturbances and {"airspeed", "alpha"} & set(prescribed if rigid else ()):
         raise InputError("airspeed and alpha cannot be held to the record in gusts; leave one of the two out")
     for effect in model.acting:
         if effect.stage is Stage.LAG and not any(p.role is Role.LAG for p in effect.parameters):

@@ -171,24 +171,14 @@ def _one_segment(lin: LinearisedFilter, noise: Disturbances, dt: Any):
         used_now = jnp.isfinite(residual)
         deviation = mean.at[:, 0].add(-before)
         e = jnp.concatenate([jnp.where(used_now, residual, 0.0)[:, None], -direct], axis=1) - C @ deviation
-
-        def one(carry, output):
-            correction, P = carry
-            h, y, r, used = output
-            y, Ph = y - h @ correction, P @ h
-            S = h @ Ph + r
-            K = jnp.where(used, Ph / S, 0.0)
-            carry = correction + jnp.outer(K, y), P - jnp.outer(K, Ph)
-            return carry, (jnp.where(used, y, 0.0), jnp.where(used, S, 1.0))
-
-        (correction, P), (found, S) = jax.lax.scan(one, (jnp.zeros_like(mean), P), (C, e, variance, used_now))
+        correction, P, e, S, _ = kalman.correct(P, C, e, variance, used_now)
         autonomous, decayed = decay > 0.0, jnp.exp(-decay * dt)
         Phi = jnp.where((identity > 0.0) & autonomous, jnp.diag(decayed), Phi)
         ahead = jnp.where(autonomous, decayed * after, ahead)
         mean = Phi @ (mean + correction).at[:, 0].add(-after)
         mean = mean + jnp.concatenate([ahead[:, None], drive], axis=1)
         P = Phi @ P @ Phi.T + kalman.discrete_noise(Phi, density, dt)
-        return (mean, 0.5 * (P + P.T)), (found, S)
+        return (mean, 0.5 * (P + P.T)), (e, S)
 
     begin = jnp.concatenate([lin.begin[:, None], lin.begin_drive], axis=1)
     rows = (lin.before, lin.after, lin.ahead, lin.transition, lin.drive, lin.residual, lin.matrix, lin.direct)
@@ -328,8 +318,8 @@ def linearise(
 
     def by_parameters(theta):
         prepared = prepare(flown, theta)
-        own = eqx.filter(prepared.sensed, eqx.is_inexact_array)
-        return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, own, prepared.drives
+        numbers = eqx.filter(prepared.sensed, eqx.is_inexact_array)
+        return flown.only_inside(prepared.true), prepared.initial_states, prepared.scale, numbers, prepared.drives
 
     (true, begin, scale, *_), (true_drive, begin_drive, scale_drive, of_system, of_drives) = jax.vmap(
         lambda t: jax.jvp(by_parameters, (theta,), (t,)), out_axes=(None, -1)
@@ -415,8 +405,8 @@ def derivatives_by_input(
 
     def slope(f):
         def of_input(x, u):
-            own = {name: u[name] for name in direction}
-            return jax.jvp(lambda given: f(prepared.sensed, x, u | given), (own,), (direction,))[1]
+            given_inputs = {name: u[name] for name in direction}
+            return jax.jvp(lambda given: f(prepared.sensed, x, u | given), (given_inputs,), (direction,))[1]
 
         return _each_sample(of_input)
 

@@ -36,8 +36,8 @@ class Filtered(NamedTuple):
 def outputs_at(system: System, x: Float[Array, " s"], u: Row, names: Sequence[str]) -> Float[Array, " c"]:
     """Outputs (c,) of these names at one instant."""
     state = zip(system.states, x, strict=True)
-    found = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
-    return jnp.stack([found[name] for name in names])
+    outputs = motion(system, x, u)[1] | {name: value for name, value in state if name in system.state_outputs}
+    return jnp.stack([outputs[name] for name in names])
 
 
 def discrete_noise(transition: Float[Array, "s s"], density: Float[Array, " s"], dt: Any) -> Float[Array, "s s"]:
@@ -144,45 +144,42 @@ def value_and_slope(f: Callable[[Array], Array], x: Float[Array, " s"]) -> tuple
 
 
 def correct(
-    P: Float[Array, "s s"], C: Float[Array, "c s"], residual: Float[Array, " c"], variance: Float[Array, " c"]
+    P: Float[Array, "s s"],
+    C: Float[Array, "c s"],
+    residual: Float[Array, " c *m"],
+    variance: Float[Array, " c"],
+    used: Bool[Array, " c"] | None = None,
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Correction of the state (s,) by the outputs of one sample, the covariance after it, and the innovations (c,).
-    `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus predicted,
-    NaN where missing; `variance`: of the measurement noise. Also returned: the variances of the innovations, and which
-    outputs were measured. The loop over the outputs is unrolled, which is faster for so few."""
-    used = jnp.isfinite(residual)
+    """Correction of the state (s, *m) by the outputs of one sample, the covariance after it, and the innovations
+    (c, *m). `P`: covariance of the predicted state; `C`: derivative of the outputs by it; `residual`: measured minus
+    predicted, with its derivatives in further columns; `variance`: of the measurement noise; `used`: which outputs were
+    measured, by default those that are not NaN. Also returned: the variances of the innovations, and `used`. The loop
+    over the outputs is unrolled, which is faster for so few."""
+    used = jnp.isfinite(residual) if used is None else used
+    column = lambda x: x.reshape(x.shape + (1,) * (residual.ndim - 1))  # noqa: E731
 
     def one(carry, output):
         correction, P = carry
         h, residual, r, use = output
-        e, Ph = residual - jnp.sum(h * correction), jnp.sum(P * h, axis=1)
+        e, Ph = residual - jnp.sum(column(h) * correction, axis=0), jnp.sum(P * h, axis=1)
         S = jnp.sum(h * Ph) + r
         K = jnp.where(use, Ph / S, 0.0)
-        return (correction + K * e, P - K[:, None] * Ph), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
+        return (correction + column(K) * e, P - K[:, None] * Ph), (jnp.where(use, e, 0.0), jnp.where(use, S, 1.0))
 
-    rows = (C, jnp.where(used, residual, 0.0), variance, used)
-    (correction, P), (e, S) = jax.lax.scan(one, (jnp.zeros(len(P)), P), rows, unroll=True)
+    rows = (C, jnp.where(column(used), residual, 0.0), variance, used)
+    begin = (jnp.zeros((len(P), *residual.shape[1:])), P)
+    (correction, P), (e, S) = jax.lax.scan(one, begin, rows, unroll=True)
     return correction, P, e, S, used
 
 
 def gains(
     P: Float[Array, "s s"], C: Float[Array, "c s"], variance: Float[Array, " c"], used: Bool[Array, " c"]
 ) -> tuple[Float[Array, "s c"], Float[Array, "c c"]]:
-    """Gain of `correct`, and the matrix that whitens measured minus predicted. The outputs are processed one after the
-    other here, too. Factorising the matrices of all samples at once calls LAPACK, which shares its threads with other
-    calls: two of them at a time (jaxlib 0.10) wait for each other for ever."""
-
-    def one(carry, output):
-        P, gain = carry
-        h, r, use, own = output
-        Ph = jnp.sum(P * h, axis=1)
-        K = jnp.where(use, Ph / (jnp.sum(h * Ph) + r), 0.0)
-        row = own - jnp.where(use, jnp.sum(h[:, None] * gain, axis=0), 0.0)
-        return (P - K[:, None] * Ph, gain + K[:, None] * row), row
-
-    rows = (C, variance, used, jnp.eye(len(C)))
-    (_, gain), innovate = jax.lax.scan(one, (P, jnp.zeros(C.T.shape)), rows, unroll=True)
-    return gain, innovate
+    """Gain of `correct`, and the matrix that whitens measured minus predicted: what it makes of each output alone.
+    Factorising the matrices of all samples at once calls LAPACK, which shares its threads with other calls: two of them
+    at a time (jaxlib 0.10) wait for each other for ever."""
+    gain, _, whitening, _, _ = correct(P, C, jnp.eye(len(C)), variance, used)
+    return gain, whitening
 
 
 def predicted_covariance(

@@ -303,13 +303,13 @@ def named_modes(A: Float[np.ndarray, "s s"], states: Sequence[str], airspeed: fl
     own = [states[k] for k in kept]
     eigenvalues, vectors = np.linalg.eig(np.asarray(A, float)[np.ix_(kept, kept)])
     scale = np.array([1.0 / airspeed if n in ("airspeed", "u", "w") else 1.0 for n in own])
-    found = []
+    named = []
     for value, vector in zip(eigenvalues, vectors.T, strict=True):
         if value.imag >= 0.0:
-            found.append((complex(value), dict(zip(own, np.abs(vector) * scale, strict=True))))
-    found.sort(key=lambda pair: -abs(pair[0]))
-    lateral = [one for one in found if _share(one[1], LATERAL) > 0.5]
-    rest = [one for one in found if _share(one[1], LATERAL) <= 0.5]
+            named.append((complex(value), dict(zip(own, np.abs(vector) * scale, strict=True))))
+    named.sort(key=lambda pair: -abs(pair[0]))
+    lateral = [one for one in named if _share(one[1], LATERAL) > 0.5]
+    rest = [one for one in named if _share(one[1], LATERAL) <= 0.5]
     return (*_longitudinal(rest), *_lateral(lateral, own))
 
 
@@ -329,9 +329,9 @@ def _longitudinal(found: Eigenmotions) -> list[MotionMode]:
     named = []
     for k, (value, motion) in enumerate(found):
         name = SHORT_PERIOD if _share(motion, HEAVES) >= _share(motion, SPEEDS) else PHUGOID
-        known = _share(motion, LONGITUDINAL) > 0.5
+        longitudinal = _share(motion, LONGITUDINAL) > 0.5
         aperiodic = "" if value.imag > 0.0 else ", aperiodic"
-        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if known else OTHER), value))
+        named.append(MotionMode(both.get(k, f"{name}{aperiodic}" if longitudinal else OTHER), value))
     return named
 
 

@@ -132,8 +132,8 @@ class PathDynamics(EffectDynamics):
 
 def path_states(flights: Flights) -> tuple[str, ...]:
     """Recorded quantities of the flight path; none where it cannot be integrated."""
-    found = kinematics.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
-    return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
+    outputs = kinematics.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    return (*outputs, *(("psi",) if "phi" in outputs and heading(flights) is not None else ()))
 
 
 def heading(flights: Flights) -> Float[np.ndarray, " n"] | None:
@@ -187,10 +187,10 @@ def path_dynamics(flights: Flights, card: Card) -> tuple[Flights, PathDynamics]:
         stated = Model.from_card(card)
         errors = [e for e in stated.effects if e.stage is Stage.CHANNEL]
         names = {p.name for e in errors for p in e.parameters}
-        known = {p.name: p for p in stated.parameters if p.name in names}
+        stated_parameters = {p.name: p for p in stated.parameters if p.name in names}
         fixed = {name: value for name, value in stated.fixed if name in names}
         model = Model.of((*errors, *(e for e in model.effects if e not in errors)), fixed, model.axes)
-        model = replace(model, parameters=tuple(known.get(p.name, p) for p in model.parameters))
+        model = replace(model, parameters=tuple(stated_parameters.get(p.name, p) for p in model.parameters))
     own = tuple(p.name for name in OWN if name in chosen for p in CATALOGUE[name].parameters)
     if "psi" in states:
         turned = flights.channels | {"psi": jnp.asarray(heading(flights))}

@@ -40,7 +40,6 @@ from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.units import number
 
 
 class Pilot(NamedTuple):
@@ -104,15 +103,6 @@ _fly_one = eqx.filter_jit(_fly)
 _fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
 
 
-def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float, float]]) -> str | None:
-    """The first channel outside its range, in words; None where all are inside."""
-    for name, (lower, upper) in envelope.items():
-        x = flight[name]
-        if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
-            return f"{name} {number(x.min())} to {number(x.max())} (allowed {number(lower)} to {number(upper)})"
-    return None
-
-
 def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
     """Inputs of `Plant`."""
     n = pilot.alpha.shape[0]
@@ -150,11 +140,11 @@ def through_gusts(
         now, then, noise = row
         rate = 2.0 * system.decay(x, now)
         gained = system.noise_density(x, now) * jnp.where(rate > 0.0, -jnp.expm1(-rate * dt) / rate, dt)
-        found = system.motion(x, now)[1]
-        found |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
+        outputs_now = system.motion(x, now)[1]
+        outputs_now |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
         sound = jnp.all(jnp.isfinite(x)) & jnp.all((x >= lower) & (x <= upper))
         after = advance(system, x, now, then, dt, substeps) + jnp.sqrt(gained) * noise
-        return after, (jnp.stack([found[name] for name in outputs]), sound)
+        return after, (jnp.stack([outputs_now[name] for name in outputs]), sound)
 
     _, (made, sound) = jax.lax.scan(one_sample, start, (dict(inputs), later(inputs), white))
     return made, jnp.cumsum(~sound) == 0
@@ -243,12 +233,14 @@ def fly_rigid(
     start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
     fast = lag * float(aircraft.chord) / trim.state["airspeed"]
     parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, MAX_SUBSTEPS)) if lag > 0.0 else 1
-    found = _integrate(body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts)
-    flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
+    trajectory = _integrate(
+        body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts
+    )
+    flight = {name: np.asarray(x) for name, x in (inputs | trajectory.outputs).items()}
     flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
-    density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))
+    density, sound = (np.asarray(x) for x in air(trajectory.outputs["altitude"]))
     flight |= {"density": density, "mach": flight["airspeed"] / sound}
-    return {name: np.where(found.inside, x, np.nan) for name, x in flight.items()}
+    return {name: np.where(trajectory.inside, x, np.nan) for name, x in flight.items()}
 
 
 _integrate = eqx.filter_jit(integrate)

@@ -109,10 +109,10 @@ def segments(
             raise InputError(f"the initial state has {name}, which is no state of the model; there are {states}")
     rows, dts = [], []
     for number in range(len(flights.lengths)) if manoeuvres is None else manoeuvres:
-        own = np.flatnonzero(flights.manoeuvre == number)
-        dt = float(flights.channels["dt"][own[0]])
-        cuts = cuts_of(len(own), dt, window)
-        rows += [own[a:b] for a, b in zip(cuts, [*cuts[1:], len(own)], strict=True)]
+        samples = np.flatnonzero(flights.manoeuvre == number)
+        dt = float(flights.channels["dt"][samples[0]])
+        cuts = cuts_of(len(samples), dt, window)
+        rows += [samples[a:b] for a, b in zip(cuts, [*cuts[1:], len(samples)], strict=True)]
         dts += [dt] * len(cuts)
     longest = max(len(row) for row in rows)
     index = np.stack([np.append(row, np.full(longest - len(row), row[-1])) for row in rows])

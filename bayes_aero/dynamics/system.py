@@ -173,9 +173,9 @@ def _flight(system, start, inputs, *, dt, substeps, outputs, held):
     inside = jnp.cumsum(~sound) == 0
     last = x[jnp.maximum(jnp.sum(inside) - 1, 0)]
     x = jnp.where(inside[:, None], x, last)
-    found = jax.vmap(lambda x, u: motion(system, x, u)[1])(x, inputs)
-    found |= {name: x[:, i] for i, name in enumerate(system.states) if name in system.state_outputs}
-    return x, {name: found[name] for name in outputs}, inside
+    outputs_along = jax.vmap(lambda x, u: motion(system, x, u)[1])(x, inputs)
+    outputs_along |= {name: x[:, i] for i, name in enumerate(system.states) if name in system.state_outputs}
+    return x, {name: outputs_along[name] for name in outputs}, inside
 
 
 @_flight.def_jvp
@@ -333,8 +333,8 @@ def stage_points(
     system: Any, x: Float[Array, "w n s"], now: Channels, then: Channels, dt: Float[Array, " w"], substeps: int
 ) -> tuple[Float[Array, "m w n s"], Float[Array, "w n s"]]:
     """States at all m Runge-Kutta stages, all samples at once, and those a sample later; inputs (w, n)."""
-    one = lambda x, now, then, dt: _stages(system, x, now, then, dt, substeps, lambda point, _: point)  # noqa: E731
-    after, points = jax.vmap(jax.vmap(one, (0, 0, 0, None), (0, 1)), out_axes=(0, 1))(x, now, then, dt)
+    of_sample = lambda x, now, then, dt: _stages(system, x, now, then, dt, substeps, lambda point, _: point)  # noqa: E731
+    after, points = jax.vmap(jax.vmap(of_sample, (0, 0, 0, None), (0, 1)), out_axes=(0, 1))(x, now, then, dt)
     return points, after
 
 

@@ -111,11 +111,11 @@ def _balance(model: Model, values: Any, aircraft: Aircraft, airspeed: Any, altit
     controls = {name: share * (command + further) for name, share in zip(CONTROLS, shares, strict=True)}
     s = at_rest(alpha, airspeed, altitude) | {"thrust": thrust} | controls
     static = model.static_separation(values, s, aircraft)
-    known = model.flow(values, s, aircraft, X=jnp.where(model.lag(values) > 0.0, 1.0, static))
+    flow = model.flow(values, s, aircraft, X=jnp.where(model.lag(values) > 0.0, 1.0, static))
     pressure = 0.5 * s["density"] * jnp.square(s["airspeed"])
-    fx, fz = specific_force(known["CL"], known["CD"], alpha, pressure, thrust, aircraft)
-    pitching = moments(known, (fx, jnp.zeros_like(fx), fz), s, aircraft)[1]
-    return known["CL"], known["CD"], pitching / aircraft.Iy
+    fx, fz = specific_force(flow["CL"], flow["CD"], alpha, pressure, thrust, aircraft)
+    pitching = moments(flow, (fx, jnp.zeros_like(fx), fz), s, aircraft)[1]
+    return flow["CL"], flow["CD"], pitching / aircraft.Iy
 
 
 # --- Steady flight in six degrees of freedom: straight or turning, with sideslip, bank or unequal engines.
@@ -164,8 +164,8 @@ def control_signs(model: Model, values: Values, aircraft: Aircraft, airspeed: fl
     rest |= {"airspeed": jnp.asarray(airspeed), "density": jnp.ones(()), "mach": jnp.asarray(0.3)}
 
     def found(deflections):
-        known = model.flow(values, rest | deflections, aircraft, X=jnp.ones(()))
-        return {name: known[name] for name in MOMENTS}
+        flow = model.flow(values, rest | deflections, aircraft, X=jnp.ones(()))
+        return {name: flow[name] for name in MOMENTS}
 
     slopes = jax.jacfwd(found)({n: jnp.zeros(()) for n in (*CONTROLS, "aileron", "rudder")})
     chosen = {}
@@ -194,16 +194,16 @@ def rigid_trim(model: Model, values: Values, aircraft: Aircraft, condition: Cond
         if not (np.all(np.isfinite(imbalance)) and np.all(np.isfinite(slope))):
             break
         if np.max(np.abs(imbalance)) < TOLERANCE:
-            found = {n: float(x or 0.0) for n, x in attitude.items()}
-            found |= dict(zip(angles, map(float, unknown), strict=False))
+            attained = {n: float(x or 0.0) for n, x in attitude.items()}
+            attained |= dict(zip(angles, map(float, unknown), strict=False))
             deflections = dict(zip(controls, map(float, unknown[len(angles) + 1 :]), strict=True))
-            inside = all(abs(found[n]) < most for n, most in ANGLE_LIMITS.items())
+            inside = all(abs(attained[n]) < most for n, most in ANGLE_LIMITS.items())
             if not inside or any(abs(x) > MAX_DEFLECTION for x in deflections.values()):
                 break
-            down = down_of(np.float64(found["phi"]), np.float64(found["theta"]))
-            state = {n: found[n] for n in ("alpha", "beta", "phi", "theta")}
+            down = down_of(np.float64(attained["phi"]), np.float64(attained["theta"]))
+            state = {n: attained[n] for n in ("alpha", "beta", "phi", "theta")}
             state |= {"airspeed": condition.airspeed, "altitude": condition.altitude, "psi": 0.0}
-            state |= {n: found["turn_rate"] * float(x) for n, x in zip(RATES, down, strict=True)}
+            state |= {n: attained["turn_rate"] * float(x) for n, x in zip(RATES, down, strict=True)}
             return RigidTrim(state, deflections, float(unknown[len(angles)]) * float(aircraft.mass) * GRAVITY)
         step = -np.linalg.lstsq(slope, imbalance, rcond=1e-12)[0]
         unknown = unknown + step * min(1.0, MAX_STEP / max(np.max(np.abs(step)), 1e-12))
@@ -278,8 +278,8 @@ def steady_flow(
     signals |= {"alpha": alpha, "alpha_dot": jnp.full_like(alpha, alpha_dot)}
     values = model.values(theta)
     X = model.static_separation(values, signals, aircraft)
-    known = model.flow(values, signals, aircraft, X)
-    return {name: known[name] for name in ("X", "CL", "CD", "Cm")}
+    flow = model.flow(values, signals, aircraft, X)
+    return {name: flow[name] for name in ("X", "CL", "CD", "Cm")}
 
 
 # --- The simulated aircraft in three degrees of freedom: pilot, prescribed turn, and disturbances of the

@@ -212,14 +212,14 @@ def _scoped(effect: Effect) -> Effect:
 
 def _constants(aircraft: Aircraft, made: Callable[[str, Any], Any]) -> Aircraft:
     """An aircraft whose constants are `made` of their names and values; those of a position are NAME.0 to NAME.2."""
-    found = {}
+    constants = {}
     for f in fields(aircraft):
         value = getattr(aircraft, f.name)
         if isinstance(value, tuple):
-            found[f.name] = tuple(made(f"{f.name}.{i}", x) for i, x in enumerate(value))
+            constants[f.name] = tuple(made(f"{f.name}.{i}", x) for i, x in enumerate(value))
         else:
-            found[f.name] = None if value is None else made(f.name, value)
-    return Aircraft(**found)
+            constants[f.name] = None if value is None else made(f.name, value)
+    return Aircraft(**constants)
 
 
 # --- Sentences that every exported form has: origin, conventions, validity, what is left out.
@@ -374,15 +374,15 @@ def _table(name: str, rows: Mapping[str, float]) -> str:
 
 def _body(program: Program) -> str:
     """Assignments and the returned dict; what is read once stands where it is read, if the line stays short."""
-    known: dict[str, tuple[str, int]] = {}
+    signals: dict[str, tuple[str, int]] = {}
     for name in program.inputs:
         kind, own = name.split(".", 1)
         text = {"parameter": f"P[{json.dumps(own)}]", "aircraft": f"A[{json.dumps(own)}]"}.get(kind, own)
-        known[name] = text, 9
+        signals[name] = text, 9
     uses, lines, number = program.uses, [], 0
 
     def value(x: Operand) -> tuple[str, int]:
-        return known[x] if isinstance(x, str) else (repr(x), 9 if x >= 0.0 else 1)
+        return signals[x] if isinstance(x, str) else (repr(x), 9 if x >= 0.0 else 1)
 
     for step in program.steps:
         text, rank = _expression(step.operation, [value(x) for x in step.arguments])
@@ -390,7 +390,7 @@ def _body(program: Program) -> str:
             number += 1
             lines.append(f"    t{number} = {text}")
             text, rank = f"t{number}", 9
-        known[step.name] = (text, rank)
+        signals[step.name] = (text, rank)
     lines.append("    return {")
     lines += [f'        "{name}": {value(x)[0]},' for name, x in program.outputs.items()]
     return "\n".join([*lines, "    }", ""])

@@ -220,13 +220,13 @@ def aircraft_xml(found: Identified) -> str:
 
 def _inputs(found: Identified, program: Program) -> dict[str, Node]:
     """How each input of a program is read."""
-    known = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
-    known |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
-    known |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
+    inputs = {f"parameter.{n}": read(f"{PREFIX}/parameter/{n}") for n in program.inputs_of("parameter")}
+    inputs |= {f"aircraft.{n}": value(found.inputs[f"aircraft.{n}"]) for n in program.inputs_of("aircraft")}
+    inputs |= {f"state.{n}": read(f"{PREFIX}/state/{n}") for n in program.inputs_of("state")}
     for name in program.inputs_of("signal"):
         own, factor = PROPERTIES.get(name, (_signal(name), 1.0))
-        known[f"signal.{name}"] = read(own if factor == 1.0 else _signal(name))
-    return known
+        inputs[f"signal.{name}"] = read(own if factor == 1.0 else _signal(name))
+    return inputs
 
 
 def _signal(name: str) -> str:

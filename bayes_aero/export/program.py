@@ -70,13 +70,13 @@ class Program:
 
     def evaluated(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         """The outputs for numbers or arrays of inputs that broadcast."""
-        found: dict[str, Any] = dict(inputs)
+        values: dict[str, Any] = dict(inputs)
 
         def value(x: Operand) -> Any:
-            return found[x] if isinstance(x, str) else x
+            return values[x] if isinstance(x, str) else x
 
         for step in self.steps:
-            found[step.name] = OPERATIONS[step.operation](*(value(x) for x in step.arguments))
+            values[step.name] = OPERATIONS[step.operation](*(value(x) for x in step.arguments))
         return {name: value(x) for name, x in self.outputs.items()}
 
 
@@ -150,8 +150,8 @@ def translated(function: Callable[[Mapping[str, Any]], Mapping[str, Any]], input
 
     closed, shape = jax.make_jaxpr(listed, return_shape=True)(*given.values())
     builder = Builder()
-    found = _inside(closed.jaxpr, closed.consts, names, builder)
-    return builder.program(dict(zip(sorted(shape), found, strict=True)))
+    outputs = _inside(closed.jaxpr, closed.consts, names, builder)
+    return builder.program(dict(zip(sorted(shape), outputs, strict=True)))
 
 
 def _inside(jaxpr: Any, constants: Any, given: tuple[Operand, ...], builder: Builder) -> list[Operand]:

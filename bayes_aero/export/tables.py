@@ -100,8 +100,8 @@ def _only(model: Model, stage: Stage, increments: Any) -> Model:
     others = tuple(e for e in model.effects if e.stage is not stage)
     example = Example({}, {}, {"X": 0.0}, "stands for all effects of its stage")
     pattern = CATALOGUE["kirchhoff_lift"]
-    one = replace(pattern, name="given", stage=stage, increments=increments, uses=(), channels=(), example=example)
-    return replace(model, effects=(*others, one))
+    effect = replace(pattern, name="given", stage=stage, increments=increments, uses=(), channels=(), example=example)
+    return replace(model, effects=(*others, effect))
 
 
 def write_tables(found: Identified, folder: Path) -> tuple[str, ...]:

@@ -361,17 +361,17 @@ def _segments(table: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...]
 
 def _quantities(table: Mapping[str, Any], name: str, rule: str, where: str) -> dict[str, float]:
     """Quantities of channels, SI, none negative, and none zero where the `rule` is of what is positive."""
-    found = {key: parse_quantity(key, value, name, where) for key, value in table.items()}
-    for key, value in found.items():
+    quantities = {key: parse_quantity(key, value, name, where) for key, value in table.items()}
+    for key, value in quantities.items():
         if not (value > 0.0 or (value == 0.0 and not rule.endswith("positive"))):
             raise InputError(f"card {where}: [{name}] {key} is {table[key]!r}; {rule}")
-    return found
+    return quantities
 
 
 def _of_outputs(table: Mapping[str, Any], name: str, rule: str, where: str) -> tuple[dict[str, float], str]:
     """Positive quantities of outputs, and the `source` that is said once for all of them."""
-    found = _quantities({key: value for key, value in table.items() if key != "source"}, name, rule, where)
-    return found, str(table.get("source", "the card, no source stated"))
+    by_output = _quantities({key: value for key, value in table.items() if key != "source"}, name, rule, where)
+    return by_output, str(table.get("source", "the card, no source stated"))
 
 
 def _parameter(key: str, given: Any, where: str) -> CardParameter:
@@ -408,9 +408,9 @@ def _prior(given: Any, label: str) -> Prior:
 
 def channel_units(card: Card) -> dict[str, str]:
     """SI unit of every channel of the card, and of its sums, which are in the unit of their first part."""
-    known = {
+    units = {
         name: STANDARD_CHANNELS[name].unit for name in (*card.constants, *card.derived) if name in STANDARD_CHANNELS
     }
-    known |= {channel.name: channel.si for channel in card.channels}
-    known = {name: table.si for name, table in card.tables.items()} | known
-    return {ONE: "1", "thrust": "N"} | {name: known[next(iter(parts))] for name, parts in card.sums.items()} | known
+    units |= {channel.name: channel.si for channel in card.channels}
+    units = {name: table.si for name, table in card.tables.items()} | units
+    return {ONE: "1", "thrust": "N"} | {name: units[next(iter(parts))] for name, parts in card.sums.items()} | units

@@ -213,9 +213,9 @@ def refuse_no_body(aircraft: Aircraft, where: str) -> None:
     principal = np.linalg.eigvalsh([[Ix, -Ixy, -Ixz], [-Ixy, Iy, -Iyz], [-Ixz, -Iyz, Iz]])
     if principal[0] > 0.0 and principal[2] <= (1.0 + ROUNDED) * (principal[0] + principal[1]):
         return
-    told = ", ".join(f"{name} {value:g}" for name, value in given.items() if value)
+    stated = ", ".join(f"{name} {value:g}" for name, value in given.items() if value)
     raise InputError(
-        f"card {where}: [aircraft] no body has these moments of inertia ({told} kg m^2): the principal ones are "
+        f"card {where}: [aircraft] no body has these moments of inertia ({stated} kg m^2): the principal ones are "
         f"{', '.join(f'{x:.4g}' for x in principal)}, all must be positive and the largest at most the sum of the "
         "other two; correct them"
     )
@@ -266,7 +266,7 @@ def parse_sums(
 ) -> dict[str, dict[str, float]]:
     """[sums]: channels that are sums of others, each part with its factor; `formed` are [derived] and [tables]."""
     names = {channel.name for channel in channels} | set(constants) | set(formed)
-    found = {}
+    sums = {}
     for key, given in table.items():
         if key in constants:
             raise InputError(f"card {where}: {key} is both in [sums] and in [constants]; keep one of them")
@@ -280,8 +280,8 @@ def parse_sums(
         if missing:
             hint = like(missing[0], names)
             raise InputError(f"card {where}: [sums] {key} uses {missing[0]}, which [channels] does not map{hint}")
-        found[key] = parts
-    return found
+        sums[key] = parts
+    return sums
 
 
 def parse_quantity(key: str, value: Any, label: str, where: str) -> float:
@@ -433,8 +433,8 @@ class LinearCard:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Channels that it needs beside its states."""
-        found = dict.fromkeys(term.channel for _, row in self.rows for term in row)
-        return tuple(name for name in found if name != ONE and name not in self.states)
+        channels = dict.fromkeys(term.channel for _, row in self.rows for term in row)
+        return tuple(name for name in channels if name != ONE and name not in self.states)
 
 
 def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCard:
@@ -453,36 +453,36 @@ def parse_linear(table: Any, channels: Collection[str], where: str) -> LinearCar
         if name not in rates:
             raise InputError(f"card {where}: [linear.rates.{name}] is missing; every state needs its rate")
     _mapped(outputs, channels, f"{where}: [linear.outputs]")
-    found = LinearCard(
+    card = LinearCard(
         states=states,
         rates=tuple(_row(rates[name], channels, f"{where}: [linear.rates.{name}]") for name in states),
         outputs=tuple(outputs),
         readings=tuple(_row(row, channels, f"{where}: [linear.outputs.{name}]") for name, row in outputs.items()),
         fixed=tuple(numbers(table.get("fixed", {}), f"{where}: [linear] fixed").items()),
     )
-    for name, row in zip(found.outputs, found.readings, strict=True):
+    for name, row in zip(card.outputs, card.readings, strict=True):
         if name in states and any(term.channel != ONE for term in row):
             raise InputError(
                 f"card {where}: [linear.outputs.{name}] is a state, which is an output already; it may only have a "
                 'bias, by = "1"'
             )
-    delays, fixed = section(table, "delays", where), dict(found.fixed)
-    known_keys(delays, (*found.states, *found.outputs), where, "output of [linear.delays]")
+    delays, fixed = section(table, "delays", where), dict(card.fixed)
+    known_keys(delays, (*card.states, *card.outputs), where, "output of [linear.delays]")
     for output, parameter in delays.items():
-        if not isinstance(parameter, str) or parameter in found.parameters:
+        if not isinstance(parameter, str) or parameter in card.parameters:
             raise InputError(f"card {where}: [linear.delays] {output} must be the name of a parameter of no row")
-    own = _by_manoeuvre(table.get("by_manoeuvre", []), found, where)
-    found = replace(found, delays=tuple(delays.items()), by_manoeuvre=own)
-    if both := [name for name in own if name in fixed]:
+    by_manoeuvre = _by_manoeuvre(table.get("by_manoeuvre", []), card, where)
+    card = replace(card, delays=tuple(delays.items()), by_manoeuvre=by_manoeuvre)
+    if both := [name for name in by_manoeuvre if name in fixed]:
         raise InputError(
             f"card {where}: [linear] {both[0]} is fixed and differs between manoeuvres; drop one of the two"
         )
-    for name, _ in found.fixed:
-        if name not in found.parameters:
+    for name, _ in card.fixed:
+        if name not in card.parameters:
             raise InputError(
                 f"card {where}: [linear.fixed] {name} is a parameter of no row; drop it or correct its name"
             )
-    return found
+    return card
 
 
 def _by_manoeuvre(given: Any, found: LinearCard, where: str) -> tuple[str, ...]:

@@ -98,9 +98,9 @@ def several_rates(record: FlightRecord, name: str) -> str:
     there = np.flatnonzero(np.isfinite(record[name]))
     if len(there) < SLOWEST or len(there) > FEWER * record.n or (np.diff(record.time) <= 0.0).any():
         return ""
-    own = np.diff(record.time[there])
-    step = float(np.median(own))
-    if np.mean(np.abs(own - step) <= 0.5 * step) < REGULAR:
+    steps = np.diff(record.time[there])
+    step = float(np.median(steps))
+    if np.mean(np.abs(steps - step) <= 0.5 * step) < REGULAR:
         return ""
     fastest = sampling_step(record)
     return (
@@ -183,8 +183,8 @@ def evenly_sampled(record: FlightRecord, _card: Card, even: bool) -> str:
 
 
 def plausible(record: FlightRecord, card: Card, _even: bool) -> str:
-    known = (STANDARD_CHANNELS[name] for name in record.names if name in STANDARD_CHANNELS)
-    return next((why for one in known if (why := implausible(record, one, card.get(one.name)))), "")
+    standard = (STANDARD_CHANNELS[name] for name in record.names if name in STANDARD_CHANNELS)
+    return next((why for one in standard if (why := implausible(record, one, card.get(one.name)))), "")
 
 
 def positive(record: FlightRecord, _card: Card, _even: bool) -> str:

@@ -272,37 +272,37 @@ def read_raw(path: str | os.PathLike[str]) -> RawFile:
             for number, heading in headings.items()
             if not set(heading.names) & set(repeated) and (heading.names or heading.column is not None)
         }
-        found = _numeric(opened, places)
+        numbers = _numeric(opened, places)
     except InputError as reason:
         raise InputError(f"{os.fspath(path)}: {reason}") from reason
     columns = []
     for number, heading in places.items():
-        column = found.get(number, FileColumn(np.empty(0)))
-        if number in found and not heading.names and not np.isfinite(column.values).any():
+        column = numbers.get(number, FileColumn(np.empty(0)))
+        if number in numbers and not heading.names and not np.isfinite(column.values).any():
             continue  # what follows a separator too many
         at = heading.column if heading.column is not None else int(number)
         label = heading.names[0] if heading.names and not heading.formed else None
-        columns.append(RawColumn(label, at, column.values if number in found else None, column.unit, heading))
+        columns.append(RawColumn(label, at, column.values if number in numbers else None, column.unit, heading))
     return RawFile(tuple(columns), repeated, tuple(opened.remarks))
 
 
 def _numeric(opened: OpenedFile, places: Mapping[str, Heading]) -> dict[str, FileColumn]:
     """All columns at once; where one is no numbers, each half on its own, so that only it is lost. When `PATIENCE` is
     over, whatever has not been read is taken for no numbers."""
-    found: dict[str, FileColumn] = {}
+    numbers: dict[str, FileColumn] = {}
     failure = InputError("it holds no column of numbers; is it the right file?")
     left = deque([list(places.items())])
     began = time.monotonic()
     while left and time.monotonic() - began < PATIENCE:
         some = left.popleft()
         try:
-            found |= opened.read(dict(some))
+            numbers |= opened.read(dict(some))
         except InputError as reason:
             failure, half = reason, len(some) // 2
             left.extend([some[:half], some[half:]] if half else [])
-    if not found:
+    if not numbers:
         raise failure from None
-    return found
+    return numbers
 
 
 # --- Samples that a recorder wrote twice.
@@ -412,13 +412,13 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
                 values[channel.name] = in_si(channel, FileColumn(column.values, column.unit), column.heading)
             except InputError as reason:
                 problems.append(str(reason))
-    looked, record, own, remarks = None, None, slice(None), raw.remarks
+    looked, record, inside, remarks = None, None, slice(None), raw.remarks
     if "time" in values:
         same = {name: x for name, x in values.items() if len(x) == len(values["time"])}
         looked = without_repeats(FlightRecord(Path(path).stem, values["time"], same, os.fspath(path), ""))
         remarks += looked.remarks
         try:
-            own = samples_of(looked.time, segment)
+            inside = samples_of(looked.time, segment)
             looked = cut(looked, segment)
             kept = without_bad_options(looked, card.channels, blanks=resample is not None)
             problems += failures(kept, even=resample is None, channels=card.channels)
@@ -438,7 +438,7 @@ def inspect_record(path: str | os.PathLike[str], card: Card, *, resample: float 
     for channel, column in found.items():
         if column is None or column.values is None or channel.name not in values:
             continue
-        sound = column.values[own][np.isfinite(column.values[own])]
+        sound = column.values[inside][np.isfinite(column.values[inside])]
         low, high = (float(sound.min()), float(sound.max())) if len(sound) else (float("nan"), float("nan"))
         where = channel.name, column.place, channel.unit, channel.si, channel.sign
         reports.append(ChannelReport(*where, low, high, low < high))

@@ -164,8 +164,8 @@ class FlightRecord:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and records are sent to worker processes.
-        told = self.source, self.sha256, dict(self.dropped), self.remarks, dict(self.read)
-        return FlightRecord, (self.name, self.time, dict(self.channels), *told)
+        state = self.source, self.sha256, dict(self.dropped), self.remarks, dict(self.read)
+        return FlightRecord, (self.name, self.time, dict(self.channels), *state)
 
 
 # --- How far a simulation may be from flight: bands by output, each with its source. A card may replace them.
@@ -254,8 +254,8 @@ def cut(record: FlightRecord, segment: Segment) -> FlightRecord:
     """The part of a record, with the file's own time; raises as `samples_of`."""
     if segment.whole:
         return record
-    own = samples_of(record.time, segment)
-    return replace(record, time=record.time[own], channels={name: x[own] for name, x in record.channels.items()})
+    inside = samples_of(record.time, segment)
+    return replace(record, time=record.time[inside], channels={name: x[inside] for name, x in record.channels.items()})
 
 
 def samples_of(time: np.ndarray, segment: Segment) -> slice:
@@ -304,25 +304,25 @@ def expanded(
 ) -> list[Path]:
     """The manoeuvres that records stand for: what a card has `stated` of a file of that name, else its parts between
     gaps, if `times` has the (n,) time in s of each whole file by its path. A path with a part stands for that alone."""
-    found: list[Path] = []
+    segments: list[Path] = []
     for path in paths:
         text = os.fspath(path)
         segment = segment_of(text)
-        own = stated.get(segment.file.name, ()) if segment.whole else ()
-        if own:
-            found += [Path(f"{text}@{part}") for part in own]
+        parts_of_file = stated.get(segment.file.name, ()) if segment.whole else ()
+        if parts_of_file:
+            segments += [Path(f"{text}@{part}") for part in parts_of_file]
         elif segment.whole and times is not None:
             time, all_parts = times[text], parts_of(times[text])
             long = [(k, a, b) for k, (a, b) in enumerate(all_parts, 1) if b - a >= SHORTEST]
             if len(all_parts) == 1:
-                found.append(Path(text))
+                segments.append(Path(text))
             elif (np.diff(time) <= 0.0).any():
-                found += [Path(f"{text}@#{k}") for k, _, _ in long]
+                segments += [Path(f"{text}@#{k}") for k, _, _ in long]
             else:
-                found += [Path(f"{text}@{time[a]:.15g}:{time[b - 1]:.15g}") for _, a, b in long]
+                segments += [Path(f"{text}@{time[a]:.15g}:{time[b - 1]:.15g}") for _, a, b in long]
         else:
-            found.append(Path(text))
-    return found
+            segments.append(Path(text))
+    return segments
 
 
 # --- Write flight records to files that `readers.read_record` reads.

@@ -121,8 +121,8 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
         "log_likelihood": {"all": likelihood},
     }
     both = azb.from_dict(groups)
-    found = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
-    rows = {name: {part: float(found[part][name]) for part in found} for name in density.names}
+    sensitivity = {part: azs.psense(both, group=part) for part in ("prior", "likelihood")}
+    rows = {name: {part: float(sensitivity[part][name]) for part in sensitivity} for name in density.names}
     table = pd.DataFrame.from_dict(rows, orient="index")
     by = {(False, True): Dependence.DATA, (True, True): Dependence.BOTH, (True, False): Dependence.PRIOR}
     decided = (tuple(row >= SENSITIVITY_LIMIT) for row in table.to_numpy())
@@ -132,8 +132,8 @@ def prior_sensitivity(density: LogDensity, posterior: Posterior) -> pd.DataFrame
 
 @eqx.filter_jit
 def _prior_and_likelihood(density: LogDensity, x: Float[Array, "chain draw k"]) -> tuple[Array, Array]:
-    one = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
-    return jax.lax.map(lambda chain: jax.lax.map(one, chain), x)
+    terms = lambda row: (density.log_prior(row), density.log_likelihood(row))  # noqa: E731
+    return jax.lax.map(lambda chain: jax.lax.map(terms, chain), x)
 
 
 # --- Whether a filter's one-step predictions are calibrated: shares of innovations inside predictive intervals.
@@ -256,8 +256,8 @@ def stall_of(model: Model, draws: Float[np.ndarray, "m k"], signals: Mapping[str
     rates = np.array([min(low, 0.0), 0.0, max(high, 0.0)])
     reference = conditions(signals)
     held = {name: jnp.asarray(value) for name, value in reference.items()}
-    found = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
-    X, CL, CD = (np.asarray(found[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
+    flows = _flows(model, jnp.asarray(thin), jnp.asarray(alpha), jnp.asarray(rates), held, aircraft)
+    X, CL, CD = (np.asarray(flows[name]) for name in ("X", "CL", "CD"))  # (m, rates, angles)
     steady, drag = CL[:, 1], CD[:, 1]
     peak, place, edge = maxima(alpha, steady)
     return Stall(

@@ -90,16 +90,16 @@ class _Point:
             forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
             rows.append((backward - forward) / (2.0 * size))
         H = (np.array(rows) + np.array(rows).T) / 2.0
-        known = np.isfinite(H).all(axis=1)
-        if not known.all():  # no density nearby in that direction: the largest curvature is taken
-            largest = np.abs(np.diag(H)[known]).max(initial=1.0)
-            H = np.where(np.outer(known, known), H, np.diag(np.where(known, 0.0, largest)))
-        own = np.abs(np.diag(H))
-        scale = np.sqrt(np.maximum(own, MIN_RELATIVE_CURVATURE**2 * own.max()))
+        finite = np.isfinite(H).all(axis=1)
+        if not finite.all():  # no density nearby in that direction: the largest curvature is taken
+            largest = np.abs(np.diag(H)[finite]).max(initial=1.0)
+            H = np.where(np.outer(finite, finite), H, np.diag(np.where(finite, 0.0, largest)))
+        curvature = np.abs(np.diag(H))
+        scale = np.sqrt(np.maximum(curvature, MIN_RELATIVE_CURVATURE**2 * curvature.max()))
         eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
         floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
         covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
-        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
+        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(finite.all() and eigenvalues[0] > floor)
 
     def climb(self, factor: np.ndarray) -> _Point:
         """Where L-BFGS leads on coordinates scaled by `factor`."""
@@ -109,8 +109,8 @@ class _Point:
             return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
 
         begin = np.zeros(len(self.u))
-        found = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
-        return _Point(self.density, self.u + factor @ found.x)
+        climbed = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+        return _Point(self.density, self.u + factor @ climbed.x)
 
 
 def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
@@ -173,18 +173,18 @@ def search_modes(
     # sought before. Fewer draws are used where there are many `samples`.
     count = max(MIN_DRAWS, min(draws, MAX_SAMPLES_TIMES_DRAWS // max(samples, 1)))
     others = density.sample_prior(np.random.default_rng([seed, 9]), count)
-    found = [find_mode(density, x) for x in (start, *others)]
-    positive_definite = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
+    modes = [find_mode(density, x) for x in (start, *others)]
+    positive_definite = [mode for mode in modes if mode.status is ModeStatus.CONVERGED]
     if not positive_definite:
-        return max(found, key=lambda mode: mode.log_density)
+        return max(modes, key=lambda mode: mode.log_density)
     distinct: list[PosteriorMode] = []
     for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
         if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
             distinct.append(mode)
     mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
-    difference = abs(found[0].log_density - distinct[0].log_density)
-    same = found[0].status is ModeStatus.CONVERGED and difference <= SAME_LOG_DENSITY
-    return replace(found[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
+    difference = abs(modes[0].log_density - distinct[0].log_density)
+    same = modes[0].status is ModeStatus.CONVERGED and difference <= SAME_LOG_DENSITY
+    return replace(modes[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
 
 
 def other_modes(mode: PosteriorMode, where: str) -> tuple[str, ...]:
@@ -376,13 +376,13 @@ def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -
     """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
     dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})["posterior"].dataset
     ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
-    found = {}
+    marginals = {}
     for i, name in enumerate(names):
         flat = draws[..., i].ravel()
         low, high = np.quantile(flat, [0.025, 0.975])
-        own = float(flat.mean()), float(flat.std(ddof=1)), (float(low), float(high))
-        found[name] = Marginal(*own, *(float(x[name]) for x in (ess, tail, rhat)))
-    return found
+        moments = float(flat.mean()), float(flat.std(ddof=1)), (float(low), float(high))
+        marginals[name] = Marginal(*moments, *(float(x[name]) for x in (ess, tail, rhat)))
+    return marginals
 
 
 def converged(marginals: dict[str, Marginal]) -> bool:

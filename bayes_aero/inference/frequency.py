@@ -27,7 +27,7 @@ from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
-from bayes_aero.inference.mle import PAIRS
+from bayes_aero.inference.mle import noise_bias, scaled_inverse
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
@@ -49,7 +49,6 @@ REWEIGHTED = 5  # solutions with renewed variances at one point
 TOLERANCE = 1e-4  # gain in log likelihood of one more step: 0.014 standard errors
 UNSEEN = 1e-6  # information over that of the prior below which the band does not show a parameter
 MIN_SHARE = 0.01  # of the variance in the band: least variance of a difference from the time domain
-SINGULAR = 1e-11  # smallest eigenvalue of the information scaled to unit diagonal
 
 
 class BandStep(NamedTuple):
@@ -80,38 +79,36 @@ def fit_in_band(
     information = np.einsum("mck,mck,c->k", S, S, 1.0 / np.maximum(np.mean(np.square(residual), axis=0), EXACT))
     free = np.flatnonzero(information * np.square([p.prior.normal[1] for p in parameters]) > UNSEEN)
     offsets, converged, at_bound = responses.offsets(theta, outputs), False, []
-    found = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
+    solution = solve(residual, np.concatenate([S[:, :, free], offsets], axis=2))
     for _ in range(MAX_ITERATIONS):
-        step = found.step[: len(free)]
+        step = solution.step[: len(free)]
         outward = ((theta[free] <= lower[free]) & (step < 0.0)) | ((theta[free] >= upper[free]) & (step > 0.0))
         if outward.any():  # held there from now on
-            at_bound += list(free[outward])
-            free = free[~outward]
-            found = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
+            at_bound, free = [*at_bound, *free[outward]], free[~outward]
+            solution = solve(residual, np.concatenate([responses.linearise(theta, free)[1], offsets], axis=2))
             continue
         before = solve(residual, offsets).cost
-        converged = before - found.cost < TOLERANCE
-        if converged:
+        if converged := before - solution.cost < TOLERANCE:
             break
-        responses = responses.moved(found.step[len(free) :])
+        responses = responses.moved(solution.step[len(free) :])
         for share in (1.0, 0.5, 0.25, 0.125, 0.03):
             trial = theta.copy()
             trial[free] = np.clip(theta[free] + share * step, lower[free], upper[free])
             changed, S_free = responses.linearise(trial, free)
-            own = responses.offsets(trial, outputs)
-            if solve(changed, own).cost < before:
+            trial_offsets = responses.offsets(trial, outputs)
+            if solve(changed, trial_offsets).cost < before:
                 break
         else:
             converged = True  # rounding: no step lowers the cost
             break
-        theta, residual, offsets = trial, changed, own
-        found = solve(residual, np.concatenate([S_free, offsets], axis=2))
+        theta, residual, offsets = trial, changed, trial_offsets
+        solution = solve(residual, np.concatenate([S_free, offsets], axis=2))
     S = np.concatenate([responses.linearise(theta, free)[1], responses.offsets(theta, outputs)], axis=2)
     m, k = len(S), len(free)
-    R, D = cramer_rao(S, found.R)
+    R, D = cramer_rao(S, solution.R)
     corrected, regular = D, bool(np.all(np.isfinite(D)))
     if regular:  # each part of a line stands alone: the transform has whitened them, and only their sizes differ
-        corrected, _ = robust_covariance(D, S, R, found.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
+        corrected, _ = robust_covariance(D, S, R, solution.left, responses.manoeuvre, np.ones(m, bool), BLOCK)
     return FrequencyFit(
         method=method,
         band=(float(band[0]), float(band[1])),
@@ -151,11 +148,7 @@ def cramer_rao(
     used = np.array([np.count_nonzero(np.any(S[:, c] != 0.0, axis=0)) for c in range(S.shape[1])])
     R = R * m / np.maximum(m - used, 1)
     A = np.einsum("mck,mcl,c->kl", S, S, 1.0 / R)
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    scaled = A / np.outer(scale, scale)
-    if not (len(A) and np.all(m > used) and np.linalg.eigvalsh(scaled)[0] > SINGULAR):
-        return R, np.full_like(A, np.nan)
-    return R, np.linalg.inv(scaled) / np.outer(scale, scale)
+    return R, scaled_inverse(A)[0] if len(A) and np.all(m > used) else np.full_like(A, np.nan)
 
 
 def without_noise_bias_in_band(
@@ -165,23 +158,27 @@ def without_noise_bias_in_band(
     # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if not fit.converged:
         return fit
-    flights, rng, moves = responses.flights, np.random.default_rng(seed), []
+    flights, rng = responses.flights, np.random.default_rng(seed)
     values = dict(zip(fit.names, fit.estimate, strict=True))
     start = np.array([values.get(p.name, p.start) for p in parameters])
-    for _ in range(PAIRS):
+
+    def draw() -> dict[str, np.ndarray]:
         noise = {}
         for name in flights.recorded:
             parts = np.split(np.asarray(flights.channels[name], float), np.cumsum(flights.lengths)[:-1])
             noise[name] = np.concatenate([noise_of(x) * rng.standard_normal(len(x)) for x in parts])
-        for sign in (1.0, -1.0):
-            noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
-            moved = responses.with_channels(noisier)
-            assert isinstance(moved, InBand)
-            found = fit_in_band(moved, parameters, start, fit.band, fit.method)
-            if not found.converged or found.names != fit.names:
-                return fit
-            moves.append(found.estimate - fit.estimate)
-    bias = np.mean(moves, axis=0)
+        return noise
+
+    def refit(noise: dict[str, np.ndarray], sign: float) -> np.ndarray | None:
+        noisier = {n: x + sign * noise[n] if n in noise else x for n, x in flights.channels.items()}
+        moved = responses.with_channels(noisier)
+        assert isinstance(moved, InBand)
+        again = fit_in_band(moved, parameters, start, fit.band, fit.method)
+        return again.estimate if again.converged and again.names == fit.names else None
+
+    bias = noise_bias(fit.estimate, draw, refit)
+    if bias is None:
+        return fit
     return replace(fit, estimate=fit.estimate - bias, bias=bias, corrected=fit.corrected + np.outer(bias, bias))
 
 
@@ -223,8 +220,8 @@ def linear_in_band(
     assert isinstance(bare, LinearDynamics)
     start = np.array([p.start for p in bare.free])
     first = fit_in_band(LinearFrequencyError.in_band(flights, bare, band), bare.free, start, band)
-    found = dict(zip(first.names, first.estimate, strict=True))
-    start = np.array([found.get(p.name, p.start) for p in bare.free])
+    estimates = dict(zip(first.names, first.estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in bare.free])
     whole = LinearFrequencyOutputError.in_band(flights, bare, band)
     second = fit_in_band(whole, bare.free, start, band, OUTPUT_ERROR)
     responses = frequency_responses(flights, bare, second) if second.converged else ()
@@ -306,8 +303,8 @@ def _measured(
     power = np.real(np.einsum("foo->fo", S[:, k:, k:]))
     left = np.maximum(power - explained, 0.0)  # its mean over the independent segments, of which inputs take k
     segments = sum(2.0 * n / size - 1.0 for n in flights.lengths)
-    own = np.real(np.einsum("fii->fi", inverse))
-    error = np.sqrt(left[:, :, None] * own[:, None, :] / max(segments - k, 1.0))
+    power_share = np.real(np.einsum("fii->fi", inverse))
+    error = np.sqrt(left[:, :, None] * power_share[:, None, :] / max(segments - k, 1.0))
     return frequency, H, error, np.clip(explained / np.maximum(power, tiny), 0.0, 1.0)
 
 

@@ -6,11 +6,10 @@ covariance R re-estimated in every iteration, so the cost is det R and the infor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +21,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import robust_covariance
+from bayes_aero.inference.optimise import Evaluation, Rule, at_bounds, minimise, newton_gain, truncated_step
 from bayes_aero.inference.results import MleResult, MleStatus, active_bounds, prior_conflicts
 from bayes_aero.inference.scores import score
 from bayes_aero.model.model import Model
@@ -65,44 +65,47 @@ class _Descent:
         return not bool(np.any(self.active & breaks) or np.ptp(X) < MIN_X_RANGE)
 
 
-def solve(A: np.ndarray, g: np.ndarray, damping: float) -> np.ndarray:
-    """(A + damping diag A)^-1 g with unit-diagonal scaling; least squares where A is singular."""
-    size, tiny = np.diag(A), np.finfo(float).tiny
-    # A diagonal element lost to rounding (unstable flight) is replaced by the largest, so that its row stays finite.
-    scale = np.sqrt(np.where(size > 0.0, np.maximum(size, tiny), np.max(size, initial=tiny)))
-    scaled = A / np.outer(scale, scale) + damping * np.eye(len(g))
-    return np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
+class _Coefficients:
+    """The cost of a model's coefficients as a `Problem`, from the end of full steps; the last point is kept."""
+
+    def __init__(self, data: Data, start: Float[np.ndarray, " k"]) -> None:
+        self.data, self.bounds = data, np.array([p.bounds for p in data.model.free], float).reshape(-1, 2)
+        self.moving, self.step_limit = np.ones(len(start), bool), np.full(len(start), np.inf)
+        self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
+
+    def _steps(self, theta: Float[np.ndarray, " k"], most: int) -> GaussNewtonPoint:
+        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
+
+    def cost(self, point: Float[np.ndarray, " k"]) -> float:
+        """The cost at a point."""
+        self.tried = self.point if point is self.point.theta else self._steps(point, 0)
+        return self.tried.cost
+
+    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
+        """Cost, gradient and information at the point that was tried last."""
+        if point is not self.point.theta:
+            self.point = self.tried
+        return Evaluation(self.point.cost, -self.point.gradient, self.point.information)
+
+
+SHARES_AND_DAMPINGS = (*((share, 0.0) for share in (1.0, 0.5, 0.25, 0.125)), *((1.0, 10.0**k) for k in range(-3, 6)))
+RULE = Rule(
+    step=truncated_step,
+    gain=newton_gain,
+    trials=lambda _: SHARES_AND_DAMPINGS,
+    after=lambda *_: 0.0,
+    last=1e-5,
+    max_steps=MAX_ITERATIONS,
+)
 
 
 def descend(model: Model, observations: Observations, start: Float[np.ndarray, " k"]) -> _Descent:
     """Gauss-Newton from one start: full step, halved steps, then Levenberg-Marquardt; bounds by an active set."""
     # Full steps run compiled as long as they lower the cost and stay inside the bounds; the remaining steps run here.
-    data = data_of(model, observations)
-    lower, upper = (np.array([p.bounds[i] for p in model.free]) for i in (0, 1))
-    point = full_steps(data, np.clip(start, lower, upper), lower, upper, TOLERANCE, MAX_ITERATIONS)
-    active = np.zeros(len(start), bool)
-    for iteration in range(point.steps + 1, MAX_ITERATIONS + 1):
-        theta, A, g = point.theta, point.information, point.gradient
-        if not (np.isfinite(point.cost) and np.all(np.isfinite(A))):
-            return _Descent(point, False, iteration, active)
-        active = ((theta <= lower) & (g < 0.0)) | ((theta >= upper) & (g > 0.0))
-        free = np.flatnonzero(~active)
-        newton = solve(A[np.ix_(free, free)], g[free], 0.0)
-        gain = 0.5 * newton @ g[free]
-        if gain < TOLERANCE:
-            return _Descent(point, True, iteration, active)
-        steps = (newton * size for size in (1.0, 0.5, 0.25, 0.125))
-        damped = (solve(A[np.ix_(free, free)], g[free], 10.0**k) for k in range(-3, 6))
-        for step in chain(steps, damped):
-            trial = theta.copy()
-            trial[free] = np.clip(theta[free] + step, lower[free], upper[free])
-            found = full_steps(data, trial, lower, upper, TOLERANCE, 0)
-            if found.cost < point.cost:
-                break
-        else:
-            return _Descent(point, bool(gain < 1e-5), iteration, active)
-        point = found
-    return _Descent(point, False, MAX_ITERATIONS, active)
+    problem = _Coefficients(data_of(model, observations), start)
+    first = problem.point
+    theta, at, converged, steps = minimise(problem, first.theta, problem.evaluate, TOLERANCE, RULE, steps=first.steps)
+    return _Descent(problem.point, converged, steps, at_bounds(problem, theta, at.gradient))
 
 
 def fit_mle(
@@ -132,18 +135,25 @@ def fit_mle(
     return _result(data, observations, min(usable, key=lambda run: run.cost), any(regular), table)
 
 
+def scaled_inverse(A: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """The inverse of an information or covariance, NaN where it is singular; eigenvalues of A scaled to unit
+    diagonal."""
+    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    scaled = A / np.outer(scale, scale)
+    eigenvalues = np.linalg.eigvalsh(scaled)
+    if not np.all(eigenvalues > SINGULAR):
+        return np.full_like(A, np.nan), eigenvalues
+    return np.linalg.inv(scaled) / np.outer(scale, scale), eigenvalues
+
+
 def _result(
     data: Data, observations: Observations, best: _Descent, regular: bool, table: tuple[tuple[float, str], ...]
 ) -> MleResult:
     model, theta, R, A = data.model, best.theta, best.point.R, best.point.information
     residual, S, X = map(np.asarray, evaluate(data, jnp.asarray(theta)))
     measured = np.asarray(observations.measured)
-    scale = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
-    eigenvalues = np.linalg.eigvalsh(A / np.outer(scale, scale))
+    inverse, eigenvalues = scaled_inverse(A)
     singular = not eigenvalues[0] > SINGULAR
-    inverse = np.full_like(A, np.nan)
-    if not singular:
-        inverse = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
     start = np.asarray(observations.start)
     corrected, blocks = robust_covariance(inverse, S, R, residual, observations.manoeuvre, start, observations.dt)
     sd = np.sqrt(np.diag(corrected))
@@ -190,6 +200,21 @@ def fit_each_manoeuvre(model: Model, observations: Observations, *, seed: int = 
 PAIRS = 5  # of records with the same noise added and subtracted, so that the linear part cancels
 
 
+def noise_bias(
+    estimate: Float[np.ndarray, " k"], draw: Callable[[], Any], refit: Callable[[Any, float], np.ndarray | None]
+) -> Float[np.ndarray, " k"] | None:
+    """Mean change of an estimate by noise: `refit` adds a `draw` of it, times a sign. None where a fit fails."""
+    moves = []
+    for _ in range(PAIRS):
+        noise = draw()
+        for sign in (1.0, -1.0):
+            moved = refit(noise, sign)
+            if moved is None:
+                return None
+            moves.append(moved - estimate)
+    return np.mean(moves, axis=0)
+
+
 def without_noise_bias(
     mle: MleResult, records: Sequence[FlightRecord], card: Card, model: Model, *, seed: int = 0
 ) -> MleResult:
@@ -201,23 +226,26 @@ def without_noise_bias(
     # Source: simulation extrapolation (SIMEX), Cook and Stefanski, J. Am. Stat. Assoc. 89 (1994) 1314.
     if mle.status is not MleStatus.CONVERGED:
         return mle
-    moves, rng = [], np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     sizes = [{name: noise_of(x) for name, x in record.channels.items()} for record in records]
-    for _ in range(PAIRS):
-        noise = [
-            {name: sd * rng.standard_normal(record.n) for name, sd in own.items() if sd > 0.0}
-            for record, own in zip(records, sizes, strict=True)
+
+    def draw() -> list[dict[str, np.ndarray]]:
+        return [
+            {name: sd * rng.standard_normal(record.n) for name, sd in of_record.items() if sd > 0.0}
+            for record, of_record in zip(records, sizes, strict=True)
         ]
-        for sign in (1.0, -1.0):
-            noisier = [
-                replace(record, channels={**record.channels, **{n: record[n] + sign * x for n, x in own.items()}})
-                for record, own in zip(records, noise, strict=True)
-            ]
-            found = descend(model, observe(noisier, card, model, Forming.MATCHED), mle.estimate)
-            if not found.converged or found.active.any():
-                return mle
-            moves.append(found.theta - mle.estimate)
-    bias = np.mean(moves, axis=0)
+
+    def refit(noise: list[dict[str, np.ndarray]], sign: float) -> np.ndarray | None:
+        noisier = [
+            replace(record, channels={**record.channels, **{n: record[n] + sign * x for n, x in added.items()}})
+            for record, added in zip(records, noise, strict=True)
+        ]
+        fit = descend(model, observe(noisier, card, model, Forming.MATCHED), mle.estimate)
+        return fit.theta if fit.converged and not fit.active.any() else None
+
+    bias = noise_bias(mle.estimate, draw, refit)
+    if bias is None:
+        return mle
     bounds = np.array([p.bounds for p in model.free]).T
     estimate = np.clip(mle.estimate - bias, *bounds)
     return replace(mle, estimate=estimate, bias=bias, corrected=mle.corrected + np.outer(bias, bias))

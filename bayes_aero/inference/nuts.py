@@ -219,10 +219,10 @@ class InnovationsDensity(LogDensity):
     def parameters(self) -> tuple[Parameter, ...]:
         """Of the dynamics, of the process noise, of the measurement noise."""
         dynamics = self.flown.dynamics
-        own = []
+        motion = []
         for p in dynamics.free:
             intensity = p.name in dynamics.disturbance_parameters and p.prior.family == "halfnormal"
-            own.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
+            motion.append(p.changed(knee=KNEE_OF_INTENSITY * p.prior.scale) if intensity else p)  # it may reach zero
         process = [
             _noise(f"F_{name}", f"process noise of {name}, in its unit per square root of a second", x, KNEE_OF_PROCESS)
             for name, x in zip(dynamics.states, self.process, strict=True)
@@ -232,7 +232,7 @@ class InnovationsDensity(LogDensity):
             _noise(f"sigma_{name}", f"standard deviation of the noise of {name}", x, KNEE_OF_MEASUREMENT)
             for name, x in zip(self.flown.outputs, self.measurement, strict=True)
         ]
-        return (*own, *process, *measurement)
+        return (*motion, *process, *measurement)
 
     @property
     def disturbed(self) -> Int[np.ndarray, " f"]:

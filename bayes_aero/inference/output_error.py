@@ -19,13 +19,21 @@ from scipy.optimize import minimize_scalar
 
 from bayes_aero.dynamics.flight import EffectDynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, Simulated, simulate
-from bayes_aero.inference.mle import solve
+from bayes_aero.inference.optimise import (
+    MAX_TRIALS,
+    Evaluation,
+    Rule,
+    at_bounds,
+    minimise,
+    newton_gain,
+    truncated_step,
+)
 from bayes_aero.inference.output_error_result import (
-    TINY,
     NormalEquations,
     NormalPriors,
     OutputErrorResult,
     OutputErrorStatus,
+    Point,
     reduced_equations,
     result_at,
 )
@@ -58,6 +66,43 @@ def one_by_one(
     return shown, {row: trajectories(wide.part([row]), theta, departure[row : row + 1]) for row in rows}
 
 
+class _Trajectories:
+    """Minus the log posterior density of the parameters as a `Problem`, with initial states at their optimum; the last
+    point is kept."""
+
+    def __init__(self, equations: NormalEquations, point: Point, bounds: Float[np.ndarray, "k 2"], moving: np.ndarray):
+        self.equations, self.point, self.tried = equations, point, point
+        self.bounds, self.moving, self.step_limit = bounds, moving, np.full(len(bounds), np.inf)
+
+    def cost(self, point: Float[np.ndarray, " k"]) -> float:
+        """The cost at a point."""
+        if point is self.point.theta:
+            return self.point.cost
+        departure = self.point.departure + self.states.step(point - self.point.theta)
+        self.tried = self.equations.evaluate(point, departure)
+        return self.tried.cost
+
+    def evaluate(self, point: Float[np.ndarray, " k"]) -> Evaluation:
+        """Cost, gradient and information at the point that was tried last."""
+        if point is not self.point.theta:
+            self.point = self.tried
+        if not math.isfinite(self.point.cost):
+            return Evaluation(self.point.cost, np.zeros(len(point)), np.eye(len(point)))
+        A, g, self.states = reduced_equations(self.point, self.equations.prior)
+        return Evaluation(self.point.cost, -g, A, self.states.gain)
+
+
+RULE = Rule(
+    step=truncated_step,
+    gain=newton_gain,
+    trials=lambda d: ((1.0, max(MIN_DAMPING * 4.0 ** (k - 1), d * 4.0**k) if k else d) for k in range(MAX_TRIALS)),
+    after=lambda d, ratio: d / 10.0 if ratio > 0.75 else d if ratio > 0.3 else max(MIN_DAMPING, 2.0 * d),
+    first=FIRST_DAMPING,
+    ratio=MIN_GAIN_RATIO,
+    least_gain=0.0,
+)
+
+
 def fit_output_error(
     flown: SegmentTrajectories,
     *,
@@ -77,54 +122,31 @@ def fit_output_error(
     # prior: further parameters (`bias_output_1` and so on). `stopped`: called before each step; True ends the fit
     # there, not converged.
     if biases:
-        own = len(flown.dynamics.free)
+        modelled = len(flown.dynamics.free)
         flown = replace(flown, dynamics=biased_dynamics(flown.dynamics, flown.flights, biases))
-        if start is not None and len(start) == own:
-            start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[own:]])
+        if start is not None and len(start) == modelled:
+            start = np.append(start, [p.prior.normal[0] for p in flown.dynamics.free[modelled:]])
     free, held, prior = flown.dynamics.free, held or {}, NormalPriors.of(flown, prior_weight, without)
-    lower, upper = (np.array([p.bounds[i] for p in free], float) for i in (0, 1))
     begin = [p.start for p in free] if start is None else np.asarray(start, float)
     theta = np.array([held.get(p.name, x) for p, x in zip(free, begin, strict=True)])
     held_mask = np.array([p.name in held for p in free], bool)
-    lower, upper = np.where(held_mask, theta, lower), np.where(held_mask, theta, upper)
+    bounds = np.where(held_mask[:, None], theta[:, None], np.array([p.bounds for p in free], float).reshape(-1, 2))
     prior = replace(prior, mean=np.where(held_mask, theta, prior.mean))  # held parameters add nothing to the cost
     departure = np.zeros((len(flown.index), len(flown.dynamics.start))) if departure is None else departure
     equations = NormalEquations(flown, prior)
-    point = equations.evaluate(np.clip(theta, lower, upper), departure)
-    damping, converged, active, count = FIRST_DAMPING, False, np.zeros(len(free), bool), 0
-
-    def bounded(part: np.ndarray) -> np.ndarray:
-        """A step of the moving parameters, of all of them and within the bounds."""
-        step = np.zeros(len(free))
-        step[moving] = part
-        return np.clip(point.theta + step, lower, upper) - point.theta
-
-    while count < max_iterations and math.isfinite(point.cost) and not (stopped and stopped()):
-        count += 1
-        A, g, states = reduced_equations(point, prior)
-        active = held_mask | ((point.theta <= lower) & (g < 0.0)) | ((point.theta >= upper) & (g > 0.0))
-        moving = np.flatnonzero(~active)
-        newton = solve(A[np.ix_(moving, moving)], g[moving], 0.0)
-        gain = 0.5 * float(newton @ g[moving]) + states.gain
-        if 0.0 <= gain < max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0)):
-            converged = True
-            if gain < TOLERANCE:
-                step = bounded(newton)
-                point = equations.extrapolate(point, step, states.step(step))
-            break
-        for _ in range(12):
-            step = bounded(solve(A[np.ix_(moving, moving)], g[moving], damping))
-            new = equations.evaluate(point.theta + step, point.departure + states.step(step))
-            expected = step @ g - 0.5 * step @ A @ step + states.gain
-            ratio = (point.cost - new.cost) / max(expected, TINY)
-            if new.cost < point.cost and ratio > MIN_GAIN_RATIO:
-                break
-            damping = max(MIN_DAMPING, 4.0 * damping)
-        else:
-            converged = bool(0.0 <= gain < 1e-2 * max(1.0, prior_weight))
-            break
-        damping = damping / 10.0 if ratio > 0.75 else damping if ratio > 0.3 else max(MIN_DAMPING, 2.0 * damping)
-        point = new
+    problem = _Trajectories(equations, equations.evaluate(np.clip(theta, *bounds.T), departure), bounds, ~held_mask)
+    tolerance = max(TOLERANCE, COLOURED_TOLERANCE * (prior_weight - 1.0))
+    rule = RULE._replace(last=1e-2 * max(1.0, prior_weight), max_steps=max_iterations)
+    begin = problem.point.theta
+    theta, at, converged, count = minimise(problem, begin, problem.evaluate, tolerance, rule, stopped=stopped)
+    point, moving = problem.point, problem.moving
+    if converged:
+        A, g, limits = at.information[np.ix_(moving, moving)], -at.gradient[moving], (bounds - theta[:, None])[moving]
+        if newton_gain(A, g, limits) + at.gain < TOLERANCE:  # the last step is short: residuals are linear along it
+            step = np.zeros(len(free))
+            step[moving] = truncated_step(A, g, limits, 0.0)
+            point = equations.extrapolate(point, step, problem.states.step(step))
+    active = held_mask | at_bounds(problem, theta, at.gradient)
     return result_at(flown, point, prior, converged=converged, iterations=count, active=active, held=held_mask)
 
 
@@ -188,16 +210,18 @@ def fit_disturbed(
     # and noise start from a fit of a `similar` model, one effect off. Returns the segments in gusts, and the fit.
     gusty, outputs = disturbed(flown), flown.outputs
     names, states = gusty.dynamics.names, gusty.dynamics.states
-    known = dict(zip(flown.dynamics.names, estimate, strict=True))
-    start = np.array([known.get(p.name, p.start) for p in gusty.dynamics.free])
+    estimates = dict(zip(flown.dynamics.names, estimate, strict=True))
+    start = np.array([estimates.get(p.name, p.start) for p in gusty.dynamics.free])
     sd = np.sqrt(R)
     first = FIRST_F if names == flown.dynamics.names else FIRST_F_GUSTS
     F = np.array([first * sd[outputs.index(n)] if n in outputs else 0.0 for n in states])
     R = FIRST_R * R
     if similar is not None:  # none so small that the likelihood is flat
-        known = dict(zip(similar.names, map(float, similar.estimate), strict=True))
-        known = {n: x for n, x in known.items() if n in gusty.dynamics.disturbance_parameters}
-        start = np.array([max(known[n], MIN_SHARE * x) if n in known else x for n, x in zip(names, start, strict=True)])
+        estimates = dict(zip(similar.names, map(float, similar.estimate), strict=True))
+        estimates = {n: x for n, x in estimates.items() if n in gusty.dynamics.disturbance_parameters}
+        start = np.array(
+            [max(estimates[n], MIN_SHARE * x) if n in estimates else x for n, x in zip(names, start, strict=True)]
+        )
         noise, R = dict(zip(similar.states, similar.F, strict=True)), similar.R
         F = np.array([max(float(noise.get(n, x)), MIN_SHARE * x) for n, x in zip(states, F, strict=True)])
     return gusty, fit_prediction_error(gusty, F, R, start=start, priors=priors, exact=exact)

@@ -42,8 +42,12 @@ ENVELOPE_PENALTY = 1e6  # cost of a trajectory that is wholly outside the envelo
 
 def initial_state_sd(dynamics: Dynamics) -> Float[np.ndarray, " s"]:
     """Standard deviations of the measured initial state, SI."""
-    own = {name: INITIAL_STATE_SD_BY_UNIT.get(unit, DEFAULT_INITIAL_STATE_SD) for name, unit in dynamics.units.items()}
-    return np.array([INITIAL_STATE_SD.get(name, own.get(name, DEFAULT_INITIAL_STATE_SD)) for name in dynamics.start])
+    by_unit = {
+        name: INITIAL_STATE_SD_BY_UNIT.get(unit, DEFAULT_INITIAL_STATE_SD) for name, unit in dynamics.units.items()
+    }
+    return np.array(
+        [INITIAL_STATE_SD.get(name, by_unit.get(name, DEFAULT_INITIAL_STATE_SD)) for name in dynamics.start]
+    )
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,8 @@ def _inner_products(flown: SegmentTrajectories, theta: Float[Array, " k"], depar
     k, s = theta.shape[0], departure.shape[1]
 
     def residual(theta, shared):
-        found = simulate(flown, theta, departure + shared)
-        return found.residual, found.trajectory.inside
+        simulated = simulate(flown, theta, departure + shared)
+        return simulated.residual, simulated.trajectory.inside
 
     point = (theta, jnp.zeros(s))
     towards = (jnp.concatenate([jnp.eye(k), jnp.zeros((s, k))]), jnp.concatenate([jnp.zeros((k, s)), jnp.eye(s)]))
@@ -203,15 +207,15 @@ def segment_equations(
         w, s = point.departure.shape
         states = EliminatedStates(np.zeros((w, s, s)), np.zeros((w, s, k)), np.zeros((w, s)), 0.0)
         return N[:, 1 : k + 1, 1 : k + 1], N[:, 1 : k + 1, 0], states
-    own = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
+    of_states = N[:, k + 1 :, k + 1 :] + np.diag(prior.states)
     cross, gradient = N[:, k + 1 :, 1 : k + 1], N[:, k + 1 :, 0] - prior.states * point.departure
     # Cholesky factors keep the digits of A - cross' own^-1 cross where a trial is unstable.
-    one = np.eye(own.shape[-1])
-    own = own + one * (own == 0.0)  # a state without information and prior is not corrected
+    identity = np.eye(of_states.shape[-1])
+    of_states = of_states + identity * (of_states == 0.0)  # a state without information and prior is not corrected
     try:
-        L = np.linalg.cholesky(own)
+        L = np.linalg.cholesky(of_states)
     except np.linalg.LinAlgError:  # rounding makes the matrix of an unstable flight indefinite
-        L = np.linalg.cholesky(own + REGULARISATION * own * one)
+        L = np.linalg.cholesky(of_states + REGULARISATION * of_states * identity)
     Y, y = np.linalg.solve(L, cross), np.linalg.solve(L, gradient[:, :, None])[:, :, 0]
     A = N[:, 1 : k + 1, 1 : k + 1] - np.einsum("wia,wib->wab", Y, Y)
     g = N[:, 1 : k + 1, 0] - np.einsum("wia,wi->wa", Y, y)
@@ -293,13 +297,13 @@ class OutputErrorResult:
     def crb(self) -> Float[np.ndarray, " k"]:
         """Cramer-Rao standard errors of the data alone, for white residuals, (k,); infinite where undetermined."""
         scale = np.sqrt(np.diag(self.information))
-        known = scale > 0.0
-        found = np.full(len(scale), np.inf)
-        part = self.information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+        informed = scale > 0.0
+        bounds = np.full(len(scale), np.inf)
+        part = self.information[np.ix_(informed, informed)] / np.outer(scale[informed], scale[informed])
         values, vectors = np.linalg.eigh(part)
         if len(values) and values[0] > SINGULAR:
-            found[known] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[known]
-        return found
+            bounds[informed] = np.sqrt(np.diag((vectors / values) @ vectors.T)) / scale[informed]
+        return bounds
 
     @cached_property
     def corrected(self) -> Float[np.ndarray, "k k"]:
@@ -389,9 +393,9 @@ def result_at(
         scale = np.sqrt(size[informed])
         values, vectors = np.linalg.eigh(A[np.ix_(informed, informed)] / np.outer(scale, scale))
         lost[informed] = np.max(np.abs(vectors[:, values < SINGULAR]), axis=1, initial=0.0) > MIN_COMPONENT
-    known = ~held & ~lost
-    moving = np.ix_(known, known)
-    scale = np.sqrt(np.diag(A)[known])
+    estimated = ~held & ~lost
+    moving = np.ix_(estimated, estimated)
+    scale = np.sqrt(np.diag(A)[estimated])
     covariance = np.zeros_like(A)
     covariance[moving] = np.linalg.pinv(A[moving] / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     return OutputErrorResult(

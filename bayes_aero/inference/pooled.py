@@ -26,7 +26,15 @@ from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import robust_covariance
 from bayes_aero.inference.ensemble import diagnose, find_mode
-from bayes_aero.inference.mle import MAX_SEPARATE_FITS, SINGULAR, TOLERANCE, data_of, evaluate, full_steps
+from bayes_aero.inference.mle import (
+    MAX_SEPARATE_FITS,
+    SINGULAR,
+    TOLERANCE,
+    data_of,
+    evaluate,
+    full_steps,
+    scaled_inverse,
+)
 from bayes_aero.inference.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.model.model import Model
@@ -110,11 +118,11 @@ def given_scatter(
 ) -> PooledDraws:
     """A draw of the aircraft, of each manoeuvre and of the next flight for each draw of the scatter."""
     estimate, factor = np.asarray(density.estimate), np.asarray(density.factor)
-    one = np.eye(density.size)
-    precision, weighed = np.broadcast_to(one, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
+    identity = np.eye(density.size)
+    precision, weighed = np.broadcast_to(identity, (*scatter.shape, density.size)).copy(), np.zeros(scatter.shape)
     for y, F in zip(estimate, factor, strict=True):
         scaled = scatter[..., :, None] * F
-        P = F @ np.linalg.solve(one + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
+        P = F @ np.linalg.solve(identity + np.swapaxes(scaled, -1, -2) @ scaled, np.broadcast_to(F.T, scaled.shape))
         precision += P
         weighed += P @ y
     aircraft = _normal(precision, weighed, rng)
@@ -122,7 +130,7 @@ def given_scatter(
     for y, F in zip(estimate, factor, strict=True):
         scaled = scatter[..., :, None] * F
         pulled = np.einsum("...ij,...j->...i", scaled, (y - aircraft) @ F)
-        offset = _normal(one + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
+        offset = _normal(identity + scaled @ np.swapaxes(scaled, -1, -2), pulled, rng)
         manoeuvres.append(aircraft + scatter * offset)
     following = aircraft + scatter * rng.standard_normal(scatter.shape)
     return PooledDraws(aircraft, scatter, following, np.stack(manoeuvres, axis=-2))
@@ -167,7 +175,15 @@ def next_flight(
     if len(given.names) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in given.left_out.items())
         raise InputError(f"fewer than two manoeuvres have a usable fit of their own ({reasons}); add manoeuvres")
-    drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
+    try:
+        drawn, sampled = pool(Hierarchy.of(model.names, given.y, given.information), seed=seed, progress=progress)
+    except np.linalg.LinAlgError as reason:
+        sizes = {name: np.linalg.eigvalsh(A)[-1] for name, A in zip(given.names, given.information, strict=True)}
+        raise InputError(
+            f"the manoeuvres cannot be pooled for the next flight: with the information of "
+            f"{max(sizes, key=lambda name: sizes[name])} a matrix is singular ({reason}); leave this record out, fix "
+            "the parameters that the correlations name on the card, or do without --next-flight"
+        ) from reason
     names, scatter = model.names, drawn.scatter
     drawn = PooledDraws(*(_each(model.free, from_prior_units, v) for v in drawn))
     drawn = drawn._replace(scatter=scatter * _each(model.free, prior_unit, drawn.aircraft))
@@ -249,10 +265,18 @@ def prior_unit(prior: Prior, x: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s"]:
 
 def normal_estimates(model: Model, observations: Observations, alone: Mapping[str, MleResult]) -> NormalEstimates:
     """The normal approximations of the likelihoods of `alone`, the fits by manoeuvre of `observations`."""
-    used = {name: fit for name, fit in alone.items() if fit.status in USABLE}
-    y, information = [], []
-    for name, fit in used.items():
+    left_out = {name: fit.status.value for name, fit in alone.items() if fit.status not in USABLE}
+    used, y, information = [], [], []
+    for name in (name for name in alone if name not in left_out):
+        fit = alone[name]
         full = _information(model, observations, name, fit)
+        if full is None:
+            left_out[name] = (
+                "the covariance of its estimates is singular: this record alone does not separate the parameters; give "
+                "a longer or livelier record, or fix parameters on the card"
+            )
+            continue
+        used.append(name)
         unit = _each(model.free, prior_unit, fit.estimate)
         y.append(_each(model.free, to_prior_units, fit.estimate))
         information.append(full * np.outer(unit, unit))
@@ -267,7 +291,7 @@ def normal_estimates(model: Model, observations: Observations, alone: Mapping[st
         shaped,
         np.diagonal(with_prior, axis1=1, axis2=2) < 0.5,
         np.sqrt(np.where(variance < INFINITE**2, np.maximum(variance, 0.0), np.inf)),
-        {name: fit.status.value for name, fit in alone.items() if name not in used},
+        left_out,
     )
 
 
@@ -277,18 +301,20 @@ def _each(
     return np.stack([function(p.prior, x[..., i]) for i, p in enumerate(parameters)], axis=-1)
 
 
-def _information(model: Model, observations: Observations, name: str, fit: MleResult) -> Float[np.ndarray, "k k"]:
-    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none."""
+def _information(
+    model: Model, observations: Observations, name: str, fit: MleResult
+) -> Float[np.ndarray, "k k"] | None:
+    """Information from the covariance corrected for coloured residuals; of parameters at a bound there is none. None
+    where that covariance is singular."""
     # Where the information matrix is singular: of the combinations of parameters that the record determines.
     inside = np.array([name not in fit.at_bound for name in fit.names])
     kept = np.ix_(inside, inside)
     if fit.status is not MleStatus.SINGULAR and np.all(np.isfinite(fit.corrected[kept])):
-        scale = np.sqrt(np.diag(fit.corrected[kept]))
-        found = np.zeros_like(fit.corrected)
-        found[kept] = np.linalg.inv(fit.corrected[kept] / np.outer(scale, scale)) / np.outer(scale, scale)
-        return (found + found.T) / 2.0
-    own = observations.only(observations.names.index(name))
-    data = data_of(model, own)
+        information = np.zeros_like(fit.corrected)
+        information[kept] = scaled_inverse(fit.corrected[kept])[0]
+        return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None
+    alone = observations.only(observations.names.index(name))
+    data = data_of(model, alone)
     point = full_steps(data, fit.estimate, fit.estimate, fit.estimate, TOLERANCE, 0)
     residual, S, _ = map(np.asarray, evaluate(data, jnp.asarray(fit.estimate)))
     A = point.information
@@ -297,7 +323,7 @@ def _information(model: Model, observations: Observations, name: str, fit: MleRe
     size, vectors = np.linalg.eigh(A / np.outer(scale, scale))
     kept = size > np.sqrt(SINGULAR)
     inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
-    covariance, _ = robust_covariance(inverse, S, point.R, residual, own.manoeuvre, np.asarray(own.start), own.dt)
+    covariance, _ = robust_covariance(inverse, S, point.R, residual, alone.manoeuvre, np.asarray(alone.start), alone.dt)
     combined = vectors[:, kept] * scale[:, None]  # what the record determines is combined' times the parameters
-    found = combined @ np.linalg.inv(combined.T @ covariance @ combined) @ combined.T
-    return (found + found.T) / 2.0
+    information = combined @ scaled_inverse(combined.T @ covariance @ combined)[0] @ combined.T
+    return (information + information.T) / 2.0 if np.all(np.isfinite(information)) else None

@@ -9,17 +9,15 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.optimize import lsq_linear
 
 from bayes_aero.dynamics.innovations import (
     disturbances_along,
@@ -31,7 +29,7 @@ from bayes_aero.dynamics.innovations import (
 from bayes_aero.dynamics.kalman import Filtered, log_likelihood
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.flight.health.finding import quantum
-from bayes_aero.inference.mle import solve
+from bayes_aero.inference.optimise import APPROXIMATE_SCORING, Evaluation, minimise
 from bayes_aero.inference.output_error_result import initial_state_sd
 
 TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
@@ -80,8 +78,8 @@ def _filter(flown, point, start_deviation, k, s):
 @eqx.filter_jit
 def _filter_segments(flown, point, start_deviation, k, s):
     """Minus the log likelihood, and the filtered segments."""
-    found = _filter(flown, point, start_deviation, k, s)
-    return -jnp.sum(jax.vmap(log_likelihood)(found)), found
+    filtered = _filter(flown, point, start_deviation, k, s)
+    return -jnp.sum(jax.vmap(log_likelihood)(filtered)), filtered
 
 
 @eqx.filter_jit
@@ -89,14 +87,14 @@ def _evaluate(flown, point, start_deviation, k, s):
     """Cost, gradient and expected information."""
 
     def at(point):
-        found = _filter(flown, point, start_deviation, k, s)
-        return (found.innovation, found.variance), found
+        filtered = _filter(flown, point, start_deviation, k, s)
+        return (filtered.innovation, filtered.variance), filtered
 
     directions = jnp.eye(len(point))
-    (e, S), (de, dS), found = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))(
-        directions
-    )
-    return _scores(e, S, de, dS, found.used)
+    (e, S), (de, dS), filtered = jax.vmap(
+        lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None)
+    )(directions)
+    return _scores(e, S, de, dS, filtered.used)
 
 
 @eqx.filter_jit
@@ -169,7 +167,7 @@ def fit_prediction_error(
     point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
     point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
     point, current, converged, first_steps = minimise(
-        problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, approximate=True
+        problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, APPROXIMATE_SCORING
     )
     steps = 0
     if exact:
@@ -192,25 +190,6 @@ def fit_prediction_error(
         status,
         first_steps + steps,
     )
-
-
-@runtime_checkable
-class Problem(Protocol):
-    """A cost to be minimised over j variables."""
-
-    # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
-    @property
-    def moving(self) -> Bool[np.ndarray, " j"]: ...
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "j 2"]: ...
-
-    @property
-    def step_limit(self) -> Float[np.ndarray, " j"]: ...
-
-    def cost(self, point: Float[np.ndarray, " j"]) -> float:
-        """The cost at a point."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -245,8 +224,10 @@ class _Problem:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
             mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
         channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
-        own = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-        steps = [min(quantum(np.asarray(channels[name])[rows]) for rows in own) for name in flown.outputs]  # the finest
+        by_manoeuvre = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        steps = [
+            min(quantum(np.asarray(channels[name])[rows]) for rows in by_manoeuvre) for name in flown.outputs
+        ]  # the finest
         smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
         limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
@@ -296,121 +277,13 @@ class _Problem:
         return self.evaluate(point, likelihood)
 
 
-# --- Fisher scoring with Levenberg-Marquardt damping, step limits and bounds.
-# Where the noise model is wrong, the expected information is not the curvature of the cost, and its steps may be too
-# long again and again. Two remedies: the damping follows the ratio of actual to expected gain, and BFGS updates
-# correct the curvature with the change of the gradient. Source: Nocedal and Wright, *Numerical Optimization*, 2nd
-# ed. 2006, ch. 4, 16 and 18.
-
-MAX_ITERATIONS, MAX_TRIALS = 60, 12  # steps; dampings tried in one step
-FIRST_DAMPING, MIN_DAMPING = 1e-3, 1e-8
-POOR_RATIO, POOR_DAMPING = 0.25, 0.1  # ratio of actual to expected gain below which a step was too long; damping then
-POWELL_RATIO = 0.2  # least curvature along a step after an update, relative to that before
-SINGULAR = 1e-14  # of the largest eigenvalue
-
-
-class Evaluation(NamedTuple):
-    """Cost, gradient (j,) and expected information (j, j) at a point."""
-
-    cost: float
-    gradient: Float[np.ndarray, " j"]
-    information: Float[np.ndarray, "j j"]
-
-
-def minimise(
-    problem: Problem,
-    point: Float[np.ndarray, " j"],
-    evaluate: Callable[[np.ndarray], Evaluation],
-    tolerance: float,
-    *,
-    approximate: bool = False,
-) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
-    """Minimise the cost until the expected gain of a step is below `tolerance`."""
-    # An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
-    # `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
-    # with all other variables, far from the minimum, may end at zero, where the cost is flat. Returns the last point,
-    # its evaluation, whether the search converged, and the number of steps.
-    current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
-    moving, converged, curvature = problem.moving, False, current.information
-    while steps < MAX_ITERATIONS and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
-        steps += 1
-        A, g = curvature[np.ix_(moving, moving)], -current.gradient[moving]
-        limits = np.clip((problem.bounds - point[:, None]).T, -problem.step_limit, problem.step_limit).T[moving]
-        if expected_gain(A, g, bounded_step(A, g, limits, 0.0)) < tolerance:
-            converged = True
-            break
-        for _ in range(MAX_TRIALS):
-            step = (truncated_step if approximate else bounded_step)(A, g, limits, damping)
-            trial = point.copy()
-            trial[moving] = np.clip(point[moving] + step, *problem.bounds[moving].T)
-            trial_cost = problem.cost(trial)  # that of an approximate evaluation is off by some nats
-            if math.isfinite(trial_cost) and trial_cost < cost:
-                break
-            damping *= 10.0
-        else:
-            break
-        gain, change, gradient, point, cost = cost - trial_cost, trial - point, current.gradient, trial, trial_cost
-        too_long = gain < POOR_RATIO * expected_gain(A, g, step)
-        damping = max(10.0 * damping, POOR_DAMPING) if too_long else max(MIN_DAMPING, 0.1 * damping)
-        current = evaluate(point)
-        if approximate and gain < tolerance:
-            converged = True
-            break
-        curvature = current.information if approximate else bfgs_update(curvature, change, current.gradient - gradient)
-    return point, current._replace(cost=cost if math.isfinite(current.cost) else current.cost), converged, steps
-
-
-def bfgs_update(
-    A: Float[np.ndarray, "j j"], step: Float[np.ndarray, " j"], change: Float[np.ndarray, " j"]
-) -> Float[np.ndarray, "j j"]:
-    """The curvature A updated with the `change` of the gradient along a step; Powell's damping keeps it positive."""
-    product = A @ step
-    expected, actual = float(step @ product), float(step @ change)
-    if not (expected > 0.0 and np.all(np.isfinite(change))):
-        return A
-    if actual < POWELL_RATIO * expected:
-        share = (1.0 - POWELL_RATIO) * expected / (expected - actual)
-        change = share * change + (1.0 - share) * product
-        actual = float(step @ change)
-    return A - np.outer(product, product) / expected + np.outer(change, change) / actual
-
-
-def bounded_step(
-    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
-) -> Float[np.ndarray, " j"]:
-    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside."""
-    # Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
-    # change all the others.
-    scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
-    values, vectors = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
-    determined = values > SINGULAR * np.max(values, initial=0.0)
-    root = np.sqrt(values[determined])
-    left, right = root[:, None] * vectors[:, determined].T, vectors[:, determined].T @ (g / scale) / root
-    return lsq_linear(left, right, (limits * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
-
-
-def truncated_step(
-    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
-) -> Float[np.ndarray, " j"]:
-    """Newton's damped step truncated at `limits`; variables at a bound that they would cross are held."""
-    inner = ~((limits[:, 0] >= 0.0) & (g < 0.0) | (limits[:, 1] <= 0.0) & (g > 0.0))
-    step = np.zeros(len(g))
-    step[inner] = solve(A[np.ix_(inner, inner)], g[inner], damping)
-    return np.clip(step, *limits.T)
-
-
 def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
     """Inverse of the information of the estimated variables; zero for held ones and those without information."""
     # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
     # beside angles in radians.
-    known = moving & (np.diag(information) > 0.0)
-    block = information[np.ix_(known, known)]
+    informed = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(informed, informed)]
     scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
     covariance = np.zeros_like(information)
-    covariance[np.ix_(known, known)] = np.linalg.pinv(block / scale, hermitian=True) / scale
+    covariance[np.ix_(informed, informed)] = np.linalg.pinv(block / scale, hermitian=True) / scale
     return covariance
-
-
-def expected_gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
-    """Decrease of a cost with gradient -g and curvature A along a step."""
-    return float(g @ step - 0.5 * step @ A @ step)

@@ -19,7 +19,7 @@ from bayes_aero.atomic_write import write_whole
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp.fit import GPFit
+from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.scores import Scores
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour
@@ -184,7 +184,7 @@ def prior_conflicts(
     parameters: Sequence[Parameter], estimate: Float[np.ndarray, " k"], deviation: Float[np.ndarray, " k"]
 ) -> tuple[PriorConflict, ...]:
     """Priors that the `estimate` by likelihood alone contradicts, by its corrected standard error; strongest first."""
-    found = []
+    conflicts = []
     for p, x, sd in zip(parameters, estimate, deviation, strict=True):
         if p.prior.family == "uniform" or not np.isfinite(sd):
             continue
@@ -196,8 +196,8 @@ def prior_conflicts(
         distance = abs(difference) / np.hypot(scatter, wide)
         if distance > CONFLICT_LIMIT:
             both = (mean, wide), (float(x), float(sd))
-            found.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
-    return tuple(sorted(found, key=lambda c: -c.distance))
+            conflicts.append(PriorConflict(p.name, p.unit, *both, float(distance), p.prior.source))
+    return tuple(sorted(conflicts, key=lambda c: -c.distance))
 
 
 def active_bounds(
@@ -277,11 +277,11 @@ def inseparable(
     for i in members:
         mine = [part for part in parts if any(linked[i, j] for j in part)]
         parts = [part for part in parts if part not in mine] + [[*(j for part in mine for j in part), i]]
-    found = []
+    sets = []
     for own in (sorted(part, key=members.index) for part in parts if len(part) > 1):
         at = [int(free[i]) for i in own]
         if any(vague[at]):
-            found.append(
+            sets.append(
                 Inseparable(
                     tuple(names[i] for i in at),
                     tuple(units[i] for i in at),
@@ -289,7 +289,7 @@ def inseparable(
                     tuple(float(np.sqrt(inflation[i])) for i in own),
                 )
             )
-    return tuple(found)
+    return tuple(sets)
 
 
 # --- What a fit in the frequency domain gives.

@@ -19,7 +19,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp.fit import MAX_SAMPLES, GPFit, fit_gp, too_many
+from bayes_aero.inference.gp import MAX_SAMPLES, GPFit, fit_gp, too_many
 from bayes_aero.inference.gp.kernel import Priors
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import GPReport, MleResult, MleStatus, Validation

@@ -20,8 +20,6 @@ from bayes_aero.arrays import Samples, xp
 from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
 from bayes_aero.physics.filters import (
     LONG_REACH,
-    SMOOTHED_DERIVATIVE_GAIN,
-    SMOOTHING_GAIN,
     differentiate_joined,
     inside_joined,
     smooth_joined,
@@ -151,34 +149,6 @@ def stacked_coefficients(
     """`coefficients` of these names, along the last axis."""
     found = coefficients(signals, aircraft)
     return jnp.stack([getattr(found, name) for name in names], axis=-1)
-
-
-def coefficient_noise(
-    signals: Mapping[str, Series],
-    aircraft: Aircraft,
-    sensor_sd: Mapping[str, float],
-    dt: float | Series,
-    smoothed: Collection[str] = SMOOTHED,
-    names: Sequence[str] = NAMES,
-) -> Float[Array, "n c"]:
-    """Standard deviation of the coefficients `names` per sample from independent white sensor noise. `sensor_sd` are
-    its deviations, SI. First order; `smoothed` names the channels that were smoothed. Smoothing and differentiation
-    scale the noise by their weights' root sum of squares, which is exact away from the outer eight samples; a rate and
-    the derivative of its smoothed self are uncorrelated at one sample because the one filter is even and the other
-    odd."""
-    noisy = {name: value for name, value in sensor_sd.items() if value != 0.0}
-    sd: dict[str, Any] = {name: value * (SMOOTHING_GAIN if name in smoothed else 1.0) for name, value in noisy.items()}
-    for name in ("p", "q", "r"):
-        if name in noisy:
-            sd[f"{name}_dot"] = noisy[name] * SMOOTHED_DERIVATIVE_GAIN / dt
-    variance = 0.0
-    for name, value in sd.items():
-        if name not in signals:
-            continue
-        perturbed = {k: jnp.ones_like(v) if k == name else jnp.zeros_like(v) for k, v in signals.items()}
-        _, slope = jax.jvp(lambda s: stacked_coefficients(s, aircraft, names), (dict(signals),), (perturbed,))
-        variance = variance + jnp.square(slope * jnp.asarray(value)[..., None])
-    return jnp.sqrt(jnp.broadcast_to(variance, (signals["alpha"].shape[0], len(names))))
 
 
 # --- Rotations between body axes (x forward, y right, z down) and stability axes (lift and drag).

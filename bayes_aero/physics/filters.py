@@ -24,11 +24,6 @@ FILTER_STEP = 5  # samples; Spencer's filter passes half the power at 0.095 cycl
 LONG = 3
 LONG_REACH = (LONG + 1) * (len(SPENCER) // 2) + len(EIGHTH_ORDER)  # samples: smoothed, smoothed long, differentiated
 
-# Standard deviation of the filtered noise over that of white noise going in, away from the ends.
-SMOOTHING_GAIN = float(np.sqrt(np.sum(SPENCER**2)))
-_DERIVATIVE_KERNEL = np.concatenate([-EIGHTH_ORDER[::-1], [0.0], EIGHTH_ORDER])
-SMOOTHED_DERIVATIVE_GAIN = float(np.sqrt(np.sum(np.convolve(_DERIVATIVE_KERNEL, SPENCER) ** 2)))
-
 
 def smooth(x: Series) -> Series:
     """Fifteen-point Spencer filter; five points in samples 4 to 7 from an end; the outer three stay as they are. It

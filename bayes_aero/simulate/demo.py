@@ -139,9 +139,11 @@ def random_pilot(rng: np.random.Generator, duration: float, stall: float, moved:
 
 def resampled(pilot: Pilot, time: Series) -> Pilot:
     """A pilot of `random_pilot` at other samples; what is differentiated stays smooth."""
-    own = flight_time()
-    smooth = {name: CubicSpline(own, getattr(pilot, name))(time) for name in ("phi", "beta")}
-    rows = {name: np.interp(time, own, x) for name, x in pilot._asdict().items() if np.ndim(x) and name not in smooth}
+    drawn_at = flight_time()
+    smooth = {name: CubicSpline(drawn_at, getattr(pilot, name))(time) for name in ("phi", "beta")}
+    rows = {
+        name: np.interp(time, drawn_at, x) for name, x in pilot._asdict().items() if np.ndim(x) and name not in smooth
+    }
     return pilot._replace(**smooth, **rows)
 
 

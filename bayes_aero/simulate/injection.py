@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.pilot import fly_together, outside
+from bayes_aero.dynamics.pilot import fly_together
 from bayes_aero.dynamics.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
@@ -18,14 +18,14 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
-from bayes_aero.physics.aircraft import Axis
+from bayes_aero.physics.aircraft import Axis, Envelope, excursion
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 
 FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
 BEGIN, MACH = (80.0, 110.0), 0.3  # m/s, range of the first airspeed, and the Mach number taken for it
-ENVELOPE = {"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)}  # 0 to 25 deg, m/s
+ENVELOPE = Envelope({"alpha": (0.0, 0.4363), "airspeed": (50.0, 130.0)})  # 0 to 25 deg, m/s
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _flights(
     for number, everything in enumerate(fly_together(model, values, aircraft, flying, starts, demo.DT)):
         kept = slice(demo.MARGIN, demo.MARGIN + lengths[number])
         flown = {key: x[kept] for key, x in everything.items()}
-        if left := outside(flown, ENVELOPE):
+        if left := ENVELOPE.left_by(excursion(flown)):
             raise InputError(
                 f"with {', '.join(effects) or 'nothing hidden'} at these sizes the flight leaves its envelope: {left}; "
                 "make them smaller"
@@ -196,10 +196,10 @@ def _known(name: str) -> Effect:
 @cache
 def _models(beyond: tuple[Effect, ...]) -> tuple[Model, Model, Model]:
     """Flown, misrecording and thrust: one model each for whatever is hidden, so that each compiles once."""
-    known = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
-    channel = [e for e in known if e.stage is Stage.CHANNEL]
+    flyable_effects = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]
+    channel = [e for e in flyable_effects if e.stage is Stage.CHANNEL]
     return (
-        Model.of([*(e for e in known if can_simulate(e)), *beyond]),
+        Model.of([*(e for e in flyable_effects if can_simulate(e)), *beyond]),
         Model.of([e for e in channel if e.kind is not Kind.PROPULSION]),
         Model.of([e for e in channel if e.kind is Kind.PROPULSION]),
     )
@@ -217,9 +217,9 @@ def _values(
         refuse_unsimulated(effect)
         if not effect.acts_on(FLOWN_AXES):
             raise InputError(f"the simulated aircraft cannot fly effect {name}: its lateral motion is prescribed")
-        own = {p.name for p in effect.parameters}
-        if not set(given) <= own:
-            raise InputError(f"effect {name} has the parameters {', '.join(sorted(own))}, not {', '.join(given)}")
+        names = {p.name for p in effect.parameters}
+        if not set(given) <= names:
+            raise InputError(f"effect {name} has the parameters {', '.join(sorted(names))}, not {', '.join(given)}")
         values |= given
     if beyond is not None:
         values |= beyond.draw(rng)

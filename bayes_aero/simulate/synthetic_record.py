@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.pilot import Pilot, fly, fly_rigid, outside, standard_pilots
+from bayes_aero.dynamics.pilot import Pilot, fly, fly_rigid, standard_pilots
 from bayes_aero.dynamics.trim import (
     SIGNALS,
     Condition,
@@ -35,12 +35,11 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
-from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis, air
+from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.simulate import demo
 
-ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed
+ENVELOPE = Envelope({"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)})  # rad, m/s: outside, no truth is claimed
 LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
-GAS, GAMMA = 287.05287, 1.4
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     else:
         flight = fly(flown_model, values, aircraft, pilot, start, grid.dt)
     flight = {key: np.asarray(x) for key, x in flight.items()}
-    if left := outside({key: x[grid.kept] for key, x in flight.items()}, ENVELOPE):
+    if left := ENVELOPE.left_by(excursion({key: x[grid.kept] for key, x in flight.items()})):
         raise InputError(
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
@@ -156,8 +155,8 @@ def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
     sea_pressure = sea_density * sea_sound**2 / GAMMA
     calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
-    found = {"static_temperature": temperature, "static_pressure": pressure}
-    return found | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
+    air_data = {"static_temperature": temperature, "static_pressure": pressure}
+    return air_data | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
 
 
 def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:

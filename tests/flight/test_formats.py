@@ -27,10 +27,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.readers import binary as excel
-from bayes_aero.flight.readers import isolated as process
+from bayes_aero.flight.readers import binary as process
 from bayes_aero.flight.readers.base import located
-from bayes_aero.flight.readers.binary import open_excel
-from bayes_aero.flight.readers.isolated import open_dataflash, open_mdf, open_ulog
+from bayes_aero.flight.readers.binary import open_dataflash, open_excel, open_mdf, open_ulog
 from bayes_aero.flight.reading import read_raw, read_record
 from bayes_aero.flight.record import FlightRecord, write_record
 

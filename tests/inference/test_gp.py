@@ -12,9 +12,9 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
+from bayes_aero.api import fit
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp import fit, posterior
-from bayes_aero.inference.gp.fit import Prediction, fit_gp
+from bayes_aero.inference.gp import Prediction, fit_gp, posterior
 from bayes_aero.inference.gp.kernel import (
     FLAT,
     ExactPoint,

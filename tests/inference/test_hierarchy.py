@@ -261,6 +261,16 @@ def test_the_next_flight_names_what_is_undetermined_and_needs_two_usable_fits(un
         next_flight(model, parts[0], {"flight0": broken, "flight2": fits["flight2"]})
 
 
+def test_a_singular_covariance_is_left_out_with_its_reason(unmoved):
+    """One direction of the estimates without scatter: its information would be infinite, and the draws not defined."""
+    model, parts, fits = unmoved
+    direction = np.ones(len(model.names))
+    singular = replace(fits["flight0"], corrected=np.outer(direction, direction))
+    given = normal_estimates(model, parts[0], {"flight0": singular})
+    assert not given.names
+    assert "singular" in given.left_out["flight0"]
+
+
 @pytest.mark.parametrize("count", [1, 25])
 def test_manoeuvres_that_show_no_scatter_are_refused(count):
     with pytest.raises(InputError, match=f"and there (is|are) {count}; give other records"):

@@ -38,15 +38,16 @@ from bayes_aero.inference.nuts import (
     innovations_posterior,
     sample_innovations,
 )
-from bayes_aero.inference.prediction_error import (
+from bayes_aero.inference.optimise import (
+    APPROXIMATE_SCORING,
     MAX_ITERATIONS,
+    SCORING,
     Evaluation,
-    PredictionErrorStatus,
     bfgs_update,
     bounded_step,
-    fit_prediction_error,
     minimise,
 )
+from bayes_aero.inference.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.inference.scores import Calibration
 from bayes_aero.model.observations import join
@@ -342,7 +343,8 @@ def test_bounded_steps_are_those_of_scipy_and_corrected_curvatures_stay_positive
 def test_gradients_mend_an_information_that_is_not_the_curvature():
     """Off by factors of .2 to 5; steps by the information alone crawl along the flat direction."""
     bowl = Quadratic(np.diag([5.0, 0.05, 0.2, 3.0, 1.0, 1.0]), np.eye(6))
-    ended = [minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, approximate=way) for way in (False, True)]
+    rules = (SCORING, APPROXIMATE_SCORING)
+    ended = [minimise(bowl, np.full(6, 10.0), bowl.evaluate, 1e-6, rule) for rule in rules]
     assert ended[0][1].cost < 1e-5
     assert 2 * ended[0][3] < ended[1][3]
 

@@ -13,20 +13,17 @@ from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
-    SMOOTHED,
     body_from_lift_drag,
-    coefficient_noise,
     coefficients,
     condition_joined,
     lift_drag_from_body,
-    stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 
 
-# Coefficients: rotations, propagated noise, and the way back from a simulated flight
+# Coefficients: rotations, and the way back from a simulated flight
 def test_rotation_is_its_own_inverse_and_the_lever_arm_a_cross_product():
     rng = np.random.default_rng(1)
     CX, CZ, alpha = (jnp.asarray(rng.normal(size=20)) for _ in range(3))
@@ -119,22 +116,6 @@ def test_coefficients_come_back_from_a_rigid_body_six_or_three():
     yaw = (THRUST[0] - THRUST[1]) * AIRCRAFT.engine_arm * np.cos(AIRCRAFT.engine_inclination) / (area * 10.75)
     moved = float(coefficients(total, AIRCRAFT).Cn[0]) - TRUE["Cn"]
     assert moved == pytest.approx(yaw, rel=1e-9)
-
-
-@pytest.mark.parametrize("smoothed", [True, False])
-def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records(smoothed):
-    rng, n, dt = np.random.default_rng(5), 20_000, 0.04
-    noise = {"ay": 0.02, "az": 0.05, "ax": 0.02, "alpha": 1e-3, "airspeed": 0.2, "thrust": 200.0}  # white
-    noise |= {"p": 3.5e-4, "q": 3.5e-4, "r": 3.5e-4, "density": 0.002} if smoothed else {}
-    exact = {name: jnp.full(n, x) for name, x in flight(AIRCRAFT).items()}
-    noisy = {name: x + noise.get(name, 0.0) * rng.standard_normal(n) for name, x in exact.items()}
-    if smoothed:
-        ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
-        exact, noisy = (condition_joined(x, *ends) for x in (exact, noisy))
-    names = tuple(TRUE)
-    scatter = np.std(np.asarray(stacked_coefficients(noisy, AIRCRAFT, names)), axis=0)
-    stated = coefficient_noise(exact, AIRCRAFT, noise, dt, SMOOTHED if smoothed else (), names)[n // 2]
-    np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["results", "diagnosis"])

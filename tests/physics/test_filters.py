@@ -55,13 +55,6 @@ def test_derivatives_of_quartics_are_exact_and_of_sines_of_high_order(rng):
     assert np.log2(errors[0] / errors[1]) > 7.0
 
 
-def test_stated_noise_gains_hold_for_simulated_noise(rng):
-    noise = jnp.asarray(rng.normal(size=200_000))
-    assert np.std(filters.smooth(noise)) == pytest.approx(filters.SMOOTHING_GAIN, rel=0.02)
-    derived = filters.differentiate(filters.smooth(noise), 1.0)
-    assert np.std(derived) == pytest.approx(filters.SMOOTHED_DERIVATIVE_GAIN, rel=0.02)
-
-
 def test_recurrence_is_the_loop_it_stands_for(rng):
     keep, drive = rng.uniform(-1, 1, (30, 2)), rng.normal(size=(30, 2))
     x, expected = np.zeros(2), []

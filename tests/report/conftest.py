@@ -13,7 +13,7 @@ from bayes_aero.diagnosis.view import with_stalls
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.calibration import pit_of, stall_of_posterior
-from bayes_aero.inference.gp.fit import GPFit
+from bayes_aero.inference.gp import GPFit
 from bayes_aero.inference.results import (
     GPReport,
     Identification,

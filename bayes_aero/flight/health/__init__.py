@@ -31,10 +31,10 @@ def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthF
         flown = in_flight(record, card)
         misread, read = refuted(flown, card)
         others = [finding for check in _CHECKS for finding in check(flown, card)]
-        found = _without_consequences([*misread, *others, *control_responses(read, card)])
-        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in found):
+        findings = _without_consequences([*misread, *others, *control_responses(read, card)])
+        if not any(f.channel == "airspeed" and f.fault in ("unit", "airspeed_kind", "factor") for f in findings):
             said += on_ground(record, card)
-        said += found
+        said += findings
     said += [*same_records(records), *different_rates(records), *feedback(records, card)]
     return tuple(sorted(said, key=lambda finding: not finding.grave))
 

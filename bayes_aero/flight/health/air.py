@@ -260,10 +260,10 @@ def across(record: FlightRecord, card: Card) -> Findings:
 
 def _view(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """Finite channels and constants where the aircraft moves, and density by the card's rule if it was not recorded."""
-    known = channels_of(record, card)
-    V = known.get("airspeed")
+    channels = channels_of(record, card)
+    V = channels.get("airspeed")
     moving = np.ones(record.n, bool) if V is None else max(MOVING * float(np.nanmedian(V)), 1.0) < V
-    view = {name: x[moving] for name, x in known.items() if np.isfinite(x).all()}
+    view = {name: x[moving] for name, x in channels.items() if np.isfinite(x).all()}
     rule = card.derived.get("density", ATMOSPHERE)
     if "density" in view or not set(RULES["density"][rule]) <= set(view):
         return view

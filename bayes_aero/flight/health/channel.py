@@ -85,7 +85,7 @@ def _dropped_at(x: np.ndarray, level: float, floor: float, dt: float, *, control
     local = np.abs(np.diff(x[kept]))
     pace = np.interp(np.arange(len(x)), kept[1:], median_filter(local, 11, mode="nearest"))
     enough = np.maximum(floor, OFF * np.maximum(pace, 0.25 * np.quantile(local, USUAL)))
-    found = np.zeros(len(x), bool)
+    dropped = np.zeros(len(x), bool)
     for first, last in runs_of(at):
         beside = [i for i in (first - 1, last + 1) if 0 <= i < len(x)]
         leaves = all(abs(x[i] - level) > enough[i] for i in beside)
@@ -93,8 +93,8 @@ def _dropped_at(x: np.ndarray, level: float, floor: float, dt: float, *, control
         returns = len(beside) < 2 or abs(x[beside[0]] - x[beside[1]]) <= between
         short = not control or last - first + 1 <= max(1, STEP / dt)
         if leaves and returns and short and np.abs(line[first : last + 1] - level).min() > enough[first]:
-            found[first : last + 1] = True
-    return found
+            dropped[first : last + 1] = True
+    return dropped
 
 
 # --- A channel that stands still for longer than its noise allows, while the aircraft moves.

@@ -11,7 +11,7 @@ import numpy as np
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import channels_of, declared, other_units
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.physics.aircraft import GRAVITY
+from bayes_aero.physics.aircraft import GRAVITY, standard_air
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {
@@ -107,9 +107,9 @@ def axes_of(moves: Moves, recorded: frozenset[str]) -> tuple[str, int]:
     best = ("", len(moves) + 1)
     for of in dict.fromkeys([kinds, *((kind,) for kind in kinds)]):
         for frame in FRAMES:
-            own = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
-            rest = more + sum(own.get(n) != moves.get(n) for kind in kinds for n in have[kind])
-            if own and rest < best[1]:
+            by_frame = {n: move for kind in of for n, move in frame.moves(INSTRUMENTS[kind], recorded).items()}
+            rest = more + sum(by_frame.get(n) != moves.get(n) for kind in kinds for n in have[kind])
+            if by_frame and rest < best[1]:
                 best = (f"the axes of the {' '.join(of) if len(of) == 1 else 'sensors'} are {frame.name}", rest)
     return best
 
@@ -229,7 +229,7 @@ def thinness(view: View, recorded: frozenset[str]) -> np.ndarray | None:
     if "density" in recorded and np.median(view["density"]) > 0.0:
         return np.sqrt(np.maximum(view["density"], 1e-3) / DENSITY0)
     if "altitude" in recorded:
-        return np.maximum(1.0 - 2.25577e-5 * np.clip(view["altitude"], -1000.0, 11000.0), 0.1) ** 2.12794
+        return np.sqrt(standard_air(view["altitude"])[0] / DENSITY0)
     return None
 
 
@@ -275,9 +275,9 @@ class Relation:
 
 def view_of(record: FlightRecord, card: Card) -> dict[str, np.ndarray]:
     """Channels, constants and time of a record, with zeros for what symmetric flight lacks."""
-    known = channels_of(record, card)
-    filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in known}
-    return {**filled, **known, "time": record.time}
+    channels = channels_of(record, card)
+    filled = {name: np.zeros(record.n) for name in ZERO_IF_MISSING if name not in channels}
+    return {**filled, **channels, "time": record.time}
 
 
 def _turning(v: View) -> tuple[np.ndarray, ...]:
@@ -367,14 +367,14 @@ def misfits(view: View, recorded: frozenset[str], names: frozenset[str] | None =
 
 def terms_of(view: View, recorded: frozenset[str], names: frozenset[str] | None = None) -> dict[str, np.ndarray]:
     """What the terms (k, n) of each relation leave when they are added, over what is allowed."""
-    found = {}
+    terms_by_relation = {}
     with np.errstate(all="ignore"):
         for name, needs in {**{name: r.needs for name, r in RELATIONS.items()}, **_MEAN_NEEDS}.items():
             if set(needs) <= recorded and (names is None or name in names):
                 mean = name in _MEAN_NEEDS
                 terms = _mean_terms(name, view, recorded) if mean else RELATIONS[name].changes(view)
-                found[name] = np.stack(terms)
-    return found
+                terms_by_relation[name] = np.stack(terms)
+    return terms_by_relation
 
 
 def _mean_terms(name: str, view: View, recorded: frozenset[str]) -> list[np.ndarray]:

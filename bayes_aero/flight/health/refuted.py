@@ -128,15 +128,15 @@ def _after(view: View, reading: Reading, recorded: frozenset[str]) -> Misfits:
 def _factors(view: View, recorded: frozenset[str]) -> list[Reading]:
     """The airspeed over the factor that fits best; or the altitude, where the altitude alone contradicts it."""
     names = frozenset(misfits(view, recorded, SPEED))
-    own = _speed_factor(view, recorded, names)
-    if own is None or abs(own[0]) < max(OFF, SURE * own[1]):
+    speed = _speed_factor(view, recorded, names)
+    if speed is None or abs(speed[0]) < max(OFF, SURE * speed[1]):
         return []
-    found = []
-    for name, k in (("airspeed", own[0]), ("altitude", -own[0]))[: 2 if names == {"altitude"} else 1]:
-        size, error = np.exp(k), np.exp(k) * own[1]
+    factors = []
+    for name, k in (("airspeed", speed[0]), ("altitude", -speed[0]))[: 2 if names == {"altitude"} else 1]:
+        size, error = np.exp(k), np.exp(k) * speed[1]
         looks = f"is {size:.4g} +- {error:.1g} times what the other channels make of it (no unit explains it)"
-        found.append(scaled((name,), 1.0 / size, "factor", looks, f"correct {name} in the file"))
-    return found
+        factors.append(scaled((name,), 1.0 / size, "factor", looks, f"correct {name} in the file"))
+    return factors
 
 
 def _speed_factor(view: View, recorded: frozenset[str], names: frozenset[str]) -> tuple[float, float] | None:
@@ -173,17 +173,17 @@ def _whole(
         relation: np.stack([np.sum(x * other[relation], axis=1) < 0.0 for other in turned], axis=1)
         for relation, x in terms_of(few, recorded).items()
     }
-    found: list[tuple[float, float, Moves]] = []
+    whole: list[tuple[float, float, Moves]] = []
     for order in ({**a, **b} for a in orders("rates", have) for b in orders("accelerations", have)):
         other = {**few, **{name: few[source] for name, source in order.items()}}
         strains = _strains(terms_of(other, recorded), odd, signs)
         score, worst = np.log1p(strains**2).sum(0), strains.max(0)
-        for k in np.flatnonzero(score < min([score.min(), *(s for s, _, _ in found)]) + ALIKE):
+        for k in np.flatnonzero(score < min([score.min(), *(s for s, _, _ in whole)]) + ALIKE):
             pairs = {n: (order.get(n, n), int(sign)) for n, sign in zip(names, signs[k], strict=True)}
-            found.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
-    least = min(score for score, _, _ in found)
+            whole.append((score[k], worst[k], {n: move for n, move in pairs.items() if move != (n, 1)}))
+    least = min(score for score, _, _ in whole)
     alike = []
-    for score, worst, m in found:
+    for score, worst, m in whole:
         faults = min(len(m), AXES + axes_of(m, have)[1])  # axes are as many as two, beside single channels
         alike += [(score + FAULT * faults, worst, m)] if score < least + ALIKE else []
     total = min(one[0] for one in alike)
@@ -201,13 +201,13 @@ def _whole(
 
 def _strains(terms: dict[str, np.ndarray], odd: dict[str, np.ndarray], signs: np.ndarray) -> np.ndarray:
     """Misfit of each relation under each set of signs (sets, channels), over what noise and errors of scale make."""
-    found = []
+    strains = []
     for name, x in terms.items():
         of_terms = np.where(odd[name][None], signs[:, None, :], 1).prod(2)
         gram = x @ x.T / x.shape[1] if np.isfinite(x).all() else np.full((len(x), len(x)), 1e12)
         off = np.maximum(np.einsum("sk,kl,sl->s", of_terms, gram, of_terms), 0.0)
-        found.append(np.sqrt(off / (1.0 + SCALE**2 * np.trace(gram))))
-    return np.stack(found)
+        strains.append(np.sqrt(off / (1.0 + SCALE**2 * np.trace(gram))))
+    return np.stack(strains)
 
 
 def _own_factor(view: View, recorded: frozenset[str], reading: Reading, before: Misfits, after: Misfits) -> bool:

@@ -13,11 +13,11 @@ Opens = Callable[[bytes], OpenedFile]
 
 def _discover() -> dict[str, Opens]:
     """What every module below this package declares as `READS`; scripts for processes of their own are left alone."""
-    found: dict[str, Opens] = {}
+    readers: dict[str, Opens] = {}
     for module in pkgutil.walk_packages(__path__, f"{__name__}."):
         if not module.name.endswith("child"):
-            found |= getattr(import_module(module.name), "READS", {})
-    return dict(sorted(found.items()))
+            readers |= getattr(import_module(module.name), "READS", {})
+    return dict(sorted(readers.items()))
 
 
 READERS: Mapping[str, Opens] = _discover()  # what opens a file, by its suffix

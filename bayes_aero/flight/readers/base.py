@@ -68,7 +68,7 @@ def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Headin
             f"it has {len(opened.headings)} {opened.kind}s, more than {MOST_HEADINGS}; is it a flight record?"
         )
     look = HeadingIndex(opened.headings)
-    found = {}
+    places = {}
     for channel in channels:
         there = look.candidates(channel)
         if len(there) > 1:
@@ -77,10 +77,10 @@ def located(channels: Sequence[Channel], opened: OpenedFile) -> dict[str, Headin
                 "the right one"
             )
         if there:
-            found[channel.name] = there[0]
+            places[channel.name] = there[0]
         elif channel.required:
             raise InputError(_absent(channel, list(look.by_name), len(look.by_column), opened.kind))
-    return found
+    return places
 
 
 class HeadingIndex:
@@ -271,8 +271,8 @@ def is_value(cell: str) -> bool:
 
 def value_share(cells: Sequence[str]) -> float:
     """Values among the cells that are not blank; zero where all are."""
-    told = [cell for cell in cells if not is_blank(cell)]
-    return sum(map(is_value, told)) / len(told) if told else 0.0
+    filled = [cell for cell in cells if not is_blank(cell)]
+    return sum(map(is_value, filled)) / len(filled) if filled else 0.0
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
@@ -437,8 +437,8 @@ def several_rates(kind: str, groups: Sequence[SampleGroup], remarks: Sequence[st
 
     def read(wanted: Mapping[str, Heading]) -> dict[str, FileColumn]:
         # The samples are at all time stamps of the groups that the wanted columns are in.
-        found = {name: places[heading] for name, heading in wanted.items() if heading != TIME}
-        used = {id(group): group for group, _ in (found or places).values()}
+        chosen = {name: places[heading] for name, heading in wanted.items() if heading != TIME}
+        used = {id(group): group for group, _ in (chosen or places).values()}
         size = sum(len(group.time) for group in used.values())
         for name, heading in wanted.items():
             refuse_huge(name, heading.names[0], size, len(wanted))
@@ -453,7 +453,7 @@ def several_rates(kind: str, groups: Sequence[SampleGroup], remarks: Sequence[st
             if heading == TIME:
                 columns[name] = FileColumn(time.copy(), "s")
                 continue
-            group, series = found[name]
+            group, series = chosen[name]
             values = np.full(len(time), np.nan)
             values[rows[id(group)]] = vector(series.values, name)
             columns[name] = FileColumn(values, heading.unit)

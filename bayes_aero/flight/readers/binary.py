@@ -1,12 +1,12 @@
-"""Binary files: HDF5 (NetCDF-4 and MATLAB's v7.3), MATLAB, Parquet and Excel.
-
-HDF5 is read in a child process, for the reason in `child.py`.
-"""
+"""Binary files: logs and HDF5 read in a process of their own (the reason is in `child.py`), MATLAB, Parquet, Excel."""
 
 from __future__ import annotations
 
 import io
+import json
 import re
+import subprocess
+import sys
 import warnings
 import zipfile
 import zlib
@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,20 +29,128 @@ from bayes_aero.flight.readers.base import (
     FileColumn,
     Heading,
     OpenedFile,
+    SampleGroup,
+    Series,
     foreign,
     is_value,
     refuse_huge,
+    several_rates,
     stated_unit,
     unpacked,
     value_share,
     vector,
 )
-from bayes_aero.flight.readers.isolated import ask_child, require
 from bayes_aero.flight.readers.text import CELL, MOST_HEADER_ROWS, laid_out, text_table
 from bayes_aero.units import same_unit
 
+TIME_LIMIT, PER_MEGABYTE = 20.0, 2.0
+"""Seconds for the child, and more of them for each MB of the file; sound files take a tenth of that."""
+
+MOST_BYTES = 16 * MOST_VALUES_IN_ALL  # most bytes that a file may unpack to
+MOST_COLUMNS = 50_000
+
+
+def ask_child(
+    data: bytes, parser: str, request: Sequence[Any], limit: float, slow: str, crashed: str, kind: str
+) -> tuple[dict, memoryview]:
+    """What a parser of `child.py` replies on a file, and the bytes of the arrays behind it. `request` is what it is
+    given beside the file. If it takes more than `limit` s, or dies, `slow` or `crashed` is raised; `kind` is what the
+    file is called to the user."""
+    # -P: the child must not take this folder's modules for libraries.
+    command = [sys.executable, "-P", str(Path(__file__).parent / "child.py"), parser, json.dumps(request)]
+    try:
+        done = subprocess.run(
+            command, input=data, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False
+        )
+    except subprocess.TimeoutExpired as reason:
+        raise InputError(slow) from reason
+    end = done.stdout.find(b"\n")
+    if done.returncode != 0 or end <= 0:
+        raise InputError(crashed)
+    reply = json.loads(done.stdout[:end])
+    if "error" in reply:
+        raise InputError(f"it is not a readable {kind} ({reply['error']}); is it damaged or misnamed? Write it again")
+    if "refused" in reply:
+        raise InputError(reply["refused"])
+    return reply, memoryview(done.stdout)[end + 1 :]
+
+
+def parsed_apart(data: bytes, parser: str, kind: str) -> tuple[list[SampleGroup], list[str]]:
+    """All groups of samples in a file, and what is to be remarked of it; see `ask_child`."""
+    limit = TIME_LIMIT + PER_MEGABYTE * len(data) / 1e6
+    slow = f"the library that reads a {kind} did not finish in {limit:.0f} s; is it damaged? Write it again"
+    crashed = f"the library that reads a {kind} crashed on it; is it damaged? Write it again"
+    reply, payload = ask_child(data, parser, [MOST_BYTES, MOST_COLUMNS], limit, slow, crashed, kind)
+    groups, start = [], 0
+    for listed in reply["groups"]:
+        arrays = []
+        for dtype in ("<f8" if sys.byteorder == "little" else ">f8", *(column[2] for column in listed["columns"])):
+            arrays.append(np.frombuffer(payload, np.dtype(dtype), listed["size"], start))
+            start += arrays[-1].nbytes
+        columns = zip(listed["columns"], arrays[1:], strict=True)
+        series = tuple(Series(tuple(names), unit, values) for (names, unit, _), values in columns)
+        groups.append(SampleGroup(listed["name"], arrays[0], series))
+    return groups, reply["remarks"]
+
+
+# --- Libraries that only some file formats need, and that not everybody has.
+
+
+def require(suffix: str, *libraries: str) -> None:
+    """Refuse a file whose suffix, as in ".mf4", needs a library that is not there."""
+    for library in libraries:
+        if find_spec(library) is None:
+            raise InputError(
+                f"reading {suffix} needs {library}, which is not installed; pip install 'bayes-aero[formats]', or "
+                "write the record as .csv"
+            )
+
+
+# --- ArduPilot DataFlash logs, read by pymavlink: a column is a field of a message, as in "ATT.Roll".
+
+
+def open_dataflash(data: bytes) -> OpenedFile:
+    """A binary DataFlash log. Instances go by their number, "IMU[1].GyrX", and an only one also by "IMU.GyrX". Source:
+    ArduPilot, AP_Logger: FMT, FMTU, UNIT and MULT messages describe all others."""
+    require(".bin", "pymavlink")
+    if b"\xa3\x95" not in data[:600]:
+        raise InputError("it is not an ArduPilot DataFlash log (no message begins near its start); is it misnamed?")
+    groups, remarks = parsed_apart(data, "dataflash", "DataFlash log")
+    return several_rates("field", groups, remarks, 1e-6)
+
+
+# --- ASAM MDF version 4, read by asammdf: a column is a signal of a channel group.
+
+
+def open_mdf(data: bytes) -> OpenedFile:
+    """An MDF file. A signal goes by "group/name" and, where no other group has one of its name, by its name alone.
+    Source: ASAM MDF 4.1, section 4: one channel group has one master channel."""
+    require(".mf4", "asammdf")
+    if data[:8] not in (b"MDF     ", b"UnFinMF "):
+        raise InputError("it is not an MDF file (its first bytes differ); is it misnamed?")
+    if not data[8:16].startswith(b"4."):
+        said = data[8:16].decode("latin-1").strip("\0 ")
+        raise InputError(f"it is an MDF file of version {said!r}; convert it to version 4, and save it as .mf4")
+    groups, remarks = parsed_apart(data, "mdf", "MDF file")
+    return several_rates("signal", groups, remarks, 1e-9)
+
+
+# --- PX4 ULog, read by pyulog: a column is a field of a topic, as in "vehicle_attitude.q[0]".
+
+
+def open_ulog(data: bytes) -> OpenedFile:
+    """A ULog file. A second instance of a topic goes by its number: "sensor_accel.1.x". Source: PX4 ULog file format,
+    version 1."""
+    require(".ulg", "pyulog")
+    if not data.startswith(b"ULog\x01\x12\x35"):
+        raise InputError("it is not a PX4 ULog file (its first bytes differ); is it misnamed?")
+    groups, remarks = parsed_apart(data, "ulog", "ULog file")
+    return several_rates("field", groups, remarks, 1e-6)
+
+
+# --- HDF5: NetCDF-4 and MATLAB's v7.3.
+
 HDF5 = b"\x89HDF\r\n\x1a\n"  # what such a file begins with; MATLAB's has 512 bytes of its own before it
-TIME_LIMIT = 20.0  # seconds for the child; a sound record takes about a third of one
 OBJECT = (
     "it holds a MATLAB object (a table, timetable or class), which only MATLAB can read; in MATLAB, save a struct of "
     "vectors (table2struct(T, 'ToScalar', true)), or write .csv with writetable"
@@ -428,14 +537,22 @@ def _header_begins(rows: Rows, first: int) -> int:
     width, begin, named = len(rows[first][1]), first, False
     for k in range(first - 1, max(first - 1 - MOST_HEADER_ROWS, -1), -1):
         number, row = rows[k]
-        told = sum(map(bool, row))
+        filled = sum(map(bool, row))
         units = all(same_unit(said, said) for cell in row if (said := cell.strip("[]() ")))
         parted = k < first - 1 and rows[k + 1][0] - number > 1  # a blank row
-        few = 2 * told <= width and (named or told < 2)
+        few = 2 * filled <= width and (named or filled < 2)
         if parted or (not units and (few or (named and any(map(is_value, row))))):
             break
         begin, named = k, named or not units
     return begin
 
 
-READS = {".nc": open_netcdf, ".mat": open_mat, ".parquet": open_parquet, ".xlsx": open_excel}
+READS = {
+    ".bin": open_dataflash,
+    ".mf4": open_mdf,
+    ".ulg": open_ulog,
+    ".nc": open_netcdf,
+    ".mat": open_mat,
+    ".parquet": open_parquet,
+    ".xlsx": open_excel,
+}

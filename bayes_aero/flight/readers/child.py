@@ -1,7 +1,7 @@
 """Parsers that run in a process of their own. Run as a script, never imported by the package.
 
 On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
-HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `isolated.py`, gives this process a
+HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `binary.py`, gives this process a
 time limit instead.
 
 In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. A parser in `ANSWERS` is called
@@ -108,7 +108,7 @@ def _instances(fmt, messages):
         numbers = messages[f"f{fmt.columns.index(fmt.instance_field)}"]
         texts = {n: n.decode("latin-1") if isinstance(n, bytes) else n for n in np.unique(numbers)}
         chosen = {f"[{text}]": numbers == number for number, text in texts.items()}
-    found = []
+    groups = []
     for label, rows in chosen.items():
         names = (fmt.name + label, fmt.name) if len(chosen) == 1 and label else (fmt.name + label,)
         columns = []
@@ -120,8 +120,8 @@ def _instances(fmt, messages):
             # By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double.
             scaled = values[rows] if factor is None else values[rows] / round(1.0 / factor)
             columns.append(([f"{name}.{field}" for name in names], DEGREES.get(unit, unit) or None, scaled))
-        found.append((names[0], time[rows].astype(np.int64), columns))
-    return found
+        groups.append((names[0], time[rows].astype(np.int64), columns))
+    return groups
 
 
 # --- HDF5: datasets, and the numbers in them.

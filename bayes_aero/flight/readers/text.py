@@ -69,15 +69,15 @@ def read_cells(layout: Layout, wanted: Mapping[str, Heading], remarks: list[str]
     columns = {}
     for name, column in cells.items():
         clock, heading, values, sample, remark = name in clocks, wanted[name], np.full(len(column), np.nan), 0, ""
-        told = [k for k, cell in enumerate(column) if not is_blank(cell)]
+        filled = [k for k, cell in enumerate(column) if not is_blank(cell)]
         try:
-            for sample in told:
+            for sample in filled:
                 if not clock:
                     values[sample] = number_of(column[sample], marks)
                 elif not looks_like_clock(column[sample]):
                     raise ValueError
             if clock:
-                values[told] = seconds([column[k] for k in told])
+                values[filled] = seconds([column[k] for k in filled])
                 remark = f"channel {name}: the clock time {firsts[name]} is t = 0"
         except InputError as reason:
             raise InputError(f"channel {name} holds {reason}") from reason
@@ -217,8 +217,8 @@ def laid_out(lines: Lines, separator: str | None) -> Layout:
         if line[0] in _COMMENT:
             continue
         cells = split(line, separator)
-        told = [cell for cell in cells if not is_blank(cell)]
-        if len(told) >= max(0.5 * width, 2) and value_share(told) > 0.5:
+        filled = [cell for cell in cells if not is_blank(cell)]
+        if len(filled) >= max(0.5 * width, 2) and value_share(filled) > 0.5:
             raise InputError(_ragged(number, 0, len(cells), width))
         break
     rows, begin = _header(lines, first, separator, width)
@@ -278,17 +278,17 @@ def _header_cells(line: str, separator: str | None, width: int, number: int) -> 
         cells = re.split(r"\s{2,}|\t", line.strip())  # names of several words stand two blanks apart
     if len(cells) == width - 1 and separator is not None:
         cells = [*cells, ""]  # one separator too many at the end of every sample is a habit of loggers
-    told = [cell for cell in cells if cell]
-    if len(cells) != width or not told or sum(map(is_value, told)) > 0.5 * len(told):
+    filled = [cell for cell in cells if cell]
+    if len(cells) != width or not filled or sum(map(is_value, filled)) > 0.5 * len(filled):
         return None
     return cells
 
 
 def _refuse_ragged(body: Lines, separator: str | None, width: int) -> None:
     for sample, (number, line) in enumerate(body):
-        found = len(line.split()) if separator is None else line.count(separator) + 1
-        if found != width:
-            raise InputError(_ragged(number, sample, found, width))
+        count = len(line.split()) if separator is None else line.count(separator) + 1
+        if count != width:
+            raise InputError(_ragged(number, sample, count, width))
 
 
 def _ragged(number: int, sample: int, found: int, width: int) -> str:
@@ -303,12 +303,12 @@ def _names_and_units(header: Sequence[Sequence[str]], width: int) -> tuple[list[
     names: list[list[str]] = [[] for _ in range(width)]
     units: list[str | None] = [None] * width
     for place, row in enumerate(header):
-        told = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
-        known = sum(map(bool, map(spellings, told)))
+        filled = [cell.strip("[]() ") for cell in row if cell.strip("[]() ")]
+        known = sum(map(bool, map(spellings, filled)))
         if (
             place > 0
-            and told
-            and known >= max(UNIT_SHARE * len(told), sum(split_heading(cell)[0] in ALIASES for cell in told))
+            and filled
+            and known >= max(UNIT_SHARE * len(filled), sum(split_heading(cell)[0] in ALIASES for cell in filled))
         ):
             units = [cell.strip("[]() ") or None for cell in row]
         else:

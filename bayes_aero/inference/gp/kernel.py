@@ -371,8 +371,8 @@ def fit_emulator(
     by_t = np.einsum("jk,pjz->kpz", root, np.array(slopes)).reshape(d * len(u), -1)
     weight = np.tile(1.0 / (1.0 + gap / SUPPORT_GAP) ** 2, d + 1)[:, None]
     left, right = design(t, powers) * weight, np.vstack([values, by_t]) * weight
-    known = np.all(np.isfinite(right), axis=1)
-    coefficients, *_ = np.linalg.lstsq(left[known], right[known], rcond=1e-12)
+    finite = np.all(np.isfinite(right), axis=1)
+    coefficients, *_ = np.linalg.lstsq(left[finite], right[finite], rcond=1e-12)
     support = t[near]
     length = PAD * 2 ** max(0, math.ceil(math.log2(len(support) / PAD)))
     support = np.concatenate([support, np.repeat(support[:1], length - len(support), axis=0)])

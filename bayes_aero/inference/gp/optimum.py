@@ -189,16 +189,16 @@ def find_map(
     screen = thinned(data, SCREEN_SIZE, seed)
     tell(f"screening {starts} starts on {screen.n} points")
     points = starting_points(priors, d, starts, seed)
-    found = [maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points]
-    found = distinct(found, 4)
+    optima = [maximise(u, screen, priors, max_iterations=30, tolerance=1e-5) for u in points]
+    optima = distinct(optima, 4)
     middle = thinned(data, MIDDLE_SIZE, seed + 1)
     if middle.n > screen.n:
-        tell(f"refining {len(found)} optima on {middle.n} points")
-        found = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in found]
-        found = distinct(found, polish)
-    tell(f"polishing {len(found[:polish])} optima on all {data.n} points")
+        tell(f"refining {len(optima)} optima on {middle.n} points")
+        optima = [maximise(o.u, middle, priors, w=o.theta[: d + 2], max_iterations=40, tolerance=1e-7) for o in optima]
+        optima = distinct(optima, polish)
+    tell(f"polishing {len(optima[:polish])} optima on all {data.n} points")
     whole = []
-    for o in found[:polish]:
+    for o in optima[:polish]:
         guess = None
         if data.n > middle.n and o.status is MapStatus.converged:  # the curvature grows with n
             guess = curvature(o, middle, priors)[0] * middle.n / data.n
