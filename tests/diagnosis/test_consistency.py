@@ -216,10 +216,8 @@ def test_kinematics_of_the_path_are_those_of_the_flown_flights(quiet, card):
     ends = (quiet.channels[name] for name in ("dt", "first", "last"))
     signals["beta_dot"] = differentiate_joined(quiet.channels["beta"], *ends)
     rates = Rotation(*(signals[name] for name in ("p", "q", "r", "p_dot", "q_dot", "r_dot")))
-    felt = {
-        name: signals[name] - arm
-        for name, arm in zip(("ax", "ay", "az"), lever_arm(rates, card.aircraft.accelerometer), strict=True)
-    }
+    arms = zip(("ax", "ay", "az"), lever_arm(rates, card.aircraft.accelerometer), strict=True)
+    felt = {name: signals[name] - arm for name, arm in arms}
     found = side_force(signals, felt["ax"], felt["az"])
     assert np.ptp(np.asarray(felt["ay"])) > 1.0
     off = np.abs(np.asarray(found - felt["ay"]))
