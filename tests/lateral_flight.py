@@ -67,12 +67,13 @@ def motion(seed: int) -> dict[str, np.ndarray]:
     speed, _ = sines(8.0, 0.1, 0.5)
     height, _ = sines(60.0, 0.05, 0.3)
     left, right, spoilers = (sines(size, 0.2, 1.0)[0] for size in (1500.0, 1500.0, 0.08))
+    canard, _ = sines(0.1, 0.5, 2.0)
     V = 85.0 + speed
     return found | {
         "alpha": slow + swing, "alpha_dot": alpha_dot, "beta": beta, "airspeed": V, "mach": V / 320.0,
         "density": 0.74 - 1e-4 * height, "altitude": 5000.0 + height, "thrust_left": 6000.0 + left,
         "thrust_right": 6000.0 + right, "thrust": 12000.0 + left + right, "spoiler_left": np.maximum(spoilers, 0.0),
-        "spoiler_right": np.maximum(-spoilers, 0.0),
+        "spoiler_right": np.maximum(-spoilers, 0.0), "canard": canard,
     }  # fmt: skip
 
 

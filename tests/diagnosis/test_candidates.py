@@ -28,7 +28,7 @@ from bayes_aero.physics.aircraft import NAMES, Axis
 from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.injection import FLOWN_AXES, HiddenFlight, flyable, hidden_flights
+from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_flights
 
 
 # Which effects are candidates
@@ -129,11 +129,11 @@ def test_every_effect_can_be_asked_where_all_channels_are_noise(card, model, cle
 # `make verify` counts
 SEED, BEGIN, END = 43, 20.0, 60.0  # s of each flight that are looked at
 MOVED = {name: {} for name in ("rudder_moment", "spoiler_lift", "dlc_lift", "flap_lift")}  # surfaces, always deflected
-CANARD = np.deg2rad(8.0)
+CANARD = [name for name in CATALOGUE if name.startswith("canard")]  # hidden_flights has none: with the lateral ones
 BASE = [e.name for e in CATALOGUE.values() if {p.name for p in e.parameters} & (set(TRUTH) - {"tau1"})]
-RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_innovations
+RANDOM = [e.name for e in CATALOGUE.values() if e.disturbance is not None or e.kind is Kind.NOISE]  # test_trajectory
 ON_PATH = ["heading_delay"]  # of a channel that bayes-aero path alone compares: test_flight_path
-OTHERS = {*BASE, *RANDOM, *ON_PATH}
+OTHERS = {*BASE, *RANDOM, *ON_PATH, *CANARD}
 FLOWN = [e for e in CATALOGUE.values() if e.acts_on(FLOWN_AXES)]  # the others: LATERAL
 CANDIDATES = [e.name for e in FLOWN if e.parameters and e.name not in OTHERS]
 STAND_INS = [name for name in CANDIDATES if not CATALOGUE[name].candidate]
@@ -154,31 +154,6 @@ def middle(name: str) -> dict[str, float]:
         size = TIMES.get(name, 1.0) * np.sqrt(np.prod(effect.sizes[p.name]))
         values[p.name] = next(x for x in (p.neutral + size, p.neutral - size) if p.bounds[0] < x < p.bounds[1])
     return values
-
-
-def deflected(record: FlightRecord) -> np.ndarray:
-    """A canard that moves and does nothing: pulses of three seconds to either side."""
-    t = np.asarray(record.time)
-    return CANARD * np.sign(np.sin(2.0 * np.pi * t / 6.0)) * (np.sin(2.0 * np.pi * t / 23.0) > 0.0)
-
-
-def with_canard(flight: HiddenFlight, card, name: str = "", values: Mapping[str, float] | None = None) -> FlightRecord:
-    """The record with that canard; with `name` and `values` it has that effect, and the elevator holds its moment."""
-    record = flight.record
-    channels = {key: np.array(x) for key, x in record.channels.items()} | {"canard": deflected(record)}
-    if values:
-        signals = {key: np.asarray(x) for key, x in (dict(flight.true) | channels).items()}
-        added = CATALOGUE[name].increments(values, signals, card.aircraft, {})
-        CL, CD, Cm = (np.asarray(added.get(key, 0.0)) for key in ("CL_attached", "CD", "Cm"))
-        v, alpha, aircraft = flight.values, flight.true["alpha"], card.aircraft
-        attached = v["CL0"] + (v["CLa"] + v["CLaM"] * flight.true["mach"]) * alpha
-        CD = CD + ((attached + CL) ** 2 - attached**2) / (np.pi * v["e"] * aircraft.aspect_ratio)  # induced
-        pressure = 0.5 * flight.true["density"] * flight.true["airspeed"] ** 2
-        force = pressure * aircraft.wing_area / aircraft.mass
-        channels["ax"] += force * (CL * np.sin(alpha) - CD * np.cos(alpha))
-        channels["az"] -= force * (CL * np.cos(alpha) + CD * np.sin(alpha))
-        channels["elevator"] -= Cm / flight.values["Cmde"]
-    return FlightRecord.from_arrays(record.name, np.asarray(record.time), channels, "simulated").window(BEGIN, END)
 
 
 def named(state: SelectionState) -> list[str]:
@@ -238,29 +213,27 @@ class Case:
         return linearised(self.full, responses, self.full.model.coefficients, self.theta)
 
 
-def flown_with(effects: Mapping[str, Mapping[str, float]]) -> list[HiddenFlight]:
-    return hidden_flights(MOVED | dict(effects), seed=SEED, noise="white", seconds=END)
+def flown_with(effects: Mapping[str, Mapping[str, float]]) -> list[FlightRecord]:
+    flights = hidden_flights(MOVED | dict(effects), seed=SEED, noise="white", seconds=END)
+    return [flight.record.window(BEGIN, END) for flight in flights]
 
 
 @pytest.fixture(scope="module")
 def silent(card, model):
     """Nothing hidden."""
-    return Case.of([with_canard(f, card) for f in flown_with({})], card, model)
+    return Case.of(flown_with({}), card, model)
 
 
 @pytest.fixture(scope="module")
 def without_stall_terms(card, model):
     """An aircraft that has none of `ABSENT`, and a card that has them."""
     neutral = {name: {p.name: p.neutral for p in CATALOGUE[name].parameters} for name in ABSENT}
-    return Case.of([with_canard(f, card) for f in flown_with(neutral)], card, model)
+    return Case.of(flown_with(neutral), card, model)
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_what_is_hidden_leads(name, card, model):
-    by_hand = name.startswith("canard")  # the simulated aircraft has none
-    flights = flown_with({} if by_hand else {name: middle(name)})
-    records = [with_canard(f, card, name, middle(name) if by_hand else {}) for f in flights]
-    found = named(Case.of(records, card, model).only(name).screening(name))
+    found = named(Case.of(flown_with({name: middle(name)}), card, model).only(name).screening(name))
     if name in ABSORBED:
         assert name not in found, ABSORBED[name]
     elif name in STAND_INS:
@@ -320,7 +293,7 @@ def level():
     return three_axes({})
 
 
-@pytest.mark.parametrize("name", LATERAL_CANDIDATES)
+@pytest.mark.parametrize("name", [*LATERAL_CANDIDATES, *CANARD])
 def test_a_hidden_lateral_effect_leads(name):
     case = three_axes(middle(name))
     assert name in {e.name for e in case.full.candidates}

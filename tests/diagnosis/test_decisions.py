@@ -282,13 +282,9 @@ def test_what_was_added_or_named_is_not_called_untestable(diagnosed, monkeypatch
 
 def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
     """A bias of 10.7 m/s is larger than any sensor has; the scale holds only beside it."""
-    pair = ("airspeed_scale", "airspeed_bias")
-    scale, bias = (
-        replace(
-            cause(name, size, sd), kind="measurement", stage="flight path", joint={other: -0.97}, missed=(90.0, 5.0)
-        )
-        for name, other, size, sd in zip(pair, reversed(pair), (-0.0614, 10.7), (0.0043, 0.48), strict=True)
-    )
+    told = {"kind": "measurement", "stage": "flight path", "missed": (90.0, 5.0)}
+    scale = replace(cause("airspeed_scale", -0.0614, 0.0043), joint={"airspeed_bias": -0.97}, **told)
+    bias = replace(cause("airspeed_bias", 10.7, 0.48), joint={"airspeed_scale": -0.97}, **told)
     bias = replace(bias, implausible={"airspeed_bias": 8.0})
     d = replace(diagnosed.view.diagnosis, causes=(scale,), beyond=(bias,))
     assert contradictions(d)
@@ -381,10 +377,8 @@ def test_a_vane_stands_ahead_in_the_aircraft_s_lengths():
 
 
 def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
-    off = replace(
-        cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
-        kind="measurement",
-    )
+    off = cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)})
+    off = replace(off, kind="measurement")
     said = diagnosis_sentences(replace(diagnosed.view.diagnosis, beyond=(off,)))
     (sentence,) = [one for one in said if "alpha_bias" in one]
     assert "9.00 ± 0.50 deg" in sentence
@@ -440,11 +434,8 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
 @pytest.mark.verify
 def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
     """CLq is 25, of at most 10: no name of the catalogue stands in for it."""
-    found = decided.diagnose(
-        hidden_records({"pitch_rate_lift": {"CLq": 25.0}}, seed=12, noise="white"),
-        read_card("attas"),
-        gains_wanted=False,
-    )
+    records = hidden_records({"pitch_rate_lift": {"CLq": 25.0}}, seed=12, noise="white")
+    found = decided.diagnose(records, read_card("attas"), gains_wanted=False)
     assert not found.causes
     told = {c.name: c for c in found.beyond}["pitch_rate_lift"].parameters["CLq"]
     assert told.mean == pytest.approx(25.0, abs=3.0 * told.sd)
@@ -491,9 +482,8 @@ def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
     flights = Confirmation((), {c.name: (-4.0, 16.0) for c in d.causes})
     doubtful = decided.sensors_not_missed(d, flights)
     assert set(doubtful.missed) == {"accel_y_scale"}
-    assert [c.name for c in decided.judged_on_held_out_flights(d, doubtful).causes if not c.confirmed] == [
-        "accel_y_scale"
-    ]
+    judged = decided.judged_on_held_out_flights(d, doubtful)
+    assert [c.name for c in judged.causes if not c.confirmed] == ["accel_y_scale"]
     assert not decided.sensors_not_missed(d, replace(flights, kept=("accel_y_scale",))).missed
 
 

@@ -64,25 +64,25 @@ def problem(request):
     return residual, S, truth, [slice(0, 150), slice(150, 400)]
 
 
-def test_fits_are_weighted_least_squares_with_priors_as_observations(problem):
-    residual, S, truth, folds = problem
+@pytest.mark.parametrize("known", [0.0, 1e4])
+def test_fits_are_weighted_least_squares_with_priors_as_observations(problem, known):
+    residual, S, _, folds = problem
     k = S.shape[2]
-    fit = Products.of(residual, S, folds).fit(np.arange(k), np.zeros(k), np.zeros(k))
-    w = 1.0 / np.sqrt(fit.variance)
-    A, b = (S * w[:, None]).reshape(-1, k), (residual * w).ravel()
-    np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
-    np.testing.assert_allclose(fit.variance, np.mean((residual - S @ fit.step) ** 2, axis=0), rtol=1e-5)
-    mean, precision = np.full(k, 0.3), np.full(k, 1e4)
+    mean, precision = np.full(k, 0.3), np.full(k, known)
     fit = Products.of(residual, S, folds).fit(np.arange(k), mean, precision)
     w = 1.0 / np.sqrt(fit.variance)
     A = np.vstack([(S * w[:, None]).reshape(-1, k), np.diag(np.sqrt(precision))])
     b = np.concatenate([(residual * w).ravel(), np.sqrt(precision) * mean])
     np.testing.assert_allclose(fit.step, np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-5)
-    columns = np.array([1, 4])
+    np.testing.assert_allclose(fit.variance, np.mean((residual - S @ fit.step) ** 2, axis=0), rtol=1e-5)
+
+
+def test_products_move_with_the_parameters_and_columns_of_zeros_change_nothing(problem):
+    residual, S, truth, folds = problem
+    k, columns = S.shape[2], np.array([1, 4])
     moved = Products.of(residual, S, folds).shifted(columns, truth[columns])
     direct = Products.of(residual - S[:, :, columns] @ truth[columns], S, folds)
     np.testing.assert_allclose(moved.gram, direct.gram, atol=1e-8)
-    # Columns that are filled up with zeros change nothing.
     S = np.concatenate([S, np.zeros((*residual.shape, 1))], axis=2)
     products, precision = Products.of(residual, S, folds), np.append(np.zeros(k), 1.0)
     alone = products.fit(np.arange(3), np.zeros(k + 1), precision)
@@ -308,6 +308,11 @@ def test_the_channel_that_the_residual_follows_comes_first(rest):
     np.testing.assert_allclose(found[0].mean, 1e-5 * found[0].centre ** 2, atol=2e-7)
 
 
+def state_of(S, folds, **given) -> SelectionState:
+    """A state in which noise does not grow."""
+    return part(SelectionState, S=S, noise_growth=np.ones(S.shape[:2]), folds=folds, **given)
+
+
 # What only takes correlated noise out of one coefficient with another gains nothing; nor is doubt a cause
 @pytest.fixture
 def projected():
@@ -323,7 +328,7 @@ def projected():
     S = np.zeros((n, 3, 3))
     S[:, :, 0], S[:, 2, 1], S[:, 2, 2] = 1.0, residual[:, 0], wave
     residual -= residual.mean(axis=0)
-    state = part(SelectionState, S=S, noise_growth=np.ones((n, 3)), folds=(slice(0, 1200), slice(1200, n)))
+    state = state_of(S, (slice(0, 1200), slice(1200, n)))
     variance = residual.var(axis=0)
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[n * np.sum(1.0 / variance)]]), variance, 0.0)
     return PartialledRegression(state, fit, [np.array([1]), np.array([2])]), residual
@@ -363,19 +368,15 @@ def test_noise_of_a_recorded_channel_bends_a_slope_by_no_more_than_residuals_per
     def linearise(x):
         return lambda theta, _: ((y - theta[0] * x)[:, None], x[:, None, None])
 
-    responses = SimpleNamespace(
-        flights=SimpleNamespace(channels={"beta": beta}, n=n),
-        with_channels=lambda channels: SimpleNamespace(linearise=linearise(channels["beta"])),
-        outputs=("CY",),
-    )
+    with_channels = lambda channels: SimpleNamespace(linearise=linearise(channels["beta"]))
+    flights = SimpleNamespace(channels={"beta": beta}, n=n)
+    responses = SimpleNamespace(flights=flights, with_channels=with_channels, outputs=("CY",))
     monkeypatch.setattr(accuracy, "recording_noise", lambda _: {"beta": sd})
     effect = CATALOGUE["sideslip_side_force"]
     full = part(CandidateModel, candidates=(effect,), model=Model.of([effect], axes=(Axis.LATERAL,)))
-    state = part(
-        SelectionState, active=(effect.name,), full=full, responses=responses, outputs=("CY",), folds=(slice(0, n),),
-        theta=np.array([found]), residual=(y - found * beta)[:, None], S=beta[:, None, None],
-        noise_growth=np.ones((n, 1)),
-    )  # fmt: skip
+    given = {"active": (effect.name,), "full": full, "responses": responses, "outputs": ("CY",)}
+    given |= {"theta": np.array([found]), "residual": (y - found * beta)[:, None]}
+    state = state_of(beta[:, None, None], (slice(0, n),), **given)
     fit = RegressionFit(np.array([0]), np.zeros(1), np.array([[beta @ beta / left]]), np.array([left]), 0.0)
     ((low, high),) = accuracy.largest_noise_bias(state, fit).values()
     exact = -left / (found * np.mean(beta**2))
@@ -532,7 +533,7 @@ def test_information_is_what_the_model_cannot_follow_in_the_folds(gap):
     residual = rng.standard_normal((n, 3)) * [1.0, 0.1, 3.0]
     active = np.arange(k)
     fit = Products.of(residual, S, folds).fit(active, np.zeros(k + 2), np.zeros(k + 2))
-    state = part(SelectionState, S=S, noise_growth=np.ones((n, 3)), folds=folds)
+    state = state_of(S, folds)
     found = PartialledRegression(state, fit, [np.array([k]), np.array([k + 1])]).information
     inside = np.concatenate([np.arange(n)[fold] for fold in folds])
     A = (S[inside] / np.sqrt(fit.variance)[:, None]).reshape(-1, k + 2)
@@ -553,9 +554,7 @@ def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
     S = np.stack([np.ones(n), t, np.sin(2.0 * np.pi * t / period), t**2, np.zeros(n)], axis=1)[:, None, :]
     fit = Products.of(colour.simulate(1, folds, n, rng)[0], S, folds).fit(np.arange(2), np.zeros(5), np.zeros(5))
     fit = replace(fit, variance=np.ones(1), normal=S[:, 0, :2].T @ S[:, 0, :2])
-    projected = PartialledRegression(
-        part(SelectionState, S=S, noise_growth=np.ones((n, 1)), folds=folds), fit, [np.array([2]), np.array([3])]
-    )
+    projected = PartialledRegression(state_of(S, folds), fit, [np.array([2]), np.array([3])])
     sizes = [np.array([0.3]), np.array([2.0])]
     apart = projected.apart(np.zeros((n, 1)), sizes, 0, colour, None)
     assert apart[0] == 1.0
@@ -574,9 +573,7 @@ def test_stretches_that_disagree_more_than_the_colour_says_part_rivals_less():
     residual = np.repeat(rng.standard_normal(20), 20)[:, None]
     folds, white = (slice(0, n),), Autocorrelation(np.zeros((1, 3)), np.ones(1))
     fit = Products.of(residual, S, folds).fit(np.arange(1), np.zeros(4), np.zeros(4))
-    projected = PartialledRegression(
-        part(SelectionState, S=S, noise_growth=np.ones((n, 1)), folds=folds), fit, [np.array([1]), np.array([2])]
-    )
+    projected = PartialledRegression(state_of(S, folds), fit, [np.array([1]), np.array([2])])
     estimates = [np.zeros(1), np.ones(1)]
     alone, together = (projected.apart(residual, estimates, 0, white, s)[1] for s in (None, stretches))
     sums = np.add.reduceat(projected.P[:, 0, 1] * residual[:, 0], np.arange(0, n, 20)) / fit.variance[0]
@@ -600,13 +597,9 @@ def test_deviations_are_those_of_fits_without_each_stretch():
     known = np.array([1.0, 9.0])
     fit = Products.of(residual, S, folds).fit(np.arange(k + count), np.zeros(k + count), precision, known)
     fit = replace(fit, variance=known)
-    state = part(
-        SelectionState, S=S, residual=residual, noise_growth=np.ones((n, 2)), folds=folds, precision=precision,
-        nuisance=count,
-    )  # fmt: skip
-    object.__setattr__(state, "theta", np.zeros(k))
-    flights = SimpleNamespace(lengths=[length] * count)
-    object.__setattr__(state, "responses", SimpleNamespace(jackknife_blocks=stretch, flights=flights))
+    responses = SimpleNamespace(jackknife_blocks=stretch, flights=SimpleNamespace(lengths=[length] * count))
+    given = {"residual": residual, "precision": precision, "nuisance": count, "theta": np.zeros(k)}
+    state = state_of(S, folds, responses=responses, **given)
     columns, covariance = block_jackknife_covariance(state, fit)
     assert list(columns) == [0, 1, 2]
     weight = np.tile(1.0 / np.sqrt(known), n)

@@ -242,12 +242,8 @@ def test_log_scores_of_segments_of_different_length():
     missed, longest = [rng.standard_normal((n, 1)) for n in LENGTHS], max(LENGTHS)
     real = np.arange(longest) < np.array(LENGTHS)[:, None]
     flown = part(SegmentTrajectories, outputs=("q",), noise_growth=np.full((2, longest, 1), 2.0), inside=real)
-    paths = [
-        SimulatedManoeuvre(
-            "run", "extended", "hold_out", True, {}, 0.1 * np.arange(len(x)), {"q": x[:, 0]}, {"q": np.zeros(len(x))}
-        )
-        for x in missed
-    ]
+    known = [{"measured": {"q": x[:, 0]}, "simulated": {"q": np.zeros(len(x))}} for x in missed]
+    paths = [part(SimulatedManoeuvre, inside=True, **one) for one in known]
     expected = np.concatenate(missed)[:, 0] / 2.0
     density = norm.logpdf(expected, scale=np.sqrt(np.mean(expected**2)))
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
@@ -471,19 +467,11 @@ def test_modes_spread_as_draws_of_the_parameters_of_the_better_fit(linear):
         assert value == pytest.approx(np.median(drawn), rel=5e-3)
         assert sd == pytest.approx(0.5 * np.diff(np.quantile(drawn, [0.1587, 0.8413]))[0], rel=0.05)
     # Linear short period again, of the estimates and the covariance of a fit with process noise.
-    found = dict(zip(linear.fit.names, linear.fit.estimate, strict=True)) | {
-        "Zalpha": -1.3,
-        "Mq": -1.1,
-        "Malpha": -9.0,
-    }
-    names = list(found)[::-1]  # in another order
-    sd = {"Zalpha": 0.0, "Mq": 0.04, "Malpha": 0.2}
-    beside = Mock(
-        spec=ProcessNoise,
-        preferred=True,
-        estimates={name: (float(found[name]), sd.get(name, 0.0)) for name in names},
-        covariance=np.diag([sd.get(name, 0.0) ** 2 for name in names]),
-    )
+    changed = {"Zalpha": (-1.3, 0.0), "Mq": (-1.1, 0.04), "Malpha": (-9.0, 0.2)}
+    known = {n: (float(x), 0.0) for n, x in zip(linear.fit.names, linear.fit.estimate, strict=True)} | changed
+    known = dict(reversed(known.items()))  # in another order
+    covariance = np.diag([sd**2 for _, sd in known.values()])
+    beside = Mock(spec=ProcessNoise, preferred=True, estimates=known, covariance=covariance)
     moved = motion_of(linear, beside)
     assert moved.filtered
     (mode,) = moved.modes

@@ -175,13 +175,11 @@ def test_length_as_asked(seconds):
 @pytest.fixture(scope="module")
 def stalls(card):
     """The same two stalls' recipes at 25 and 100 Hz."""
-    return {
-        dt: [
-            synthetic(Request({}, noise="white", seed=seed, dt=dt), card, CATALOGUE, f"s{seed}_{dt}").record
-            for seed in (810, 811)
-        ]
-        for dt in (0.04, 0.01)
-    }
+
+    def flown(dt, seed):
+        return synthetic(Request({}, noise="white", seed=seed, dt=dt), card, CATALOGUE, f"s{seed}_{dt}").record
+
+    return {dt: [flown(dt, seed) for seed in (810, 811)] for dt in (0.04, 0.01)}
 
 
 @pytest.mark.parametrize("rates", [(0.04, 0.04), (0.01, 0.01), (0.04, 0.01)])
