@@ -182,12 +182,11 @@ def test_some_seconds(program, tmp_path):
 
 
 @pytest.mark.verify
-def test_any_short_record(program, tmp_path, capsys):
+def test_any_short_record(program, tmp_path):
     seed = int(np.random.SeedSequence().entropy) % (1 << 31)
     for number in range(max(3, int(FACTOR))):
         short = drawn(np.random.default_rng([seed, number]))
-        with capsys.disabled():  # `program` discards what it captures
-            print(f"\nseed {seed}, {number}: {short}")
+        print(f"\nseed {seed}, {number}: {short}")
         folder = tmp_path / str(number)
         folder.mkdir()
         climbed(program, folder, quick=False, **short)
