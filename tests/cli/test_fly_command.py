@@ -151,8 +151,8 @@ def test_a_model_of_effects_flies_a_stall(program, tmp_path):
 
 def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
     """The same estimates within the errors, measurement noise as it was made, and next to no process noise."""
-    card, first, second = two_flights(tmp_path)
-    found = told(program("fly", first, second, "--model", card, "--process-noise", "--out", "out", "--json"))
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    found = told(program("fly", record, "--model", card, "--process-noise", "--out", "out", "--json"))
     filtered = found["process_noise"]
     assert filtered["converged"]
     for name, (estimate, sd) in filtered["estimates"].items():
