@@ -13,17 +13,16 @@ from calling import answer, holds, refused, succeeded
 from flight.health.flights import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stranger import fly, plane
-from stranger_records import write
+from stranger import fly, plane, write
 
 from bayes_aero.errors import InputError
-from bayes_aero.flight.atmosphere import standard_air
-from bayes_aero.flight.card.card import parse_card, read_card
+from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.flight.channel import ALIASES, Channel
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import write_record
 from bayes_aero.jobs.card_template import starter_card
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
+from bayes_aero.physics.aircraft import standard_air
 
 CONSTANTS = {"mass": "8000 kg", "span": "15.492 m", "wing_area": "30 m^2", "Iy": "60000 kg m^2"}
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from calling import answer, holds, page_of, succeeded
 
-from bayes_aero.flight.card.card import shipped_cards
+from bayes_aero.flight.card import shipped_cards
 
 
 def test_a_gyro_bias_is_seen_without_aerodynamics_and_reported_on_request(program, flights, tmp_path):

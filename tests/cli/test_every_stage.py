@@ -13,17 +13,15 @@ import pytest
 import six_axes as six
 import stranger_six
 from fuzzing import FACTOR
-from stranger import fly, plane
-from stranger_records import NOISE
+from stranger import NOISE, fly, plane
 
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
-from bayes_aero.inference.likelihood.output_error import GUSTS
-from bayes_aero.model.joined_records import plain_marks
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.record import FlightRecord, write_record
+from bayes_aero.inference.output_error import GUSTS
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.simulate.synthetic_record import misrecorded
 
 UNITS = {

@@ -14,7 +14,7 @@ from calling import answer, refused, succeeded
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.simulator import DRAWS, Simulator
 from bayes_aero.export.jsbsim import jsbsim_files
-from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.jobs.fitted import read_identified
 from bayes_aero.model.model import Model

@@ -20,10 +20,9 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, rec
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, export_chosen, open_result
 from bayes_aero.explore.simulator import Simulator
-from bayes_aero.flight.card.card import read_card, shipped_cards
-from bayes_aero.flight.reading.read_record import read_records
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.reading import read_records
+from bayes_aero.flight.record import FlightRecord, write_record
 from bayes_aero.jobs.fitted import card_of, fitted_records
 from bayes_aero.jobs.options import FlyOptions
 from bayes_aero.jobs.provenance import as_json, provenance

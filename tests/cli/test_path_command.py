@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from calling import answer, page_of, refused
 
-from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
+from bayes_aero.diagnosis.trajectory_result import TrajectoryFit
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import fly as job

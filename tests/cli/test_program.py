@@ -16,13 +16,14 @@ import stranger_six
 from calling import answer, called, holds, page_of, recorded, refused, succeeded, validated
 from markupsafe import escape
 
-from bayes_aero.cli import app, main, terminal
+from bayes_aero.cli import app, terminal
+from bayes_aero.cli.app import main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading import read_record
+from bayes_aero.flight import reading
+from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
@@ -91,7 +92,7 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     done = program("identify")
     assert done.code == INTERRUPTED
     assert all(part in done.err for part in ("parameters.csv", "same command"))
-    monkeypatch.setattr(read_record, "read_records", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(reading, "read_records", Mock(side_effect=KeyboardInterrupt))
     done = program("identify", flights.sound)
     assert done.code == INTERRUPTED
     assert "nothing had been written" in done.err

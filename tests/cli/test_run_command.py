@@ -17,7 +17,7 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 import bayes_aero
 from bayes_aero.cli.fits import fly
 from bayes_aero.errors import InputError
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.study import case as units

@@ -13,14 +13,14 @@ import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
-from bayes_aero.dynamics.modes import Steady, modes
-from bayes_aero.dynamics.simulated.manoeuvres import commands, lateral_commands
-from bayes_aero.dynamics.simulated.trim import Trim
+from bayes_aero.dynamics.linear import Steady, modes
+from bayes_aero.dynamics.pilot import commands, lateral_commands
+from bayes_aero.dynamics.trim import Trim
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.options import Manoeuvre
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.synthetic_record import synthetic

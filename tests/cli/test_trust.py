@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from calling import answer, holds, refused
 
-from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.study import case as units
 
-EFFECT = (Path(__file__).parents[1] / "model" / "test_own_effects.py").read_text(encoding="utf-8").split("'''")[1]
+EFFECT = (Path(__file__).parents[1] / "model" / "test_cards.py").read_text(encoding="utf-8").split("'''")[1]
 
 
 @pytest.fixture

@@ -13,14 +13,14 @@ import pytest
 from calling import called, recorded
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments, simulate
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.page import page_of
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.flight.reading import read_record
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.simulate.demo import simulate_stall
 
 

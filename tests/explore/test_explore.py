@@ -14,8 +14,8 @@ import pytest
 import xarray as xr
 from scipy.stats import norm
 
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import (
     Choice,
@@ -31,12 +31,11 @@ from bayes_aero.explore.page import Asked, gain, read_asked, scores
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.export.identified import python_source
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.flight.reading import read_record
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.export import FORMS
-from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
 
 
 def agree(found, expected):

@@ -20,7 +20,7 @@ from bayes_aero.export.identified import Draws, Identified, about, python_source
 from bayes_aero.export.jsbsim import jsbsim_files
 from bayes_aero.export.program import translated
 from bayes_aero.export.tables import ACCURACY, write_tables
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
 
 FUNCTIONS = {

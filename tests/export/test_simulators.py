@@ -14,7 +14,7 @@ from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, s
 from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
 from bayes_aero.export.fmu import write_fmu
 from bayes_aero.export.jsbsim import PROPERTIES
-from bayes_aero.flight.atmosphere import air
+from bayes_aero.physics.aircraft import air
 from bayes_aero.simulate.demo import simulate_stall
 
 LARGEST = 1e-3  # of an output's range, between another simulator and the package's own simulation

@@ -27,11 +27,11 @@ from linear_cards import SHORT_PERIOD
 from scipy.io import savemat
 
 from bayes_aero.errors import LONGEST, InputError
-from bayes_aero.flight.card.card import read_card, shipped_cards
+from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.readers import text
-from bayes_aero.flight.reading.read_record import read_raw, read_record
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.reading import read_raw, read_record
+from bayes_aero.flight.record import write_record
 from bayes_aero.jobs import provenance
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.study import case as unit
@@ -330,7 +330,7 @@ def test_many_columns_of_words_are_not_read_one_by_one(tmp_path, monkeypatch):
     calls = []
     read = text.read_cells
     monkeypatch.setattr(text, "read_cells", lambda *given: calls.append(1) or read(*given))
-    monkeypatch.setattr("bayes_aero.flight.reading.read_record.PATIENCE", 3.0)
+    monkeypatch.setattr("bayes_aero.flight.reading.PATIENCE", 3.0)
     rows = [
         ",".join(f"c{i}" for i in range(1000)) + ",t",
         *(",".join(["1"] * 500 + ["word"] * 500) + f",{0.1 * k}" for k in range(9)),
