@@ -2,32 +2,22 @@
 
 import shutil
 import signal
-import sys
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from calling import called, recorded, succeeded
 
-from bayes_aero.cli.app import main
 from bayes_aero.jobs import diagnose as job
 
 
 @pytest.fixture
-def program(monkeypatch, capsys, tmp_path):
+def program(monkeypatch, tmp_path):
     """Call with arguments; gives code, out and err. The working directory is a fresh folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["bayes-aero", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        code = stopped.value.code
-        out, err = capsys.readouterr()
-        return SimpleNamespace(code=0 if code is None else code, out=out, err=err)
-
-    return call
+    return partial(called, ".")
 
 
 @pytest.fixture(scope="session")

@@ -99,16 +99,9 @@ def test_an_unfilled_card_names_the_first_thing_missing_and_is_not_overwritten(p
     assert tomllib.loads((tmp_path / "N123.toml").read_text())["title"] == "the aircraft of N123"
 
 
-def test_a_hostile_header_is_no_code_of_a_card(program, flights, card):
-    record = read_record(flights.sound, card.channels)
-    table = pd.DataFrame(
-        {
-            "t": record.time, 'al"pha\\': record["alpha"], "alpha": record["alpha"], "q": record["q"],
-            "theta": record["theta"], "TAS": record["airspeed"], "h": record["altitude"], "az": record["az"],
-            "]\n[evil": record["q"], "remark": ["climb"] * record.n,
-        }
-    )  # fmt: skip
-    table.to_csv("plain.csv", index=False)
+def test_a_hostile_header_is_no_code_of_a_card(program):
+    table = {"t": 0.1 * np.arange(60), 'al"pha\\': 0.1, "]\n[evil": 0.2, "remark": "climb", "TAS": 80.0}
+    pd.DataFrame(table).to_csv("plain.csv", index=False)
     done = program("card", "plain.csv")
     assert done.code in (0, 2)
     assert "Traceback" not in done.err
@@ -306,23 +299,13 @@ XPLANE = {
     "time": "_real,_time", "airspeed": "Vtrue,_ktas", "alpha": "alpha,__deg", "theta": "pitch,__deg",
     "phi": "_roll,__deg", "q": "____Q,rad/s", "az": "Gload,norml", "ax": "Gload,axial", "altitude": "__alt,ftmsl",
 }  # fmt: skip
-GARMIN = {
-    "time": "UTC Time (s)", "ax": "Longitudinal Acceleration (G)", "ay": "Lateral Acceleration (G)",
-    "az": "Normal Acceleration (G)", "p": "Roll Rate (deg/sec)", "q": "Pitch Rate (deg/sec)",
-    "r": "Yaw Rate (deg/sec)", "phi": "Roll (deg)", "theta": "Pitch (deg)", "psi": "Magnetic Heading (deg)",
-    "alpha": "AOA (deg)", "beta": "Sideslip (deg)",
-}  # fmt: skip
-SHORT = "UTC Time,LonG,LatG,NormG,P,Q,R,Roll,Pitch,HDG,AOA,AOS"
 
 
-@pytest.mark.parametrize(
-    ("names", "gap", "above", "below"), [(XPLANE, " | ", "", ""), (GARMIN, ",", '#info,log_version="1.00"\n', SHORT)]
-)
-def test_columns_of_other_programs_are_found(tmp_path, names, gap, above, below):
+def test_columns_of_x_plane_are_found(tmp_path):
     record = flight(0, seconds=20.0)
-    rows = (gap.join(f"{x:.6f}" for x in row) for row in zip(*(record[name] for name in names), strict=True))
-    (tmp_path / "run.txt").write_text(above + "\n".join([gap.join(names.values()), *below.splitlines(), *rows]))
-    assert set(names) <= set(starter_card(tmp_path / "run.txt").found)
+    rows = (" | ".join(f"{x:.6f}" for x in row) for row in zip(*(record[name] for name in XPLANE), strict=True))
+    (tmp_path / "run.txt").write_text("\n".join([" | ".join(XPLANE.values()), *rows]))
+    assert set(XPLANE) <= set(starter_card(tmp_path / "run.txt").found)
 
 
 def test_columns_of_a_structure_of_matlab_7_3_are_found(tmp_path):

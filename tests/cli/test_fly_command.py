@@ -98,7 +98,7 @@ def test_constant_errors_of_outputs_are_fitted_where_the_card_allows_them(progra
     assert apart == pytest.approx(truth[0] - truth[1], abs=0.002), truth
 
 
-def test_what_a_still_elevator_does_not_tell_is_marked_and_check_says_what_can_be_flown(program, tmp_path):
+def test_what_a_still_elevator_does_not_tell_is_marked_and_a_linear_card_is_only_flown(program, tmp_path):
     still = short_period_flight(SHORT_PERIOD_TRUTH | {"Zde": 0.0, "Mde": 0.0}, x0=(0.1, -0.1))
     still["elevator"] = np.zeros_like(still["elevator"])
     card, record = written(tmp_path, SHORT_PERIOD, still)
@@ -112,6 +112,7 @@ def test_what_a_still_elevator_does_not_tell_is_marked_and_check_says_what_can_b
     card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
     uses = answer(program("check", record, "--model", card, "--json"))["uses"]
     assert uses == {"fly": {"possible": True, "why_not": None}}
+    refused(program("diagnose", record, "--model", card), "a linear system, which has no effects; use one with [model]")
 
 
 def test_a_model_that_cannot_fly_is_exit_code_one(program, tmp_path):
@@ -150,8 +151,8 @@ def test_a_model_of_effects_flies_a_stall(program, tmp_path):
 
 def test_in_calm_air_process_noise_changes_nothing(program, tmp_path):
     """The same estimates within the errors, measurement noise as it was made, and next to no process noise."""
-    card, first, second = two_flights(tmp_path)
-    found = told(program("fly", first, second, "--model", card, "--process-noise", "--out", "out", "--json"))
+    card, record = written(tmp_path, SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH))
+    found = told(program("fly", record, "--model", card, "--process-noise", "--out", "out", "--json"))
     filtered = found["process_noise"]
     assert filtered["converged"]
     for name, (estimate, sd) in filtered["estimates"].items():

@@ -234,15 +234,6 @@ def test_published_estimates_come_back(six_card, six_records, case, drag):
     assert found.det_R == pytest.approx(reference["det_R"], rel=0.01)
 
 
-def test_each_manoeuvre_is_fitted_alone_in_six_coefficients(six_card, six_records):
-    model = Model.from_card(six_card)
-    observations = observe(six_records, six_card, model, Forming.PUBLISHED)
-    alone = fit_mle(model, observations.only(1), extra_starts=0)
-    assert tuple(alone.fit) == observations.thinned().coefficients == ("CL", "CD", "Cm", "CY", "Cl", "Cn")
-    estimate = dict(zip(alone.names, alone.estimate, strict=True))
-    assert estimate["Clda"] == pytest.approx(published("TC23")["parameters"]["Clda"]["estimate"], rel=0.03)
-
-
 def test_the_lateral_axis_alone_gives_the_published_derivatives(six_records):
     """Within two standard errors that count the colour; the model has three derivatives more."""
     lateral = read_card("basic_lateral")

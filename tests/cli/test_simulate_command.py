@@ -12,15 +12,13 @@ import six_axes as six
 import stranger_six
 from calling import answer, called, refused, succeeded, validated
 
-from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
+from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.linear import Steady, modes
 from bayes_aero.dynamics.pilot import commands, lateral_commands
 from bayes_aero.dynamics.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.options import Manoeuvre
-from bayes_aero.model.model import Model
-from bayes_aero.model.observations import join
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.synthetic_record import synthetic
@@ -161,18 +159,6 @@ def test_a_card_holds_further_states(flown):
     assert "holds beta, phi to the record" in why
     for name in ("Clp", "Clda", "Cnbe", "Cndr"):
         assert found["parameters"][name]["estimate"] == pytest.approx(getattr(plane, name), rel=0.05)
-
-
-def test_every_simulation_holds_what_the_card_holds(tmp_path):
-    """That of `diagnose`, too: the states are known from the records as they are joined."""
-    plane, rng = stranger_six.Plane(**six.ATTACHED), np.random.default_rng(3)
-    (tmp_path / "held.toml").write_text(six.card_text(plane, more='[fly]\nheld = ["beta", "phi"]\n'))
-    card = read_card(str(tmp_path / "held.toml"))
-    flight = stranger_six.fly(plane, "rudder", rng, seconds=5.0)
-    flights = join([six.record("rudder", flight, rng)], card, ())
-    dynamics = aircraft_dynamics(Model.from_card(card), flights)
-    assert dynamics.prescribed == ("beta", "phi")
-    assert not {"beta", "phi"} & set(dynamics.states)
 
 
 def test_a_state_that_there_is_not_cannot_be_held(flown, program):

@@ -111,16 +111,6 @@ def test_at_rest_the_coefficients_are_finite(make):
     assert any("airspeed below 1 m/s" in sentence for sentence in about(found))
 
 
-def test_the_state_follows_its_static_value():
-    """dX/dt = (X_static - X)/lag, lag = tau1 c/V, by hand; where alpha rises X_static has no hysteresis."""
-    found = stall(5.0)
-    flow = {"airspeed": 80.0, "alpha": 0.3, "alpha_dot": 0.02, "elevator": 0.0, "mach": 0.25, "q": 0.0}
-    told = loaded(found)["aerodynamics"](**flow, X=0.9)
-    static = (1.0 - np.tanh(25.0 * (0.3 - 0.27))) / 2.0
-    assert told["X_static"] == pytest.approx(static, rel=1e-12)
-    assert told["lag"] == pytest.approx(5.0 * 3.159 / 80.0, rel=1e-12)
-
-
 def test_a_channel_that_is_no_name_is_refused():
     own = replace(
         CATALOGUE["elevator_drag"],

@@ -22,6 +22,10 @@ from bayes_aero.jobs.column_inference import guessed
     ("measured AoA (deg)", "alpha", "deg"), ("TAS (kn)", "airspeed", "kt"), ("ADC_TAS_KT", "airspeed", "kt"),
     ("BOOM_AOA_DEG", "alpha", "deg"), ("INS_PITCH_DEG", "theta", "deg"), ("INS_Q [deg/s]", "q", "deg/s"),
     ("INS_NZ_G", "az", "g"), ("UTC_SEC", "time", "s"), ("ENG_THRUST_LBF", "thrust", "lbf"),
+    ("UTC Time (s)", "time", "s"), ("Longitudinal Acceleration (G)", "ax", "g"), ("Roll (deg)", "phi", "deg"),
+    ("Lateral Acceleration (G)", "ay", "g"), ("Normal Acceleration (G)", "az", "g"), ("Pitch (deg)", "theta", "deg"),
+    ("Roll Rate (deg/sec)", "p", "deg/s"), ("Yaw Rate (deg/sec)", "r", "deg/s"), ("Sideslip (deg)", "beta", "deg"),
+    ("Magnetic Heading (deg)", "psi", "deg"), ("True Airspeed (kt)", "airspeed", "kt"),
     ("AirspeedTrue_kt", "airspeed", "kt"), ("Normal Accel [g]", "az", "g"), ("P_RATE", "p", None),
 ])  # fmt: skip
 def test_words_beside_the_name_are_no_part_of_it(heading, channel, unit):
