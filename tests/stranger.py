@@ -136,7 +136,7 @@ def fly(
             force = deck if force is None else force + (deck - force) * -np.expm1(-dt / p.thrust_lag)
             running, row = force / full, (*row[:-1], deck)
         rows.append((t, *row))
-        x = _advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
+        x = advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
         elevator, engine = after, running
     return np.array(rows).T
 
@@ -165,7 +165,7 @@ def _sensed(
     return V, alpha, theta, q, ax, az, h, elevator, T
 
 
-def _advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -> np.ndarray:
+def advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -> np.ndarray:
     """Runge-Kutta of fourth order, inputs (elevator, lever, gusts) linear within the sample."""
     h = dt / parts
     for i in range(parts):

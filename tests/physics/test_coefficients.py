@@ -1,4 +1,4 @@
-"""Three and six coefficients, from rotations, forces put on a rigid body, and the textbook's polar."""
+"""Three and six coefficients, from forces put on a rigid body, and the textbook's polar."""
 
 import json
 import re
@@ -14,32 +14,13 @@ from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import (
     SMOOTHED,
-    body_from_lift_drag,
     coefficient_noise,
     coefficients,
     condition_joined,
-    lift_drag_from_body,
     stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.filters import smooth
-from bayes_aero.physics.flightpath import Rotation, lever_arm
-
-
-# Coefficients: rotations, propagated noise, and the way back from a simulated flight
-def test_rotation_is_its_own_inverse_and_the_lever_arm_a_cross_product():
-    rng = np.random.default_rng(1)
-    CX, CZ, alpha = (jnp.asarray(rng.normal(size=20)) for _ in range(3))
-    CL, CD = lift_drag_from_body(CX, CZ, alpha)
-    np.testing.assert_allclose(CL**2 + CD**2, CX**2 + CZ**2, rtol=1e-12)
-    np.testing.assert_allclose(body_from_lift_drag(CL, CD, alpha), (CX, CZ), atol=1e-12)
-    # At zero incidence drag acts backward and lift upward.
-    CL, CD = lift_drag_from_body(jnp.asarray(-0.1), jnp.asarray(-0.5), jnp.asarray(0.0))
-    assert (float(CL), float(CD)) == (0.5, 0.1)
-    rng = np.random.default_rng(2)
-    omega, omega_dot, r = rng.normal(size=(3, 3))
-    found = lever_arm(Rotation(*map(jnp.asarray, (*omega, *omega_dot))), tuple(map(float, r)))
-    np.testing.assert_allclose(found, np.cross(omega_dot, r) + np.cross(omega, np.cross(omega, r)), atol=1e-12)
 
 
 def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
