@@ -18,7 +18,6 @@ from linear_cards import (
 )
 
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.aircraft import NO_AIRCRAFT
@@ -51,17 +50,6 @@ def test_it_moves_as_the_matrix_exponential_says(which):
     for name in dynamics.outputs:
         assert np.ptp(true[name]) > 1e-2
         np.testing.assert_allclose(found.outputs[name], true[name], rtol=0.0, atol=1e-8, err_msg=name)
-
-
-def test_a_segment_starts_where_it_was_measured_and_has_no_residual():
-    card = card_of(SHORT_PERIOD)
-    dynamics = linear_dynamics(card)
-    truth = SHORT_PERIOD_TRUTH | {"Z0": 0.0, "M0": 0.0}  # at rest until the first input: its start is exact
-    true = short_period_flight(truth, x0=(0.0, 0.0))
-    flown = segments(join([record_of(true)], card, dynamics.inputs), dynamics, substeps=8)
-    assert flown.outputs == ("alpha", "q", "az")
-    found = simulate(flown, theta_of(dynamics, truth), jnp.zeros((1, 2)))
-    assert float(jnp.abs(found.residual[0, :, :2]).max()) < 1e-8
 
 
 def test_a_system_without_inputs_decays():
