@@ -136,7 +136,7 @@ def fly(
             force = deck if force is None else force + (deck - force) * -np.expm1(-dt / p.thrust_lag)
             running, row = force / full, (*row[:-1], deck)
         rows.append((t, *row))
-        x = _advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
+        x = advanced(p.rates, x, dt, (elevator, after), (engine, running), *air[:, k : k + 2])
         elevator, engine = after, running
     return np.array(rows).T
 
@@ -165,7 +165,7 @@ def _sensed(
     return V, alpha, theta, q, ax, az, h, elevator, T
 
 
-def _advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -> np.ndarray:
+def advanced(rates: Rates, x: np.ndarray, dt: float, *inputs, parts: int = 5) -> np.ndarray:
     """Runge-Kutta of fourth order, inputs (elevator, lever, gusts) linear within the sample."""
     h = dt / parts
     for i in range(parts):
@@ -308,6 +308,12 @@ def flown(
 
 def card_text(p: Plane) -> str:
     """The right card of the aircraft, but for what is hidden."""
+    names = ["time", "airspeed", "alpha", "theta", "q", "ax", "az", "altitude", "elevator", "thrust", "p", "r"]
+    units = ["s", "kt", "deg", "deg", "deg/s", "g0", "g0", "ft", "deg", "lbf", "deg/s", "deg/s"]
+    channels = "\n".join(
+        f'{name} = {{ label = "{heading}", unit = "{unit}"{", sign = -1" if name in ("az", "elevator") else ""} }}'
+        for name, heading, unit in zip(names, HEADINGS.split(","), units, strict=True)
+    )
     return f"""
 title = "another aircraft"
 source = "a simulator of its own"
@@ -323,18 +329,7 @@ half_span = "{p.b / 2.0} m"
 aspect_ratio = {p.b**2 / p.S}
 tail_arm = "{p.tail} m"
 [channels]
-time = {{ label = "Time_s", unit = "s" }}
-airspeed = {{ label = "KTAS", unit = "kt" }}
-alpha = {{ label = "AOA_deg", unit = "deg" }}
-theta = {{ label = "THETA_deg", unit = "deg" }}
-q = {{ label = "QB_dps", unit = "deg/s" }}
-ax = {{ label = "NXB_g", unit = "g0" }}
-az = {{ label = "NZB_g", unit = "g0", sign = -1 }}
-altitude = {{ label = "HP_ft", unit = "ft" }}
-elevator = {{ label = "DE_TEU_deg", unit = "deg", sign = -1 }}
-thrust = {{ label = "FN_lbf", unit = "lbf" }}
-p = {{ label = "PB_dps", unit = "deg/s" }}
-r = {{ label = "RB_dps", unit = "deg/s" }}
+{channels}
 [constants]
 ay = "0 g0"
 phi = "0 deg"

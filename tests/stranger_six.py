@@ -13,8 +13,8 @@ from dataclasses import dataclass, make_dataclass, replace
 
 import numpy as np
 from scipy.optimize import fsolve
+from stranger import G, advanced
 
-G = 9.80665
 KINDS = ("elevator", "aileron", "rudder", "stall", "stall_in_bank")
 BANK, SWAY = 0.25, 5.0  # rad, s
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h", "X_left", "X_right")
@@ -282,20 +282,8 @@ def fly(
                 kept = np.exp(-V / 300.0 * dt / 4.0)
                 met = kept * met + np.sqrt(1.0 - kept**2) * gust * rng.standard_normal(3)
                 ends = [now + (after - now) * (part + j) / 4.0 for j in (0, 1)]
-                x = advanced(replace(plane, gust=tuple(met)), x, *ends, dt / 4.0, 1)
+                x = advanced(replace(plane, gust=tuple(met)).rates, x, dt / 4.0, ends, parts=1)
         else:
-            x = advanced(plane, x, now, after, dt)
+            x = advanced(plane.rates, x, dt, (now, after), parts=2)
         now = after
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
-def advanced(plane: Plane, x: np.ndarray, now: np.ndarray, then: np.ndarray, dt: float, parts: int = 2) -> np.ndarray:
-    """Runge-Kutta of fourth order, controls linear within the sample."""
-    h = dt / parts
-    for i in range(parts):
-        a, m, b = (now + (then - now) * (i + share) / parts for share in (0.0, 0.5, 1.0))
-        k1 = plane.rates(x, a)
-        k2 = plane.rates(x + h / 2.0 * k1, m)
-        k3 = plane.rates(x + h / 2.0 * k2, m)
-        x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + plane.rates(x + h * k3, b))
-    return x

@@ -18,7 +18,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks, observe, response_scales
 from bayes_aero.model.records import marks_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
-from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.kinematics import path_rates
 from bayes_aero.report.text.restraints import sign_sentences
 
@@ -488,30 +487,6 @@ def test_the_aircraft_is_moved_and_weighed_and_nothing_else_changes(card, values
     places = {key: tuple(np.subtract(getattr(a, key), moved)) for key in ("reference_point", "accelerometer", "engine")}
     for key, expected in vars(replace(a, **changed(a), **places)).items():
         assert expected is None or getattr(true, key) == pytest.approx(expected), key
-
-
-def steady(card, **changes):
-    """Cl and Cn of straight flight without rotation, 1 g, as the record gives them."""
-    signals = dict.fromkeys(("ax", "ay", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha", "beta"), 0.0)
-    signals |= {"az": -9.81, "airspeed": 80.0, "density": 1.0, "thrust": 2e4, "thrust_left": 1e4, "thrust_right": 1e4}
-    forward = dict.fromkeys(("reference_point", "accelerometer", "engine"), (0.5, 0.0, 0.2))
-    aircraft = replace(card.aircraft, engine_arm=2.0, engine_inclination=0.0, **forward)
-    model = Model.of(list(changes), axes=BOTH)
-    channels = {name: jnp.asarray([x]) for name, x in signals.items()}
-    found = coefficients(model.corrected(changes, channels, aircraft), model.actual_aircraft(changes, aircraft))
-    pressure_area = 0.5 * 80.0**2 * aircraft.wing_area * 2.0 * aircraft.half_span
-    return float(found.Cl[0]) * pressure_area, float(found.Cn[0]) * pressure_area
-
-
-def test_uneven_engines_and_a_centre_of_gravity_aside_ask_for_moments(card):
-    """5 % of 10 kN more left and less right, 2 m out: 2000 N m to the right, which aerodynamics must balance."""
-    (roll, yaw), (_, without) = steady(card, thrust_asymmetry=0.05), steady(card)
-    assert (roll, yaw, without) == pytest.approx((0.0, -2000.0, 0.0), abs=1e-9)
-    # About the card's reference point, left of the CG, a lift of m g through the CG rolls to the left: -m g dy.
-    roll, yaw = steady(card, lateral_cg_shift=0.1)
-    assert steady(card) == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert roll == pytest.approx(-0.1 * card.aircraft.mass * 9.81, rel=1e-9)
-    assert yaw == pytest.approx(0.0, abs=1e-6)  # thrust left of the CG, and the drag that it holds, on one line
 
 
 def test_fixed_errors_of_sensor_and_mass_are_taken_out(card, model, clean_records):

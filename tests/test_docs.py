@@ -190,16 +190,6 @@ def test_committed_with_clean_outputs_of_one_run_from_top_to_bottom(path):
     assert path.stat().st_size < MEGABYTE
 
 
-@each
-def test_every_figure_is_followed_by_what_it_does_not_show(path):
-    cells = nbformat.read(path, as_version=4).cells
-    for number, cell in enumerate(cells):
-        if any("image/png" in o.get("data", {}) for o in cell.get("outputs", [])):
-            words = next((c.source for c in cells[number + 1 :] if c.cell_type == "markdown"), "")
-            said = " ".join(words.split())
-            assert "not conclude" in said or "before anything is believed" in cells[number - 1].source
-
-
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory):
     """A folder for compiled programs that the notebooks share, unless there is one already."""

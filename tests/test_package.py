@@ -1,4 +1,4 @@
-"""The package: one entry or file for what is added, no inference in reports, compiled once, checked as it runs."""
+"""The package: an effect is one entry, no inference in reports, compiled once, checked as it runs."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from typechecker import check_once
 
 import bayes_aero
 import bayes_aero.effects as effects
-import bayes_aero.flight.readers as readers
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.filters import smooth
-from bayes_aero.report import figures
-from bayes_aero.report.figures import every_figure
 
 ENTRY = '''
 """Drag of the elevator, squared."""
@@ -37,31 +34,13 @@ from bayes_aero.effects.lift_drag import ELEVATOR_DRAG
 from dataclasses import replace
 ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
-READER = '''
-"""Two columns of numbers in octal."""
-from bayes_aero.flight.readers.text import open_text
-def open_octal(data):
-    rows = [line.split() for line in data.decode().splitlines()]
-    text = [rows[0], *([str(int(x, 8)) for x in row] for row in rows[1:])]
-    return open_text("\\n".join(" ".join(row) for row in text).encode())
-READS = {".oct": open_octal}
-'''
-FIGURE = '''
-"""Elevator over time."""
-from matplotlib.figure import Figure
-def elevator(run):
-    figure = Figure()
-    figure.subplots().plot(run)
-    return figure
-FIGURES = {"elevator": elevator}
-'''
 
 
 def beside(package: ModuleType, name: str, text: str, folder, monkeypatch) -> None:
     """The package as if `folder`/`name`.py, which holds `text`, lay in it."""
     (folder / f"{name}.py").write_text(text)
     monkeypatch.setattr(package, "__path__", [*package.__path__, str(folder)])
-    monkeypatch.delitem(import_module("sys").modules, f"{package.__name__}.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, f"{package.__name__}.{name}", raising=False)
 
 
 def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, monkeypatch):
@@ -72,23 +51,6 @@ def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, mo
     beside(effects, "drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"), tmp_path, monkeypatch)
     with pytest.raises(InputError, match="second effect elevator_drag"):
         effects._discover()
-
-
-def test_a_reader_is_one_file(tmp_path, monkeypatch):
-    beside(readers, "octal", READER, tmp_path, monkeypatch)
-    found = readers._discover()
-    assert found.keys() - readers.READERS.keys() == {".oct"}
-    opened = found[".oct"](b"time q\n0 17\n1 20\n")
-    assert [heading.names for heading in opened.headings] == [("time",), ("q",)]
-
-
-def test_a_figure_is_one_file(tmp_path, monkeypatch):
-    beside(figures, "elevator", FIGURE, tmp_path, monkeypatch)
-    found = {stem: draw for declared in every_figure._declared("FIGURES") for stem, draw in declared.items()}
-    assert found.keys() - every_figure.FIGURES.keys() == {"elevator"}
-    written, failed = every_figure.draw_all({"elevator": found["elevator"]}, [0.0, 1.0], tmp_path / "figures")
-    assert [path.name for path in written] == ["elevator.png"]
-    assert not failed
 
 
 BELOW = ("diagnosis", "inference", "residuals", "dynamics", "model")

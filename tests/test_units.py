@@ -55,21 +55,12 @@ def test_where_capitals_tell_two_units_apart_they_must_be_right(word):
 @pytest.mark.parametrize(
     ("text", "si", "unit"),
     [
-        ("lbs", "N", "lbf"),
-        ("lbs", "kg", "lb"),
-        ("lb/ft2", "Pa", "lbf/ft^2"),
-        ("lb/ft3", "kg/m^3", "lb/ft^3"),
-        ("KN", "N", "kN"),
-        ("KN", "m/s", "kt"),
+        ("lbs", "N", "lbf"), ("lbs", "kg", "lb"), ("lb/ft2", "Pa", "lbf/ft^2"), ("lb/ft3", "kg/m^3", "lb/ft^3"),
+        ("KN", "N", "kN"), ("KN", "m/s", "kt"), ("hectopascal", "Pa", "hPa"), ("deg (TED)", "rad", "deg"),
+        ("FT MSL", "m", "ft"), ("% N1", "1", "%"), ("", None, None), ("left", None, None),
         ("g", "kg", "g"),  # never the gram, which fits
-        ("hectopascal", "Pa", "hPa"),
-        ("deg (TED)", "rad", "deg"),
-        ("FT MSL", "m", "ft"),
-        ("% N1", "1", "%"),
-        ("", None, None),
-        ("left", None, None),
     ],
-)
+)  # fmt: skip
 def test_the_quantity_decides_between_two_meanings(text, si, unit):
     assert canonical(text, si) == unit
 

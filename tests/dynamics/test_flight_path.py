@@ -42,10 +42,8 @@ def published():
 
 
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory):
+def flights(published, tmp_path_factory):  # noqa: ARG001
     """Three manoeuvres; altitude in feet and pressure in hPa, as the publisher's list says of these files."""
-    if not (BOOK / "references.json").is_file():
-        pytest.skip(f"the data of the book and the published results are not in {BOOK}")
     folder, paths = tmp_path_factory.mktemp("book"), []
     text = shipped_cards()["attas"].read_text(encoding="utf-8")
     text = text.replace('label = "HQNH", unit = "m"', 'label = "HQNH", unit = "ft"').replace('"Pa"', '"hPa"')

@@ -17,7 +17,7 @@ from bayes_aero.dynamics.innovations import neighbour_correlation
 from bayes_aero.dynamics.kalman import discrete_noise
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT, System, advance
+from bayes_aero.dynamics.system import FLIGHT, System
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import disturbed
@@ -61,14 +61,12 @@ def test_gusts_act_through_the_flow_alone(systems):
         assert float(same[name]) == pytest.approx(float(value), rel=1e-14, abs=1e-14), name
     airspeed, alpha = V + U, ALPHA + W / V
     _, flow = calm.motion(state(airspeed, alpha), ROW)
-    _, found = gusty.motion(state(V, ALPHA, W, U), ROW)
+    rate, found = gusty.motion(state(V, ALPHA, W, U), ROW)
     assert float(found["alpha"]) == pytest.approx(alpha, rel=1e-14)
     assert float(found["airspeed"]) == pytest.approx(airspeed, rel=1e-14)
     for name in ("ax", "az", "q_dot", "CL", "CD", "Cm"):
         assert float(found[name]) == pytest.approx(float(flow[name]), rel=1e-12), name
     # Newton's second law in axes of the path, written out: alpha-dot = q + (az cos - ax sin + g cos gamma) / V.
-    _, gusty = systems
-    rate, found = gusty.motion(state(V, ALPHA, W, U), ROW)
     g, arm = 9.80665, gusty.aircraft.accelerometer
     assert not np.any(np.asarray(arm)[[0, 2]])  # the accelerometers are at the CG
     ax, az = float(found["ax"]), float(found["az"])
@@ -85,12 +83,8 @@ def test_gusts_decay_with_their_length_and_keep_their_intensity(systems):
     at = gusty.states.index("gust_w")
     rate, _ = gusty.motion(x, ROW)
     assert float(rate[at]) == pytest.approx(-V / LENGTH * W, rel=1e-12)
-    density, dt = float(gusty.noise_density(x, ROW)[at]), 0.01
-    kept = float(expm(jnp.array([[-V / LENGTH * dt]]))[0, 0])
-    variance = 0.0
-    for _ in range(20000):  # the stationary variance of the process, by its recursion
-        variance = kept**2 * variance + density * (1.0 - kept**2) / (2.0 * V / LENGTH)
-    assert variance == pytest.approx(VALUES["vertical_gust"] ** 2, rel=1e-9)
+    density = float(gusty.noise_density(x, ROW)[at])  # the stationary variance is density / (2 V / LENGTH)
+    assert density == pytest.approx(2.0 * V / LENGTH * VALUES["vertical_gust"] ** 2, rel=1e-12)
 
 
 def test_at_the_beginning_the_flow_is_known_and_the_gust_is_not(systems):
@@ -160,15 +154,15 @@ def test_the_spread_is_that_of_the_linear_system_and_a_gust_grows_exactly():
     exact = solve_continuous_lyapunov(A, -np.diag([0.0, 2.0 * LAG * SIGMA**2]))
     assert exact[1, 1] == pytest.approx(SIGMA**2)
     assert exact[0, 0] == pytest.approx(GAIN**2 * SIGMA**2 / (RATE * (RATE + LAG)))
-    found = np.cov(flights(SIGMA)[:, -1].T)
+    flown = flights(SIGMA)
+    found = np.cov(flown[:, -1].T)
     four = 4.0 * np.sqrt(2.0 / COUNT)  # standard errors of a variance; the step of 0.02 s adds 1 %
     assert np.diag(found) == pytest.approx(np.diag(exact), rel=four + 0.01)
     assert found[0, 1] == pytest.approx(exact[0, 1], rel=four + 0.01)
     # Its variance from calm air is sigma^2 (1 - exp(-2 a t)), whatever the step.
-    gust = flights(SIGMA)[:, :, 1]
     for k in (1, 20, 100):
         exact = SIGMA**2 * (1.0 - np.exp(-2.0 * LAG * DT * k))
-        assert np.var(gust[:, k]) == pytest.approx(exact, rel=4.0 * np.sqrt(2.0 / COUNT))
+        assert np.var(flown[:, k, 1]) == pytest.approx(exact, rel=4.0 * np.sqrt(2.0 / COUNT))
     assert not flights(0.0).any()
 
 
@@ -202,21 +196,15 @@ def shaken():
     angle = 0.12 + 0.05 * np.sin(2.0 * np.pi * h * np.arange(n) / 12.0)
     moment = TRUTH["Cm0"] + TRUTH["CmV"] + TRUTH["Cma"] * angle - 0.018  # of the thrust
     inputs = {"elevator": -moment / TRUTH["Cmde"], "thrust": np.full(n, 9e3), "density": np.full(n, 0.792)}
-    at = lambda k: {name: jnp.asarray(y[min(k, n - 1)]) for name, y in inputs.items()}
-    further, seen = eqx.filter_jit(advance), eqx.filter_jit(lambda s, x, u: s.motion(x, u)[1])
-    x, rows, apart = np.array([104.0, 0.12, 0.12, 0.0, 0.0]), [], []
-    for k in range(n):
-        if k % FINER == 0:
-            found = seen(system, jnp.asarray(x), at(k))
-            rows.append([float(found[name]) for name in NOISE])
-            apart.append(1.0 - float(found["X"]))
-        kept = np.exp(-x[0] / (SHAKEN_LENGTH * 2.43) * h)
-        shake = kept * x[4] + np.sqrt(1.0 - kept**2) * INTENSITY * rng.standard_normal()
-        x = np.append(np.asarray(further(system, jnp.asarray(x), at(k), at(k + 1), h, 1))[:4], shake)
+    drives, start = {name: jnp.asarray(y) for name, y in inputs.items()}, jnp.array([104.0, 0.12, 0.12, 0.0, 0.0])
+    white = jnp.asarray(rng.standard_normal((n, 5)))
+    rows, inside = eqx.filter_jit(through_gusts)(system, start, drives, h, white, (*NOISE, "X"))
+    assert bool(inside.all())
+    rows = np.asarray(rows)[::FINER]
     t, inputs = SHAKEN_DT * np.arange(SHAKEN_N), {name: y[::FINER] for name, y in inputs.items()}
-    z = np.array(rows) + np.array(list(NOISE.values())) * rng.standard_normal((SHAKEN_N, len(NOISE)))
+    z = rows[:, :-1] + np.array(list(NOISE.values())) * rng.standard_normal((SHAKEN_N, len(NOISE)))
     record = FlightRecord.from_arrays("shaken", t, dict(zip(NOISE, z.T, strict=True)) | inputs, "simulated")
-    return card, join([record], card, FLIGHT), np.array(apart)
+    return card, join([record], card, FLIGHT), 1.0 - rows[:, -1]
 
 
 def fitted(card, flights, *more):

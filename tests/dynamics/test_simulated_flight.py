@@ -37,7 +37,6 @@ from bayes_aero.dynamics.trim import (
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
-from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.physics.aircraft import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
@@ -46,30 +45,10 @@ from bayes_aero.simulate.demo import PROFILES, TRUTH
 
 # Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it
 AIRSPEED, ALTITUDE = 95.0, 5200.0
-TRIM = {"Cmih": -2.0, "Cm_stick": 0.7}  # the stick pitches up as much as the demo's elevator pitches down
 
 
-def stick(v, s, a, _known):
-    """A moment at the tail arm and the lift that goes with it."""
-    return {"Cm": v["Cm_stick"] * s["elevator"], "CL_attached": -v["Cm_stick"] * a.chord / a.tail_arm * s["elevator"]}
-
-
-STICK = Effect(
-    name="stick_moment",
-    kind=Kind.AERODYNAMICS,
-    stage=Stage.ATTACHED,
-    claim="The stick pitches the aircraft up.",
-    parameters=(Parameter("Cm_stick", "1/rad", 0.0, 0.5, "moment per stick", Prior("normal", 0.5, 1.0)),),
-    channels=("elevator",),
-    increments=stick,
-    example=Example({"Cm_stick": 0.5}, {"elevator": 0.1}, {"Cm": 0.05, "CL_attached": -0.01}, "by hand"),
-    source="our choice",
-    sizes={"Cm_stick": (0.03, 3.0)},
-)
-
-
-def values():
-    return {name: jnp.asarray(x) for name, x in (TRUTH | TRIM).items()}
+def values(**changes):
+    return {name: jnp.asarray(x) for name, x in (TRUTH | {"Cmih": -2.0} | changes).items()}
 
 
 def pitched_by(card, *effects):
@@ -77,8 +56,8 @@ def pitched_by(card, *effects):
     return Model.of([*(e for e in card.effects if e != "elevator_moment"), *effects])
 
 
-def standard(model, card):
-    found = fly_standard(model, values(), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)
+def standard(model, card, **changes):
+    found = fly_standard(model, values(**changes), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)
     return found.channels, found.refused
 
 
@@ -88,7 +67,7 @@ def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_othe
     np.testing.assert_array_equal(shares, [1.0, 0.0])
     np.testing.assert_allclose(command, -(TRUTH["Cm0"] + TRUTH["Cma"] * alpha) / TRUTH["Cmde"], rtol=1e-14)
     usual, refused = standard(Model.of(card.effects), card)
-    own, refused_own = standard(pitched_by(card, STICK), card)
+    own, refused_own = standard(Model.of(card.effects), card, Cmde=-TRUTH["Cmde"])
     assert not refused
     assert not refused_own
     for name, channels in usual.items():

@@ -176,9 +176,6 @@ def test_a_file_that_is_no_effect_is_said_in_a_sentence(tmp_path, source, said):
 
 
 # Effects with names of their own that declare what their parameters are: they do what the catalogue's do
-OWN = {"a1": "sharpness", "alpha_star": "alpha_break", "tau1": "T_flow", "Cmde": "Cm_stick", "CLa": "lift_slope"}
-
-
 def gentle(v, _s, _a, known):
     """X = 1/2 - arctan(k (incidence - alpha_half))/pi."""
     return {"X": -0.5 - jnp.arctan(v["k"] * (known["incidence"] - v["alpha_half"])) / jnp.pi}
@@ -202,70 +199,56 @@ ARCTAN_STALL = Effect(
 )
 
 
-def renamed(name):
-    """An effect of the catalogue as a user would write it: other names, the same declarations."""
-    effect = CATALOGUE[name]
-    back = {OWN.get(p.name, p.name): p.name for p in effect.parameters}
-    parameters = tuple(replace(p, name=OWN.get(p.name, p.name)) for p in effect.parameters)
-    given = effect.increments
-
-    def increments(v, s, a, known):
-        return given({**v, **{old: v[new] for new, old in back.items()}}, s, a, known)
-
-    sizes = {OWN.get(key, key): size for key, size in effect.sizes.items()}
-    return replace(effect, name=f"own_{name}", parameters=parameters, increments=increments, sizes=sizes)
+def in_place_of(name, own, card):
+    """The card's model with an effect of the user's for one of the catalogue."""
+    return Model.of([own if e == name else e for e in card.effects])
 
 
-def models(card, *names):
-    """The card's model, and the same with effects `names` in other words."""
-    own = [renamed(e) if e in names else e for e in card.effects]
-    return Model.of(card.effects), Model.of(own)
+def values(**more):
+    """The demo's true values, and those of parameters that have names of their own."""
+    return {name: jnp.asarray(x) for name, x in (TRUTH | more).items()}
 
 
-def values(**changes):
-    """The demo's true values by both names."""
-    true = TRUTH | changes
-    return {name: jnp.asarray(x) for name, x in (true | {OWN[n]: true[n] for n in OWN}).items()}
+def own_lag(role):
+    """The lag of the catalogue as a user would write it: another name."""
+    effect = CATALOGUE["separation_lag"]
+    (tau1,) = effect.parameters
+    return replace(
+        effect, name="own_lag", parameters=(replace(tau1, name="T_flow", role=role),),
+        increments=lambda v, *given: effect.increments(v | {"tau1": v["T_flow"]}, *given),
+        sizes={"T_flow": effect.sizes["tau1"]},
+    )  # fmt: skip
 
 
-def rates(model, card, v, X=0.4):
+def rates(model, card, v):
     """Rates of the state at one instant of a stall."""
     zero = jnp.asarray(0.0)
     plant = Plant(model, v, card.aircraft, (jnp.asarray(0.7), jnp.asarray(0.2), zero), zero)
-    state = FlightState(*(jnp.asarray(x) for x in (80.0, 0.26, 0.2, 0.01, 5000.0, X)))
+    state = FlightState(*(jnp.asarray(x) for x in (80.0, 0.26, 0.2, 0.01, 5000.0, 0.4)))
     inputs = dict.fromkeys(INPUTS, zero) | {"alpha_led": zero + 0.25, "thrust": zero + 9e3, "command": zero + 0.01}
     return FlightState(*plant.motion(jnp.stack(jax.tree.map(jnp.asarray, state)), inputs)[0])
 
 
 def test_a_lag_of_any_name_is_flown_if_it_names_its_time_constant(card):
-    usual, own = models(card, "separation_lag")
-    lagging = rates(usual, card, values(tau1=10.0))
+    own, silent = (in_place_of("separation_lag", own_lag(role), card) for role in (Role.LAG, None))
+    usual = Model.of(card.effects)
+    v, flights = values(tau1=10.0, T_flow=10.0), join(demo_records()[:1], card)
+    lagging = rates(usual, card, v)
     assert lagging.lagged_X != 0.0
-    np.testing.assert_array_equal(rates(own, card, values(tau1=10.0)), lagging)
-    flights = join(demo_records()[:1], card)
-    steps = [aircraft_dynamics(m, flights).slowest_step(values(tau1=10.0), flights) for m in (usual, own)]
+    np.testing.assert_array_equal(rates(own, card, v), lagging)
+    steps = [aircraft_dynamics(m, flights).slowest_step(v, flights) for m in (usual, own)]
     assert steps[0] == steps[1] < np.inf
-    silent = renamed("separation_lag")
-    silent = replace(silent, parameters=tuple(replace(p, role=None) for p in silent.parameters))
-    model = Model.of([silent if e == "separation_lag" else e for e in card.effects])
-    with pytest.raises(InputError, match=r"own_separation_lag is a lag .* none of its parameters has the role lag"):
-        aircraft_dynamics(model, join(demo_records()[:1], card))
-
-
-def other_stall(card):
-    """The card's model with another law of separation, and the demo's values with it."""
-    model = Model.of([ARCTAN_STALL if e == "flow_separation" else e for e in card.effects])
-    return model, values() | {"k": jnp.asarray(30.0), "alpha_half": jnp.asarray(0.22)}
+    with pytest.raises(InputError, match=r"own_lag is a lag .* none of its parameters has the role lag"):
+        aircraft_dynamics(silent, flights)
 
 
 def test_other_laws_of_the_stall_are_flown_and_fitted_by_their_own_break_angle(card, clean):
-    model, v = other_stall(card)
-    found = fly_standard(model, v, card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
+    model = in_place_of("flow_separation", ARCTAN_STALL, card)
+    found = fly_standard(model, values(k=30.0, alpha_half=0.22), card.aircraft, airspeed=95.0, altitude=5200.0, dt=0.04)
     assert not found.refused
     flown, stall = found.channels, found.channels["slow_stall"]
     assert stall["alpha"].max() > 0.22
     assert stall["X"].min() < 0.5 < flown["elevator_doublet"]["X"].min()
-    model, _ = other_stall(card)
     alpha = np.asarray(clean.signals["alpha"])
     fit = fit_mle(model, clean.subset(np.flatnonzero(alpha < 0.13)), extra_starts=0)
     assert fit.status is MleStatus.STALL_NOT_IDENTIFIED

@@ -12,14 +12,12 @@ from linear_cards import (
     SHORT_PERIOD,
     SHORT_PERIOD_TRUTH,
     card_of,
-    first_order_hold,
     lateral_flight,
     record_of,
     short_period_flight,
 )
 
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.model.model import Model
@@ -54,18 +52,7 @@ def test_it_moves_as_the_matrix_exponential_says(which):
         np.testing.assert_allclose(found.outputs[name], true[name], rtol=0.0, atol=1e-8, err_msg=name)
 
 
-def test_a_segment_starts_where_it_was_measured_and_has_no_residual():
-    card = card_of(SHORT_PERIOD)
-    dynamics = linear_dynamics(card)
-    truth = SHORT_PERIOD_TRUTH | {"Z0": 0.0, "M0": 0.0}  # at rest until the first input: its start is exact
-    true = short_period_flight(truth, x0=(0.0, 0.0))
-    flown = segments(join([record_of(true)], card, dynamics.inputs), dynamics, substeps=8)
-    assert flown.outputs == ("alpha", "q", "az")
-    found = simulate(flown, theta_of(dynamics, truth), jnp.zeros((1, 2)))
-    assert float(jnp.abs(found.residual[0, :, :2]).max()) < 1e-8
-
-
-def test_closed_forms_of_a_ramp_and_of_a_system_without_inputs():
+def test_a_system_without_inputs_decays():
     text = """
     [channels]
     time = { label = "t", unit = "s" }
@@ -82,10 +69,6 @@ def test_closed_forms_of_a_ramp_and_of_a_system_without_inputs():
     system = dynamics.system({"Mq": jnp.asarray(-0.8)}, flights.aircraft)
     found = integrate(system, jnp.asarray([0.3]), dynamics.drives({}, flights.channels, flights), 0.04)
     np.testing.assert_allclose(found.outputs["q"], 0.3 * np.exp(-0.8 * t), atol=1e-8)
-    # x' = -x + u with a ramp u = t from x = 0 is t - 1 + exp(-t).
-    t = np.arange(20) * 0.1
-    x = first_order_hold(np.array([[-1.0]]), np.array([[1.0]]), [0.0], t[:, None], 0.1)[:, 0]
-    np.testing.assert_allclose(x, t - 1.0 + np.exp(-t), atol=1e-14)
 
 
 def test_parameters_have_unit_meaning_and_what_the_card_sets():

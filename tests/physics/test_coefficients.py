@@ -1,4 +1,4 @@
-"""Three and six coefficients, from rotations, forces put on a rigid body, and the textbook's polar."""
+"""From a record to coefficients: filters, alpha-dot, forces put on a rigid body, and the textbook's polar."""
 
 import json
 import re
@@ -9,36 +9,192 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import Forming, observe
+from bayes_aero.physics import filters
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
-    body_from_lift_drag,
+    SMOOTHED,
+    coefficient_noise,
     coefficients,
     condition_joined,
-    lift_drag_from_body,
+    stacked_coefficients,
     unsmoothed_joined,
 )
-from bayes_aero.physics.filters import smooth
-from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.physics.separation import kirchhoff_factor, lagged, separation_point
+from bayes_aero.simulate.injection import hidden_flights
 
 
-# Coefficients: rotations, and the way back from a simulated flight
-def test_rotation_is_its_own_inverse_and_the_lever_arm_a_cross_product():
-    rng = np.random.default_rng(1)
-    CX, CZ, alpha = (jnp.asarray(rng.normal(size=20)) for _ in range(3))
-    CL, CD = lift_drag_from_body(CX, CZ, alpha)
-    np.testing.assert_allclose(CL**2 + CD**2, CX**2 + CZ**2, rtol=1e-12)
-    np.testing.assert_allclose(body_from_lift_drag(CL, CD, alpha), (CX, CZ), atol=1e-12)
-    # At zero incidence drag acts backward and lift upward.
-    CL, CD = lift_drag_from_body(jnp.asarray(-0.1), jnp.asarray(-0.5), jnp.asarray(0.0))
-    assert (float(CL), float(CD)) == (0.5, 0.1)
-    rng = np.random.default_rng(2)
-    omega, omega_dot, r = rng.normal(size=(3, 3))
-    found = lever_arm(Rotation(*map(jnp.asarray, (*omega, *omega_dot))), tuple(map(float, r)))
-    np.testing.assert_allclose(found, np.cross(omega_dot, r) + np.cross(omega, np.cross(omega, r)), atol=1e-12)
+# Smoothing and differentiation against what the filters are known to pass exactly
+@pytest.fixture
+def rng():
+    return np.random.default_rng(int.from_bytes(b"filters", "big") % 2**32)
 
 
+def polynomial(rng, degree, n):
+    t = np.linspace(-1.0, 1.0, n)
+    coefficients = rng.normal(size=degree + 1)
+    return t, np.polynomial.polynomial.polyval(t, coefficients), np.polynomial.polynomial.polyder(coefficients)
+
+
+def test_spencer_filter_passes_cubics_inside(rng):
+    _, x, _ = polynomial(rng, 3, 60)
+    smoothed = np.asarray(filters.smooth(jnp.asarray(x)))
+    np.testing.assert_allclose(smoothed[7:-7], x[7:-7], atol=1e-12)
+
+
+def test_ends_stay_and_next_samples_pass_straight_lines(rng):
+    _, x, _ = polynomial(rng, 1, 40)
+    smoothed = np.asarray(filters.smooth(jnp.asarray(x)))
+    np.testing.assert_allclose(smoothed, x, atol=1e-12)
+    noise = rng.normal(size=40)
+    np.testing.assert_array_equal(
+        np.asarray(filters.smooth(jnp.asarray(noise)))[[0, 1, 2, -3, -2, -1]], noise[[0, 1, 2, -3, -2, -1]]
+    )
+
+
+def test_derivatives_of_quartics_are_exact_and_of_sines_of_high_order(rng):
+    t, x, derivative = polynomial(rng, 4, 50)
+    found = np.asarray(filters.differentiate(jnp.asarray(x), t[1] - t[0]))
+    expected = np.polynomial.polynomial.polyval(t, derivative)
+    np.testing.assert_allclose(found[2:-2], expected[2:-2], atol=1e-9)
+    np.testing.assert_array_equal(found[:2], found[2])
+    np.testing.assert_array_equal(found[-2:], found[-3])
+    errors = []
+    for n in (60, 120):
+        t = np.linspace(0.0, 2 * np.pi, n)
+        found = np.asarray(filters.differentiate(jnp.asarray(np.sin(8 * t)), t[1] - t[0]))
+        errors.append(np.abs(found - 8 * np.cos(8 * t))[8:-8].max())
+    assert np.log2(errors[0] / errors[1]) > 7.0
+
+
+def test_stated_noise_gains_hold_for_simulated_noise(rng):
+    noise = jnp.asarray(rng.normal(size=200_000))
+    assert np.std(filters.smooth(noise)) == pytest.approx(filters.SMOOTHING_GAIN, rel=0.02)
+    derived = filters.differentiate(filters.smooth(noise), 1.0)
+    assert np.std(derived) == pytest.approx(filters.SMOOTHED_DERIVATIVE_GAIN, rel=0.02)
+
+
+def test_recurrence_is_the_loop_it_stands_for(rng):
+    keep, drive = rng.uniform(-1, 1, (30, 2)), rng.normal(size=(30, 2))
+    x, expected = np.zeros(2), []
+    for a, b in zip(keep, drive, strict=True):
+        x = a * x + b
+        expected.append(x)
+    np.testing.assert_allclose(filters.recurrence(jnp.asarray(keep), jnp.asarray(drive)), expected, atol=1e-12)
+
+
+def test_separation_point_is_the_published_tanh(rng):
+    alpha, a1, star = rng.uniform(-0.5, 0.8, 50), rng.uniform(5, 40), rng.uniform(0.2, 0.4)
+    expected = (1 - np.tanh(a1 * (alpha - star))) / 2
+    np.testing.assert_allclose(
+        separation_point(jnp.asarray(a1), jnp.asarray(alpha), jnp.asarray(star)), expected, rtol=1e-9, atol=1e-14
+    )
+    assert float(kirchhoff_factor(jnp.asarray(1.0))) == 1.0
+    assert float(kirchhoff_factor(jnp.asarray(0.0))) == pytest.approx(0.25)
+
+
+def test_lag_follows_the_exponential_and_restarts_at_a_seam(rng):
+    tau, dt, n = rng.uniform(0.2, 2.0), 0.04, 200
+    start = np.zeros(2 * n, bool)
+    start[[0, n]] = True
+    step = np.tile(np.concatenate([[1.0], np.zeros(n - 1)]), 2)
+    step[n:] = 0.3  # the second manoeuvre begins at rest at another value
+    X = np.asarray(lagged(jnp.asarray(step), jnp.full(2 * n, tau), jnp.full(2 * n, dt), jnp.asarray(start)))
+    # Input linear from 1 to 0 over the first step, then zero: the closed form of tau X' + X = u.
+    first = tau / dt * (1 - np.exp(-dt / tau))
+    np.testing.assert_allclose(X[1:n], first * np.exp(-dt / tau * np.arange(n - 1)), rtol=1e-9)
+    np.testing.assert_allclose(X[n:], 0.3, rtol=1e-12)
+
+
+def sine(n, dt, shift=0.0):
+    return jnp.asarray(np.sin(2.0 * (np.arange(n) * dt + shift)))
+
+
+def inside(n):
+    return jnp.zeros(n, int), jnp.full(n, n - 1)
+
+
+@pytest.mark.parametrize("share", [0.3, -1.7])
+def test_advance_is_of_third_order_on_a_sine(share):
+    def error(dt):
+        n = int(4.0 / dt)
+        moved = filters.advance(sine(n, dt), jnp.asarray(share * dt), jnp.full(n, dt), *inside(n))
+        return float(jnp.max(jnp.abs(moved - sine(n, dt, share * dt))[4:-4]))
+
+    assert error(0.04) < 1e-4
+    assert error(0.04) / error(0.02) == pytest.approx(2.0**3, rel=0.1)
+
+
+def test_advance_moves_whole_samples():
+    x, dt = sine(20, 0.25), jnp.full(20, 0.25)
+    later, earlier = (filters.advance(x, jnp.asarray(s), dt, *inside(20)) for s in (0.75, -0.5))
+    np.testing.assert_array_equal(later, np.concatenate([x[3:], np.repeat(x[-1], 3)]))
+    np.testing.assert_array_equal(earlier, np.concatenate([np.repeat(x[0], 2), x[:-2]]))
+
+
+def test_joined_manoeuvres_are_filtered_as_each_alone(rng):
+    pieces = [rng.normal(size=n) for n in (20, 61, 400, 33)]
+    lengths = [len(x) for x in pieces]
+    first = np.repeat(np.cumsum([0, *lengths[:-1]]), lengths)
+    last = first + np.repeat(lengths, lengths) - 1
+    x, ends = jnp.asarray(np.concatenate(pieces)), (jnp.asarray(first), jnp.asarray(last))
+    dt = np.repeat([0.04, 0.02, 0.01, 0.04], lengths)
+    alone = np.concatenate([filters.smooth(jnp.asarray(piece)) for piece in pieces])
+    np.testing.assert_allclose(np.asarray(filters.smooth_joined(x, *ends)), alone, rtol=1e-13, atol=1e-14)
+    alone = np.concatenate(
+        [
+            filters.differentiate(jnp.asarray(piece), d)
+            for piece, d in zip(pieces, (0.04, 0.02, 0.01, 0.04), strict=True)
+        ]
+    )
+    found = np.asarray(filters.differentiate_joined(x, jnp.asarray(dt), *ends))
+    np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-11)
+
+
+def test_rows_are_differentiated_as_each_alone(rng):
+    rows = rng.normal(size=(3, 80))
+    first = np.repeat([0, 50], [50, 30])
+    last, dt = np.repeat([49, 79], [50, 30]), np.full(80, 0.02)
+    alone = [filters.differentiate_joined(row, dt, first, last) for row in rows]
+    np.testing.assert_array_equal(filters.differentiate_joined(rows, dt, first, last), alone)
+
+
+# Alpha-dot from vane, gyro and lift: near the truth, and without the noise of the lift that it may explain
+INNER = slice(60, -60)  # away from the ends, where the vane alone is taken
+
+
+@pytest.fixture(scope="module")
+def flight():
+    card = read_card("attas")
+    (flown,) = hidden_flights({}, seed=41, manoeuvres=1, noise="white", seconds=90.0)
+    return card, Model.from_card(card), flown
+
+
+def test_alpha_dot_is_nearer_the_truth_than_the_vane_and_holds_no_noise_of_lift(flight):
+    card, model, flown = flight
+    error = {}
+    for forming in Forming:
+        found = np.asarray(observe([flown.record], card, model, forming).signals["alpha_dot"])
+        error[forming] = np.sqrt(np.mean((found - flown.flown["alpha_dot"])[INNER] ** 2))
+    assert error[Forming.MATCHED] < 0.3 * error[Forming.PUBLISHED]
+    # Noise on az moves the measured CL; what it moves in alpha-dot must not follow it.
+    record = flown.record
+    noise = 0.5 * np.random.default_rng(1).standard_normal(record.n)
+    channels = dict(record.channels) | {"az": record["az"] + noise}
+    noisy = type(record).from_arrays(record.name, record.time, channels)
+    one, two = (observe([r], card, model) for r in (record, noisy))
+    lift = np.asarray(two.measured - one.measured)[INNER, 0]
+    rate = np.asarray(two.signals["alpha_dot"] - one.signals["alpha_dot"])[INNER]
+    # As measured, alpha-dot would move by noise/V; a tenth of its size is left at most, and next to none is lift's.
+    smoothed = np.std(lift) * np.std(noise) / np.std(lift) / float(jnp.mean(one.signals["airspeed"]))
+    assert np.std(rate) < 0.1 * smoothed
+    assert abs(np.polyfit(lift, rate, 1)[0]) * np.std(lift) < 0.02 * smoothed
+
+
+# What a filter does to a coefficient
 def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
     """Pitch acceleration is a constant times a brisk 3-2-1-1 at 20 Hz; the pitch rate is its exact integral."""
     dt, a = 0.05, card.aircraft
@@ -58,7 +214,7 @@ def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
         return np.polyfit(smoothing(jnp.asarray(elevator)), smoothing(coefficients(signals, at_cg).Cm), 1)[0]
 
     truth = -8.0 * a.Iy / (0.5 * 60.0**2 * a.wing_area * a.chord)
-    alike = effectiveness(elevator, unsmoothed_joined(channels, (0.0, 0.0, 0.0), *ends), smooth)
+    alike = effectiveness(elevator, unsmoothed_joined(channels, (0.0, 0.0, 0.0), *ends), filters.smooth)
     assert alike == pytest.approx(truth, rel=5e-3)
     published = effectiveness(elevator, condition_joined(channels, *ends))
     assert published / truth < 0.985  # a smoothed pitch acceleration against an elevator as recorded
@@ -76,7 +232,7 @@ TRUE = {"CL": 0.7, "CD": 0.06, "Cm": 0.02, "CY": -0.05, "Cl": 0.004, "Cn": -0.00
 THRUST = 9_000.0, 6_000.0  # N, left and right
 
 
-def flight(a: Aircraft, true=TRUE) -> dict:
+def sensed(a: Aircraft, true=TRUE) -> dict:
     """What sensors show while the air makes these coefficients: Newton and Euler with NumPy's cross products."""
     V, rho, alpha, omega = 130.0, 0.8, 0.08, np.array([0.3, 0.08, -0.12])
     area = 0.5 * rho * V**2 * a.wing_area
@@ -102,20 +258,36 @@ def flight(a: Aircraft, true=TRUE) -> dict:
 
 
 def test_coefficients_come_back_from_a_rigid_body_six_or_three():
-    signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items()}
+    signals = {name: jnp.asarray([x]) for name, x in sensed(AIRCRAFT).items()}
     found = coefficients(signals, AIRCRAFT)._asdict()
     for name, value in TRUE.items():
         assert float(found[name][0]) == pytest.approx(value, abs=1e-13), name
-    signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items() if name != "ay"}
+    signals = {name: jnp.asarray([x]) for name, x in sensed(AIRCRAFT).items() if name != "ay"}
     found = coefficients(signals, AIRCRAFT)
     assert found.CY is found.Cl is found.Cn is None
     assert float(found.CL[0]) == pytest.approx(TRUE["CL"], abs=1e-13)
-    signals = {name: jnp.asarray([x]) for name, x in flight(AIRCRAFT).items()}
+    signals = {name: jnp.asarray([x]) for name, x in sensed(AIRCRAFT).items()}
     total = {name: x for name, x in signals.items() if name != "thrust_left"}
     area = 0.5 * 0.8 * 130.0**2 * 64.0
     yaw = (THRUST[0] - THRUST[1]) * AIRCRAFT.engine_arm * np.cos(AIRCRAFT.engine_inclination) / (area * 10.75)
     moved = float(coefficients(total, AIRCRAFT).Cn[0]) - TRUE["Cn"]
     assert moved == pytest.approx(yaw, rel=1e-9)
+
+
+@pytest.mark.parametrize("smoothed", [True, False])
+def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records(smoothed):
+    rng, n, dt = np.random.default_rng(5), 20_000, 0.04
+    noise = {"ay": 0.02, "az": 0.05, "ax": 0.02, "alpha": 1e-3, "airspeed": 0.2, "thrust": 200.0}  # white
+    noise |= {"p": 3.5e-4, "q": 3.5e-4, "r": 3.5e-4, "density": 0.002} if smoothed else {}
+    exact = {name: jnp.full(n, x) for name, x in sensed(AIRCRAFT).items()}
+    noisy = {name: x + noise.get(name, 0.0) * rng.standard_normal(n) for name, x in exact.items()}
+    if smoothed:
+        ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
+        exact, noisy = (condition_joined(x, *ends) for x in (exact, noisy))
+    names = tuple(TRUE)
+    scatter = np.std(np.asarray(stacked_coefficients(noisy, AIRCRAFT, names)), axis=0)
+    stated = coefficient_noise(exact, AIRCRAFT, noise, dt, SMOOTHED if smoothed else (), names)[n // 2]
+    np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["results", "diagnosis"])
