@@ -16,11 +16,8 @@ from bayes_aero.model.observations import Forming, observe
 from bayes_aero.physics import filters
 from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
-    SMOOTHED,
-    coefficient_noise,
     coefficients,
     condition_joined,
-    stacked_coefficients,
     unsmoothed_joined,
 )
 from bayes_aero.physics.separation import kirchhoff_factor, lagged, separation_point
@@ -68,13 +65,6 @@ def test_derivatives_of_quartics_are_exact_and_of_sines_of_high_order(rng):
         found = np.asarray(filters.differentiate(jnp.asarray(np.sin(8 * t)), t[1] - t[0]))
         errors.append(np.abs(found - 8 * np.cos(8 * t))[8:-8].max())
     assert np.log2(errors[0] / errors[1]) > 7.0
-
-
-def test_stated_noise_gains_hold_for_simulated_noise(rng):
-    noise = jnp.asarray(rng.normal(size=200_000))
-    assert np.std(filters.smooth(noise)) == pytest.approx(filters.SMOOTHING_GAIN, rel=0.02)
-    derived = filters.differentiate(filters.smooth(noise), 1.0)
-    assert np.std(derived) == pytest.approx(filters.SMOOTHED_DERIVATIVE_GAIN, rel=0.02)
 
 
 def test_recurrence_is_the_loop_it_stands_for(rng):
@@ -272,22 +262,6 @@ def test_coefficients_come_back_from_a_rigid_body_six_or_three():
     yaw = (THRUST[0] - THRUST[1]) * AIRCRAFT.engine_arm * np.cos(AIRCRAFT.engine_inclination) / (area * 10.75)
     moved = float(coefficients(total, AIRCRAFT).Cn[0]) - TRUE["Cn"]
     assert moved == pytest.approx(yaw, rel=1e-9)
-
-
-@pytest.mark.parametrize("smoothed", [True, False])
-def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records(smoothed):
-    rng, n, dt = np.random.default_rng(5), 20_000, 0.04
-    noise = {"ay": 0.02, "az": 0.05, "ax": 0.02, "alpha": 1e-3, "airspeed": 0.2, "thrust": 200.0}  # white
-    noise |= {"p": 3.5e-4, "q": 3.5e-4, "r": 3.5e-4, "density": 0.002} if smoothed else {}
-    exact = {name: jnp.full(n, x) for name, x in sensed(AIRCRAFT).items()}
-    noisy = {name: x + noise.get(name, 0.0) * rng.standard_normal(n) for name, x in exact.items()}
-    if smoothed:
-        ends = jnp.full(n, dt), jnp.zeros(n, int), jnp.full(n, n - 1)
-        exact, noisy = (condition_joined(x, *ends) for x in (exact, noisy))
-    names = tuple(TRUE)
-    scatter = np.std(np.asarray(stacked_coefficients(noisy, AIRCRAFT, names)), axis=0)
-    stated = coefficient_noise(exact, AIRCRAFT, noise, dt, SMOOTHED if smoothed else (), names)[n // 2]
-    np.testing.assert_allclose(scatter, stated, rtol=0.03)
 
 
 @pytest.mark.parametrize("name", ["results", "diagnosis"])
