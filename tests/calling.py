@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import sys
-from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -14,6 +13,7 @@ import pytest
 
 from bayes_aero.cli import main
 from bayes_aero.flight.writers import write_record
+from bayes_aero.jobs.io.documents import document_schema
 
 
 def called(folder, *arguments):
@@ -65,7 +65,7 @@ def holds(text, *parts):
 def validated(content, kind):
     """A JSON document, or the file that holds it, that must follow the schema of its kind."""
     content = json.loads(content.read_text()) if isinstance(content, Path) else content
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath(f"{kind}.schema.json").read_text())
+    schema = document_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(content, schema)
     return content

@@ -1,9 +1,7 @@
 """Terms that nobody listed: their library, their sensitivities along flights, and the searches for one."""
 
-import json
 from collections import defaultdict
 from dataclasses import replace
-from importlib import resources
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,8 +27,10 @@ from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.card.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.likelihood.output_error import disturbed
-from bayes_aero.jobs.io.diagnosis_json import term_results
+from bayes_aero.jobs.io.diagnosis_json import term_part
+from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.jobs.io.effect_file import effect_file, write_effects
+from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.report.tables.diagnosis_tables import terms_table
@@ -148,10 +148,10 @@ def test_an_effect_file_states_what_the_library_evaluates_and_nothing_else(tmp_p
 
 
 def test_a_term_is_written_and_said_with_its_factor_and_its_rivals(diagnosed):
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    schema = document_schema("diagnosis")
     one = schema["properties"]["terms"] | {"$defs": schema["$defs"]}
-    jsonschema.validate([term_results(FOUND), term_results(MEMORY)], one)
-    assert term_results(FOUND)["ambiguous_with"] == {"alpha qhat": 0.3}
+    jsonschema.validate(plain([term_part(FOUND), term_part(MEMORY)]), one)
+    assert term_part(FOUND).ambiguous_with == {"alpha qhat": 0.3}
     d = replace(diagnosed.view.diagnosis, terms=(FOUND, replace(MEMORY, others=())))
     said = [s for s in diagnosis_sentences(d) if s.startswith("Form: ")]
     assert len(said) == 3

@@ -214,7 +214,7 @@ def test_errors_beyond_the_noise_decide_the_verdict():
         Verdict.NO_EFFECT, Verdict.UNDECIDED, Verdict.NO_EFFECT,
     ]  # fmt: skip
     assert as_tested(Verdict.UNEXPLAINED, noise) is Verdict.UNEXPLAINED
-    assert [diagnosis_json.tested_results(t, result.TRAJECTORIES)["within_noise"] for t in (noise, more, never)] == [
+    assert [diagnosis_json.tested_part(t, result.TRAJECTORIES).within_noise for t in (noise, more, never)] == [
         True,
         False,
         None,

@@ -1,8 +1,6 @@
 """Three and six coefficients, from rotations, forces put on a rigid body, and the textbook's polar."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.jobs.io import schemas
+from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.model.model import Model
 from bayes_aero.physics.coefficients import (
     body_from_lift_drag,
@@ -114,7 +112,6 @@ def test_an_elevator_that_passes_the_same_filter_keeps_its_effectiveness(card):
 
 
 # Six coefficients from forces and moments put on a rigid body with vector products
-SCHEMAS = Path(schemas.__file__).parent
 AIRCRAFT = Aircraft(
     mass=17_000.0, Ix=1.3e5, Iy=2.5e5, Iz=3.6e5, Ixz=1.1e4, Ixy=4e3, Iyz=-2e3, wing_area=64.0, chord=3.2,
     half_span=10.75, aspect_ratio=7.2, tail_arm=15.0, reference_point=(-0.2, 0.15, -0.12),
@@ -183,8 +180,7 @@ def test_propagated_noise_of_six_is_the_scatter_of_perturbed_records():
 def test_files_of_results_may_hold_every_coefficient():
     """Each list of coefficients in a schema has all six."""
     for name in ("results", "diagnosis"):
-        schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
-        listed = [names for names in enumerations(schema) if "CL" in names]
+        listed = [names for names in enumerations(document_schema(name)) if "CL" in names]
         assert listed, name
         assert all(set(TRUE) <= set(names) for names in listed), name
 
