@@ -17,7 +17,6 @@ from msgspec.structs import fields
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
 from bayes_aero.flight.agreement import Consistency, Departure
 from bayes_aero.flight.health import HealthFinding
-from bayes_aero.qualification.result import Outside
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]
@@ -1022,6 +1021,16 @@ class RegionPart(Part):
     not_recorded: list[str]
 
 
+class OutsidePart(Part):
+    manoeuvre: str
+    motion: Literal["recorded", "simulated"]
+    channels: list[str]
+    share: float  # of the samples that are farther outside than 0.1
+    distance: float  # of the farthest sample, in half the flown range of each channel
+    time: float  # of that sample, s from the start
+    excess: dict[str, float]  # by channel, from the nearest point of the region to that sample
+
+
 class UndecidedTest(Part):
     """An undecided test: the probability to pass now, and if the parameters were known exactly."""
 
@@ -1058,7 +1067,7 @@ class QualificationDocument(Part):
     tolerances: dict[str, JudgedTolerance]  # by output
     tests: list[TestPart]
     flown_region: RegionPart
-    outside: list[Outside]
+    outside: list[OutsidePart]
     further: FurtherPart | None
     origins: dict[str, str]  # where parameters, structure, next flight and gusts come from
     health: Health
