@@ -9,11 +9,13 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import jsonschema
+import msgspec
 import pytest
 
 from bayes_aero.cli import main
 from bayes_aero.flight.writers import write_record
-from bayes_aero.jobs.io.documents import document_schema
+from bayes_aero.jobs.io.documents import DOCUMENTS, document_schema
+from bayes_aero.jobs.provenance import plain
 
 
 def called(folder, *arguments):
@@ -68,6 +70,7 @@ def validated(content, kind):
     schema = document_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(content, schema)
+    assert plain(msgspec.convert(content, DOCUMENTS[kind])) == content  # it is read as it was written
     return content
 
 

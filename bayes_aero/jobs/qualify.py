@@ -252,7 +252,7 @@ def qualification_results(
         verdict=found.whole,
         thresholds={"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
         tolerances={
-            name: JudgedTolerance(value, STANDARD_CHANNELS[name].unit, text, found.verdict(name))
+            name: JudgedTolerance.of((value, STANDARD_CHANNELS[name].unit, text, found.verdict(name)))
             for name, (value, text) in found.tolerances.items()
         },
         tests=tests,

@@ -2,15 +2,19 @@
 
 import json
 import re
+from functools import reduce
 from unittest.mock import patch
 
+import jsonschema
 import pytest
 from calling import called, holds, page_of, recorded, refused, succeeded, validated
 from markupsafe import escape
 
 from bayes_aero.jobs import identify as identification
+from bayes_aero.jobs.io.documents import document_schema
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
+GONE = object()
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +39,24 @@ def test_results_follow_the_schema_and_are_printed(flown):
     for name in ("parameters.csv", "posterior_nuts.nc", "next_flight.csv", "next_flight.nc"):
         assert (folder / "first" / name).is_file()
     holds(flown[2].out, "alpha_star", "first")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("schema", "bayes_aero/results/0"), ("records", []), ("verdict", GONE), ("provenance seed", GONE),
+        ("mle status", "perfect"), ("mle det_R", "small"), ("mle fit CL", GONE), ("mle fit lift", {}),
+        ("stall at_edge", 1.5), ("stall CL_max ci95", [1.0]), ("health", None), ("next_flight more", 1),
+        ("posterior emcee alpha_star rhat", GONE), ("consistency outcome", "maybe"), ("card name", 3),
+    ],
+)  # fmt: skip
+def test_what_is_not_as_the_classes_say_is_refused(flown, place, value):
+    results = json.loads((flown[0] / "first" / "results.json").read_text())
+    *way, key = place.split()
+    part = reduce(lambda whole, name: whole[name], way, results)
+    part.pop(key, None) if value is GONE else part.update({key: value})
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(results, document_schema("results"))
 
 
 def test_the_page_and_the_file_tell_the_same_stall(flown):

@@ -111,7 +111,7 @@ def diagnosis_results(
         notes=(*d.notes, *outcome.notes),
         failures=outcome.failures,
         provenance=provenance,
-        hidden=UNSET if outcome.hidden is None else HiddenPart(outcome.hidden, outcome.named),
+        hidden=UNSET if outcome.hidden is None else HiddenPart.of((outcome.hidden, outcome.named)),
     )
 
 
@@ -124,7 +124,7 @@ def term_part(found: FoundTerm) -> TermPart:
 def tested_part(tested: Tested | None, compared: str) -> TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return TestedPart(compared, compared == COEFFICIENTS, None, {})
+        return TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
     outputs = {n: TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
     return TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
@@ -137,7 +137,7 @@ def record_parts(records: Sequence[FlightRecord], card: Card) -> list[RecordPart
         if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
             channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
         ranges = {name: tuple(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
-        told.append(RecordPart(r.name, r.n, r.dt, float(np.ptp(r.time)), ranges))
+        told.append(RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
     return told
 
 

@@ -43,7 +43,7 @@ AgreementWord = Literal["agree", "disagree_explained", "disagree_unexplained", "
 SamplerWord = Literal["converged", "not_converged", "divergent"]
 
 
-class Part(Struct, frozen=True, forbid_unknown_fields=True):
+class Part(Struct, forbid_unknown_fields=True):
     """A part of a document: all of its keys. What is `UNSET` is left out."""
 
     @classmethod

@@ -98,7 +98,7 @@ def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None 
     keys = ("estimate", "crb", "crb_corrected", "noise_bias", "unit")
     columns = zip(fit.estimate, fit.crb, fit.crb_corrected, bias, fit.units, strict=True)
     rows = zip(fit.names, (dict(zip(keys, row, strict=True)) for row in columns), strict=True)
-    return {name: BandEstimate(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
+    return {name: BandEstimate.of(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
 
 
 def frequency_part(fit: FrequencyFit) -> FrequencyPart:
@@ -113,7 +113,7 @@ def inseparable_parts(found: Sequence[Inseparable]) -> list[InseparablePart]:
 
 def posterior_parts(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
     """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
-    status = {key: SamplerPart(p.noise, p.status.name.lower(), p.status.value) for key, p in posteriors.items()}
+    status = {key: SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()}
     return {key: posterior.marginals for key, posterior in posteriors.items()} | {"status": status}
 
 
