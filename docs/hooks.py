@@ -130,69 +130,69 @@ def envelope() -> str:
 
 def results_schema() -> str:
     """results.json."""
-    return _schema("results.schema.json")
+    return _schema("results")
 
 
 def diagnosis_schema() -> str:
     """diagnosis.json."""
-    return _schema("diagnosis.schema.json")
+    return _schema("diagnosis")
 
 
 def trajectories_schema() -> str:
     """trajectories.json."""
-    return _schema("trajectories.schema.json")
+    return _schema("trajectories")
 
 
 def qualification_schema() -> str:
     """qualification.json."""
-    return _schema("qualification.schema.json")
+    return _schema("qualification")
 
 
 def _schema(name: str) -> str:
-    text = (ROOT / "bayes_aero" / "jobs" / "io" / "schemas" / name).read_text(encoding="utf-8")
-    schema = json.loads(text)
+    from bayes_aero.jobs.io.documents import document_schema
+
+    schema = document_schema(name)
     rows: list[tuple[str, str, str]] = []
-    _walk(schema, "", rows)
-    for key, part in schema.get("$defs", {}).items():
-        rows.append((f"*definition* `{key}`", _type(part), part.get("description", "")))
-        _walk(part, f"{key}.", rows)
-    full = f'??? note "The schema itself, `bayes_aero/jobs/io/schemas/{name}`"\n\n    ```json\n'
+    _walk(schema, "", schema["$defs"], rows)
+    text = json.dumps(schema, indent=2, ensure_ascii=False)
+    full = f'??? note "The schema itself, `bayes_aero.jobs.io.documents.document_schema({name!r})`"\n\n    ```json\n'
     full += "".join(f"    {line}\n" for line in text.splitlines()) + "    ```\n"
     return f"{schema['description']}\n\n{_table(('key', 'type', 'what it is'), rows)}\n\n{full}"
 
 
-def _walk(part: dict[str, Any], path: str, rows: list[tuple[str, str, str]]) -> None:
-    """Every property below `part`; `*` stands for any name, `[]` for each item."""
+def _walk(part: dict[str, Any], path: str, parts: dict[str, Any], rows: list[tuple[str, str, str]]) -> None:
+    """Every property below `part`; `*` stands for any name, `{a, b}` for one of these, `[]` for each item."""
     required = part.get("required", [])
-    named = {**part.get("properties", {}), **{_any_of(k): v for k, v in part.get("patternProperties", {}).items()}}
-    for key in required:
-        named.setdefault(key, {})
+    named = {key: {} for key in required} | part.get("properties", {})
     if isinstance(part.get("additionalProperties"), dict):
-        named["*"] = part["additionalProperties"]
-    for key, below in named.items():
+        names = part.get("propertyNames", {}).get("enum")
+        named["{" + ", ".join(names) + "}" if names else "*"] = part["additionalProperties"]
+    for key, stated in named.items():
+        below = _whole(stated, parts)
         optional = "" if key in required or not key.isidentifier() else " *(optional)*"
-        rows.append((f"`{path}{key}`{optional}", _type(below), below.get("description", "")))
-        _walk(below, f"{path}{key}.", rows)
+        rows.append((f"`{path}{key}`{optional}", _type(below, parts), below.get("description", "")))
+        _walk(below, f"{path}{key}.", parts, rows)
     if isinstance(part.get("items"), dict):
-        _walk(part["items"], f"{path.rstrip('.')}[].", rows)
+        _walk(_whole(part["items"], parts), f"{path.rstrip('.')}[].", parts, rows)
 
 
-def _any_of(pattern: str) -> str:
-    """The names that a pattern of the schemas, ^(a|b)$, allows."""
-    return "{" + ", ".join(pattern.strip("^$()").split("|")) + "}"
+def _whole(part: dict[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
+    """A part of a schema with what it refers to, and with the one of its alternatives that is not null."""
+    for one in part.get("anyOf", ()):
+        part = one | part if one.get("type") != "null" else part
+    return parts[part["$ref"].rsplit("/", 1)[-1]] | part if "$ref" in part else part
 
 
-def _type(part: dict[str, Any]) -> str:
-    if "$ref" in part:
-        return "`" + part["$ref"].rsplit("/", 1)[-1] + "`"
-    if "const" in part:
-        return f"`{part['const']}`"
+def _type(part: dict[str, Any], parts: dict[str, Any]) -> str:
+    if "anyOf" in part:
+        return " or ".join(_type(_whole(one, parts), parts) for one in part["anyOf"])
     if "enum" in part:
         return ", ".join(f"`{x}`" for x in part["enum"])
-    given = part.get("type", "")
-    kind = " or ".join(given) if isinstance(given, list) else given
-    items = part.get("items")
-    return f"{kind} of {_type(items)}" if kind == "array" and isinstance(items, dict) and _type(items) else kind
+    if "prefixItems" in part:
+        return f"{len(part['prefixItems'])} of {_type(part['prefixItems'][0], parts)}"
+    kind, items = part.get("type", ""), part.get("items")
+    inner = _type(_whole(items, parts), parts) if isinstance(items, dict) else ""
+    return f"{kind} of {inner}" if inner else kind
 
 
 def cli() -> str:

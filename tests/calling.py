@@ -4,16 +4,18 @@ import contextlib
 import io
 import json
 import sys
-from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
 import jsonschema
+import msgspec
 import pytest
 
 from bayes_aero.cli.app import main
 from bayes_aero.flight.record import write_record
+from bayes_aero.jobs.io.documents import DOCUMENTS, document_schema
+from bayes_aero.jobs.provenance import plain
 
 
 def called(folder, *arguments):
@@ -65,9 +67,10 @@ def holds(text, *parts):
 def validated(content, kind):
     """A JSON document, or the file that holds it, that must follow the schema of its kind."""
     content = json.loads(content.read_text()) if isinstance(content, Path) else content
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath(f"{kind}.schema.json").read_text())
+    schema = document_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(content, schema)
+    assert plain(msgspec.convert(content, DOCUMENTS[kind])) == content  # it is read as it was written
     return content
 
 

@@ -1,7 +1,6 @@
 """Documentation and notebooks: they build strictly, are complete, fetch nothing, and their examples run."""
 
 import ast
-import json
 import os
 import re
 import subprocess
@@ -16,6 +15,7 @@ from browsing import needed
 import bayes_aero as ba
 from bayes_aero.flight.card import PARAMETER_KEYS, SECTIONS
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.parameter import FAMILIES
 from bayes_aero.physics.aircraft import AIRCRAFT_KEYS
 
@@ -75,11 +75,6 @@ def keys_of(part):
     return set().union(*map(keys_of, part)) if isinstance(part, list) else set()
 
 
-def schema_of(name: str) -> dict:
-    folder = ROOT / "bayes_aero" / "jobs" / "io" / "schemas"
-    return json.loads((folder / f"{name}.schema.json").read_text(encoding="utf-8"))
-
-
 EFFECTS = [rf'id="{e.name}"' for e in ba.CATALOGUE.values()]
 EFFECTS += [re.escape(e.claim) for e in ba.CATALOGUE.values()]
 EFFECTS += [p.name for e in ba.CATALOGUE.values() for p in e.parameters]
@@ -92,7 +87,7 @@ REFERENCE = {
     "card": [rf"<code>{key}(</code>|\.)" for key in CARD]
     + [rf"<code>\[{section}(\.NAME)?\]</code>" for section in set(SECTIONS) - {"title", "source"}],
 } | {
-    f"schemas: {name}": [rf"<code>[^<]*\b{re.escape(key)}</code>" for key in keys_of(schema_of(name))]
+    f"schemas: {name}": [rf"<code>[^<]*\b{re.escape(key)}</code>" for key in keys_of(document_schema(name))]
     for name in ("results", "diagnosis", "trajectories", "qualification")
 }
 

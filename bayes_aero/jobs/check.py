@@ -17,7 +17,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Agreement
 from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.documents import ConsistencyPart
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
@@ -101,7 +101,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
         "derived": list(card.derived),
         "tables": {name: [axis.channel for axis in table.axes] for name, table in card.tables.items()},
         "sums": {name: list(parts) for name, parts in card.sums.items()},
-        "consistency": consistency_results(report.consistency),
+        "consistency": ConsistencyPart.of(report.consistency),
         "records": records,
         "uses": {name: {"possible": not why, "why_not": why or None} for name, why in report.uses.items()},
         **picked(report, "axes_left_out=left_out", "not_testable", "cautions", "health"),

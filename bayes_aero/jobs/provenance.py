@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
-from enum import Enum
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
@@ -74,14 +73,25 @@ def version(name: str) -> str:
         return "not installed"
 
 
-def write_json(content: dict[str, Any], path: Path) -> None:
+def write_json(content: Any, path: Path) -> None:
     """Write whole or not at all; a number that does not exist (NaN, infinity) becomes null."""
     write_whole(as_json(content), path)
 
 
-def as_json(content: dict[str, Any]) -> str:
+def as_json(content: Any) -> str:
     """The text of a JSON document, with its last newline."""
-    return json.dumps(_plain(content), indent=2, allow_nan=False) + "\n"
+    return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
+
+
+def plain(content: Any) -> Any:
+    """A document as it is read: mappings, lists, numbers and text."""
+
+    def simple(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return dict(value)
+        return str(value) if isinstance(value, Path) else value.tolist()
+
+    return json.loads(msgspec.json.encode(content, enc_hook=simple))
 
 
 def picked(found: Any, *names: str) -> dict[str, Any]:
@@ -93,24 +103,6 @@ def picked(found: Any, *names: str) -> dict[str, Any]:
 def named_pairs(pairs: Mapping[str, tuple[float, float]], *keys: str) -> dict[str, dict[str, float]]:
     """Two numbers a name, each under its key: mean and standard error, a gain and its standard error."""
     return {name: dict(zip(keys, pair, strict=True)) for name, pair in pairs.items()}
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,10 @@ from bayes_aero.jobs.fitted import (
     read_finished,
     with_process_noise,
 )
-from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.io.result_file import result_file, writable
 from bayes_aero.jobs.options import QualifyOptions
-from bayes_aero.jobs.provenance import picked, provenance, write_json
+from bayes_aero.jobs.provenance import provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
@@ -239,49 +239,28 @@ RESULTS = "qualification.json"
 
 def qualification_results(
     found: Qualification, card: Card, source: dict[str, Any], failures: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Plain numbers and text, SI and radians (schemas/qualification.schema.json)."""
-    points = []
-    for p in found.further.points if found.further else ():
-        rows = [f.name for f in fields(p) if f.name not in ("expected", "rate")]
-        points.append(picked(p, *rows, "probabilities=expected", "nats_per_second=rate"))
-    return {
-        "schema": SCHEMA,
-        "card": picked(card, "name", "title"),
-        "verdict": found.whole.value,
-        "thresholds": {"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
-        "draws": found.draws,
-        "tolerances": {
-            name: {
-                "value": value,
-                "unit": STANDARD_CHANNELS[name].unit,
-                "source": text,
-                "verdict": found.verdict(name).value,
-            }
+) -> QualificationDocument:
+    """Plain numbers and text, SI and radians."""
+    tests = []
+    for one in found.tests:
+        chance = {"probability": one.chance.value, "standard_error": one.chance.error, "verdict": one.chance.verdict}
+        tests.append(TestPart.of(one, **chance))
+    return QualificationDocument.of(
+        found,
+        schema=SCHEMA,
+        card=card,
+        verdict=found.whole,
+        thresholds={"passes_from": PASSES_FROM, "fails_to": FAILS_TO},
+        tolerances={
+            name: JudgedTolerance.of((value, STANDARD_CHANNELS[name].unit, text, found.verdict(name)))
             for name, (value, text) in found.tolerances.items()
         },
-        "tests": [
-            {
-                **picked(one, "kind", "manoeuvre", "output", "tolerance"),
-                **picked(one.chance, "probability=value", "standard_error=error"),
-                "counted": one.chances,
-                "verdict": one.chance.verdict.value,
-                "within": one.within,
-                "record": one.recorded and asdict(one.recorded) | {"passed": one.recorded.passed},
-            }
-            for one in found.tests
-        ],
-        "flown_region": {"channels": list(found.channels), "not_recorded": list(found.unjudged)},
-        "outside": list(found.outside),
-        "further": found.further
-        and picked(found.further, "tests") | {"points": points} | picked(found.further, "refused", "why_not"),
-        "origins": found.origins,
-        "health": found.health,
-        "consistency": consistency_results(found.consistency),
-        "notes": list(found.notes),
-        "failures": list(failures),
-        "provenance": source,
-    }
+        tests=tests,
+        flown_region={"channels": found.channels, "not_recorded": found.unjudged},
+        consistency=ConsistencyPart.of(found.consistency),
+        failures=failures,
+        provenance=source,
+    )
 
 
 # --- What is not known of a finished model: draws of its parameters, its next flight, hold-out errors, gusts.

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import shutil
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from bayes_aero.export.jsbsim import jsbsim_files
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.jobs.fitted import read_identified
+from bayes_aero.jobs.io.diagnosis_json import SCHEMA
 from bayes_aero.model.model import Model
 
 
@@ -104,8 +104,7 @@ def test_a_posterior_that_converged_comes_first(here):
 def test_a_diagnosis_gives_the_extended_model(here):
     """The causes that hold-out data confirm, with the card's parameters as they move."""
     content = told(Path("results/results.json"))
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
-    content["schema"] = schema["properties"]["schema"]["const"]
+    content["schema"] = SCHEMA
     moves = {n: {"before": 0.0, "after": p["estimate"]} for n, p in content.pop("mle")["parameters"].items()}
     causes = [
         {"name": "sideslip_drag", "confirmed": True, "parameters": {"CDb2": {"mean": -1.5}}},

@@ -5,10 +5,12 @@ import re
 import subprocess
 import sys
 import time
+from functools import reduce
 from types import SimpleNamespace
 from typing import get_args
 from unittest.mock import Mock, patch
 
+import jsonschema
 import numpy as np
 import pytest
 import six_axes as six
@@ -28,6 +30,7 @@ from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
 from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.simulate import demo
@@ -213,6 +216,7 @@ def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
 
 
 SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
+GONE = object()  # a key that is left out
 
 
 @pytest.fixture(scope="module")
@@ -244,6 +248,24 @@ def test_results_follow_the_schema_and_are_told_alike_on_terminal_and_page(flown
     told = [float(x) for x in re.findall(r"(\d\.\d{3,}) \(", page)]  # with as many digits as the interval needs
     assert any(x == pytest.approx(stall["CL_max"]["median"], abs=5e-4) for x in told)
     assert not list((folder / "first").glob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("schema", "bayes_aero/results/0"), ("records", []), ("verdict", GONE), ("provenance seed", GONE),
+        ("mle status", "perfect"), ("mle det_R", "small"), ("mle fit CL", GONE), ("mle fit lift", {}),
+        ("stall at_edge", 1.5), ("stall CL_max ci95", [1.0]), ("health", None), ("next_flight more", 1),
+        ("posterior emcee alpha_star rhat", GONE), ("consistency outcome", "maybe"), ("card name", 3),
+    ],
+)  # fmt: skip
+def test_what_is_not_as_the_classes_say_is_refused(flown, place, value):
+    results = json.loads((flown[0] / "first" / "results.json").read_text())
+    *way, key = place.split()
+    part = reduce(lambda whole, name: whole[name], way, results)
+    part.pop(key, None) if value is GONE else part.update({key: value})
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(results, document_schema("results"))
 
 
 def test_same_seed_same_numbers(flown):

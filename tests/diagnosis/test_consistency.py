@@ -35,7 +35,7 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.validation import filter_mismatch_notes
 from bayes_aero.jobs.identify import identify
-from bayes_aero.jobs.io.consistency_json import consistency_results
+from bayes_aero.jobs.io.documents import ConsistencyPart
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, despiked, join, observe
@@ -358,7 +358,7 @@ def test_an_offset_of_the_attitude_is_told_with_the_accelerometers_that_look_the
     mean, sd = (size["mean"], size["sd"]) if size else (entry.mean, entry.sd)
     assert mean == pytest.approx(0.0125, abs=max(4.0 * sd, 0.003))
     assert any("pitch_attitude_bias" in one and "accel_x_bias" in one for one in open_sentences(found))
-    assert consistency_results(found)["open"]["pitch_attitude_bias"]["imitators"]
+    assert ConsistencyPart.of(found).open["pitch_attitude_bias"].imitators
     # An offset b of theta and offsets of ax and az that stand for it give one and the same flight path.
     b = 0.0125
     tilted = {"ax": -G * b * np.cos(0.12), "az": -G * b * np.sin(0.12)}
@@ -457,7 +457,7 @@ def test_half_of_a_joint_estimate_is_no_correction(card):
     assert set(joint) == {"airspeed_bias", "airspeed_scale"}
     assert -1.0 < joint["airspeed_scale"]["airspeed_bias"] < -0.9
     assert any("estimated together" in one and "airspeed_scale" in one for one in open_sentences(found))
-    assert consistency_results(found)["open"]["airspeed_scale"]["joint"] == joint["airspeed_scale"]
+    assert ConsistencyPart.of(found).open["airspeed_scale"].joint == joint["airspeed_scale"]
 
 
 def test_the_true_pitot_pressure_leaves_the_path_and_errors_beside_larger_ones_are_found(card):

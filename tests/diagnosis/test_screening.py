@@ -1,8 +1,6 @@
 """Screening against linear algebra and closed forms: regression, colour, gains, what is noise and what is no rival."""
 
-import json
 from dataclasses import replace
-from importlib import resources
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -41,7 +39,8 @@ from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
-from bayes_aero.jobs.io.diagnosis_json import absorbed_results
+from bayes_aero.jobs.io.documents import AbsorbedPart, document_schema
+from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import NAMES, Axis
@@ -514,8 +513,8 @@ def test_what_is_taken_up_is_in_the_verdict_the_text_and_the_file(diagnosed):
     (sentence,) = (x for x in said if "elevator does not move" in x)
     for told in ("Cmde", "-0.200 ± 0.010", "-1.00 ± 0.50", "thrust_scale", "cannot tell which"):
         assert told in sentence
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
-    written = absorbed_results(replace(diagnosed.view.diagnosis, absorbed=(one,)))
+    schema = document_schema("diagnosis")
+    written = plain([AbsorbedPart.of(one)])
     jsonschema.validate(written, schema["properties"]["absorbed"] | {"$defs": schema["$defs"]})
     assert written[0]["usual"] == {"mean": -1.0, "sd": 0.5}
     assert written[0]["sizes"] == {"thrust_scale": {"mean": -0.1, "sd": 0.2, "unit": "1"}}

@@ -1,9 +1,7 @@
 """Terms that nobody listed: their library, their sensitivities along flights, and the searches for one."""
 
-import json
 from collections import defaultdict
 from dataclasses import replace
-from importlib import resources
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,8 +26,10 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.output_error import disturbed
-from bayes_aero.jobs.io.diagnosis_json import term_results
+from bayes_aero.jobs.io.diagnosis_json import term_part
+from bayes_aero.jobs.io.documents import document_schema
 from bayes_aero.jobs.io.effect_file import effect_file, write_effects
+from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import Aircraft
@@ -148,10 +148,10 @@ def test_an_effect_file_states_what_the_library_evaluates_and_nothing_else(tmp_p
 
 
 def test_a_term_is_written_and_said_with_its_factor_and_its_rivals(diagnosed):
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    schema = document_schema("diagnosis")
     one = schema["properties"]["terms"] | {"$defs": schema["$defs"]}
-    jsonschema.validate([term_results(FOUND), term_results(MEMORY)], one)
-    assert term_results(FOUND)["ambiguous_with"] == {"alpha qhat": 0.3}
+    jsonschema.validate(plain([term_part(FOUND), term_part(MEMORY)]), one)
+    assert term_part(FOUND).ambiguous_with == {"alpha qhat": 0.3}
     d = replace(diagnosed.view.diagnosis, terms=(FOUND, replace(MEMORY, others=())))
     said = [s for s in diagnosis_sentences(d) if s.startswith("Form: ")]
     assert len(said) == 3

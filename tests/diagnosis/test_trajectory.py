@@ -215,7 +215,7 @@ def test_errors_beyond_the_noise_decide_the_verdict(left, explained, no_effect, 
     assert as_tested(Verdict.EXPLAINED, tested) is explained
     assert as_tested(Verdict.NO_EFFECT, tested) is no_effect
     assert as_tested(Verdict.UNEXPLAINED, tested) is Verdict.UNEXPLAINED
-    assert diagnosis_json.tested_results(tested, result.TRAJECTORIES)["within_noise"] is within_noise
+    assert diagnosis_json.tested_part(tested, result.TRAJECTORIES).within_noise is within_noise
 
 
 def test_errors_are_judged_by_the_noise_that_the_card_states(card):

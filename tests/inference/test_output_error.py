@@ -488,8 +488,8 @@ def test_a_velocity_of_the_card_s_own_may_depart_by_as_much_as_a_velocity():
     record = record_of({"w": w, "q": true["q"], "elevator": true["elevator"]}, name="flight")
     found = fly([record], card)
     assert found.flown.initial["flight"]["w"][0] == pytest.approx(100.0 * BEGIN[0], abs=0.15)
-    told = fly_results(found, card, [record], {})["initial_states"]["flight"]
-    assert (told["w"]["prior_sd"], told["q"]["prior_sd"]) == (1.0, 0.01)
+    told = fly_results(found, card, [record], {}).initial_states["flight"]
+    assert (told["w"].prior_sd, told["q"].prior_sd) == (1.0, 0.01)
 
 
 def test_outputs_are_those_asked_for_and_det_R_is_theirs():

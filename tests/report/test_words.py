@@ -1,10 +1,8 @@
 """What reports say of an identification and of effects: where results disagree and why, wrong signs, changes."""
 
-import json
 import re
 import tomllib
 from dataclasses import replace
-from importlib import resources
 
 import jsonschema
 import pytest
@@ -16,7 +14,8 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
-from bayes_aero.jobs.io.diagnosis_json import change_results
+from bayes_aero.jobs.io.documents import ChangePart, document_schema
+from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report.pages.identification import headline
@@ -174,9 +173,9 @@ def test_the_verdict_names_the_parameter_and_the_record_and_a_change_is_no_cause
 
 
 def test_what_is_written_follows_the_schema():
-    schema = json.loads(resources.files("bayes_aero.jobs.io.schemas").joinpath("diagnosis.schema.json").read_text())
+    schema = document_schema("diagnosis")
     one = schema["properties"]["changes"] | {"$defs": schema["$defs"]}
-    written = change_results(CHANGE)
+    written = plain(ChangePart.of(CHANGE))
     jsonschema.validate([written], one)
     assert written["size"] == {"mean": 0.0060, "sd": 0.0005}
     with pytest.raises(jsonschema.ValidationError):

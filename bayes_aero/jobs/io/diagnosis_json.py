@@ -1,4 +1,4 @@
-"""diagnosis.json: what one diagnosis found, in a versioned schema (diagnosis.schema.json beside this file)."""
+"""diagnosis.json: what one diagnosis found, in a versioned schema."""
 
 from __future__ import annotations
 
@@ -7,18 +7,44 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import UNSET
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, ParameterChange, Tested
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    Cause,
+    CausesInBand,
+    Diagnosis,
+    FoundTerm,
+    Tested,
+)
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, SimulatedManoeuvre, Trajectories, View
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.provenance import named_pairs, picked
+from bayes_aero.jobs.io.documents import (
+    CausePart,
+    ComparedOutput,
+    ComparedPath,
+    ConsistencyPart,
+    CovariancePart,
+    DiagnosisDocument,
+    FlownEstimate,
+    FlownPath,
+    GainPart,
+    HiddenPart,
+    KeptPart,
+    PathOutput,
+    RecordPart,
+    ScreenedPart,
+    StatedTolerance,
+    TermPart,
+    TestedOutput,
+    TestedPart,
+    TrajectoriesPart,
+)  # fmt: skip
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences
 
 SCHEMA = "bayes_aero/diagnosis/5"
@@ -54,209 +80,131 @@ class Outcome:
 
 def diagnosis_results(
     outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
-) -> dict[str, Any]:
+) -> DiagnosisDocument:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
     seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
     models = {} if seen is None else {"before": seen.card, "after": seen.extended}
-    rows = ("labels", "lag1", "sd=deviation", "noise_growth", "outliers")
-    unknown = ("coefficient", "channel", "share_of_variance=share", "p_value", "rivals")
-    found: dict[str, Any] = {
-        "schema": SCHEMA,
-        "card": picked(card, "name", "title"),
-        "records": record_results(records, card),
-        "consistency": consistency_results(outcome.consistency),
-        "verdict": d.verdict.value,
-        "tested": tested_results(d.tested, d.compared),
-        "sentences": list(sentences(view)),
-        "causes": [cause_results(cause) for cause in d.causes],
-        "minor": list(d.minor),
-        "unexplained": [picked(u, *unknown) | {"offsets": named_pairs(u.offsets, *SIZE)} for u in d.unknown],
-        "terms": [term_results(one) for one in d.terms],
-        "changes": [change_results(one) for one in d.changes],
-        "cancelling": list(d.together),
-        "absorbed": absorbed_results(d),
-        "noise": picked(d.noise, *rows),
-        "not_testable": d.not_testable,
-        "screening": screening_results(d, view.rankings),
-        "split": d.split,
-        "base_parameters": view.moves,
-        "covariance": None
-        if view.covariance is None
-        else picked(view.covariance, "parameters=names", "matrix") | {"residuals": "coloured"},
-        "residuals": {when: model.composition for when, model in models.items()},
-        "trajectories": {} if view.trajectories is None else trajectory_results(view.trajectories, card),
-        "stall": {} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
-        **picked(outcome, "test_points", "in_band", "health"),
-        "notes": [*d.notes, *outcome.notes],
-        "failures": list(outcome.failures),
-        "provenance": provenance,
-    }
-    if outcome.hidden is not None:
-        found["hidden"] = {"effects": outcome.hidden, "named": outcome.named}
-    return found
+    return DiagnosisDocument.of(
+        d,
+        schema=SCHEMA,
+        card=card,
+        records=record_parts(records, card),
+        consistency=ConsistencyPart.of(outcome.consistency),
+        tested=tested_part(d.tested, d.compared),
+        sentences=sentences(view),
+        causes=[cause_part(cause) for cause in d.causes],
+        unexplained=d.unknown,
+        terms=[term_part(one) for one in d.terms],
+        cancelling=d.together,
+        screening=screened_parts(d, view.rankings),
+        base_parameters=view.moves,
+        covariance=view.covariance and CovariancePart.of(view.covariance, residuals="coloured"),
+        residuals={when: model.composition for when, model in models.items()},
+        trajectories=trajectories_part(view.trajectories, card),
+        stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
+        test_points=outcome.test_points,
+        in_band=outcome.in_band,
+        health=outcome.health,
+        notes=(*d.notes, *outcome.notes),
+        failures=outcome.failures,
+        provenance=provenance,
+        hidden=UNSET if outcome.hidden is None else HiddenPart.of((outcome.hidden, outcome.named)),
+    )
 
 
-SIZE, GAIN = ("mean", "sd"), ("elpd", "elpd_se")
-
-
-def term_results(found: FoundTerm) -> dict[str, Any]:
+def term_part(found: FoundTerm) -> TermPart:
     """A form of unexplained structure."""
-    return {
-        "coefficient": found.coefficient,
-        **picked(found.term, "term=name", "code", "unit"),
-        **named_pairs({"size": found.size}, *SIZE),
-        **picked(found, "share_of_variance=share", "elpd=gain", "probability=weight"),
-        "ambiguous_with": {term.name: weight for term, weight in found.others},
-    }
+    term, others = found.term, {term.name: weight for term, weight in found.others}
+    return TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def change_results(found: ParameterChange) -> dict[str, Any]:
-    """A parameter that takes another value during the records."""
-    return {
-        **picked(found, "parameter", "unit", "manoeuvre", "at", "ci95=interval", "lasts"),
-        **named_pairs({"before": found.before, "after": found.after, "size": found.size}, *SIZE),
-        **picked(found, "share_of_variance=share", "p_value", "elpd=gain", "ambiguous_with"),
-    }
-
-
-def absorbed_results(d: Diagnosis) -> list[dict[str, Any]]:
-    """Derivatives of controls at rest that may have taken up an effect."""
-    return [
-        {
-            **picked(one, "effect", "parameter", "unit", "control"),
-            **named_pairs({"estimate": one.estimate, "usual": one.usual}, *SIZE),
-            "sizes": {name: picked(x, "mean", "sd", "unit") for name, x in one.sizes.items()},
-        }
-        for one in d.absorbed
-    ]
-
-
-def tested_results(tested: Tested | None, compared: str) -> dict[str, Any]:
+def tested_part(tested: Tested | None, compared: str) -> TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        sought = compared == COEFFICIENTS
-        return {"rests_on": compared, "unnamed_structure": sought, "within_noise": None, "outputs": {}}
-    rows = ("noise", "fitted", "hold_out=unseen", "beyond_noise=beyond")
-    return {
-        "rests_on": "trajectories",
-        "unnamed_structure": False,
-        "within_noise": tested.within_noise if tested.outputs else None,
-        "outputs": {
-            name: {"unit": STANDARD_CHANNELS[name].unit, **picked(one, *rows)} for name, one in tested.outputs.items()
-        },
-    }
+        return TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+    outputs = {n: TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    return TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
-def record_results(records: Sequence[FlightRecord], card: Card) -> list[dict[str, Any]]:
+def record_parts(records: Sequence[FlightRecord], card: Card) -> list[RecordPart]:
     """The records at a glance, with the flown range of each channel (SI), a spike left out."""
     told = []
     for r in records:
         channels = {name: np.asarray(x, dtype=float) for name, x in with_sums(r, card).items()}
         if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
             channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
-        ranges = {name: list(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
-        told.append({**picked(r, "name", "samples=n", "dt"), "duration": float(np.ptp(r.time)), "ranges": ranges})
+        ranges = {name: tuple(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
+        told.append(RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
     return told
 
 
-def screening_results(d: Diagnosis, rankings: Sequence[Ranking]) -> list[dict[str, Any]]:
+def screened_parts(d: Diagnosis, rankings: Sequence[Ranking]) -> list[ScreenedPart]:
     """Every candidate in the first election of each stage, the highest score first."""
     causes = {(c.stage, c.name) for c in d.causes}
-    found = [(ranking, s) for ranking in rankings for s in ranking.candidate_scores]
     return [
-        row
-        | {
-            "threshold": ranking.threshold,
-            "parameters": named_pairs(s.estimate, "estimate", "sd"),
-            "cause": (ranking.stage, s.effect) in causes,
-        }
-        for row, (ranking, s) in zip(screen_table(rankings, d).records(), found, strict=True)
+        ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in causes)
+        for r in rankings
+        for s in r.candidate_scores
     ]
 
 
-def cause_results(cause: Cause) -> dict[str, Any]:
+def cause_part(cause: Cause) -> CausePart:
     """One named cause, and what it gains on data that were not fitted."""
-    about = ("name", "kind", "claim", "stage", "probability", "p_value", "excited", "confirmed")
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
-    return {
-        **picked(cause, *about),
-        **named_pairs({"loss_without": cause.missed}, *GAIN),
-        **picked(cause, "sure", "implausible", "own_share", "ambiguous_with"),
-        "rival_gains": named_pairs(cause.rival_gains, *GAIN),
-        "joint": cause.joint,
-        "parameters": {n: picked(size, *SIZE, "ci95", "unit", "at_bound") for n, size in cause.parameters.items()},
-        "gain": {
-            **picked(gain, *GAIN, "split"),
-            "degraded": named_pairs(gain.degraded, *GAIN),
-            "by_coefficient": {
-                name: {f"{key}_{word}": getattr(by[name], key) for key, word, by in scores}
-                for name in gain.before
-                if name in gain.after
-            },
-        },
+    by_coefficient = {
+        name: {f"{key}_{word}": getattr(by[name], key) for key, word, by in scores}
+        for name in gain.before
+        if name in gain.after
     }
+    return CausePart.of(cause, gain=GainPart.of(gain, by_coefficient=by_coefficient))
 
 
 # --- Simulated trajectories.
 
 
-def trajectory_results(flown: Trajectories, card: Card) -> dict[str, Any]:
+def trajectories_part(flown: Trajectories | None, card: Card) -> TrajectoriesPart:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
-    before, after, lag = flown.card, flown.extended, flown.lag
-    return {
-        "fitted_outputs": list(flown.fitted),
-        "status": {"card": before.status.name, "extended": after.status.name},
-        "at_bound": {"card": list(before.at_bound), "extended": list(after.at_bound)},
-        **picked(flown, "variance_inflation", "noise_growth"),
-        "lag": None
-        if lag is None
-        else {
-            **picked(lag, "effect", "gain"),
-            "hold_out": dict(zip(("elpd", "elpd_se"), lag.unseen, strict=True)),
-            **picked(lag, "kept", "instead_of=instead", "slight"),
-        },
-        "causes": {
-            name: {"elpd": elpd, "elpd_se": elpd_se, "kept": name in flown.asked.kept}
-            for name, (elpd, elpd_se) in flown.asked.missed.items()
-        },
-        "tolerances": tolerance_results(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
-        "paths": [path_results(path) for path in flown.paths],
-        "held_without": flown.held,
-        "parameters": {
-            name: {
-                "card": before.values.get(name),
-                "extended": value,
-                "sd": flown.deviation[name],
-                "unit": after.units[name],
-                "held_by_prior": name in after.held,
-                "at_bound": name in after.at_bound,
-            }
+    if flown is None:
+        return TrajectoriesPart()
+    before, after, asked = flown.card, flown.extended, flown.asked
+    return TrajectoriesPart.of(
+        flown,
+        status={"card": before.status.name, "extended": after.status.name},
+        at_bound={"card": before.at_bound, "extended": after.at_bound},
+        causes={name: KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
+        paths=[path_part(ComparedPath, path) for path in flown.paths],
+        parameters={
+            name: FlownEstimate(
+                before.values.get(name),
+                value,
+                flown.deviation[name],
+                after.units[name],
+                name in after.held,
+                name in after.at_bound,
+            )
             for name, value in after.values.items()
         },
-    }
+    )
 
 
-def tolerance_results(card: Card, units: Mapping[str, str]) -> dict[str, Any]:
+def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, StatedTolerance]:
     """The card's tolerances of these outputs."""
     stated = {name: t for name, t in card.tolerances.items() if name in units}
-    return {name: {"value": t.value, "unit": units[name], "source": t.source} for name, t in stated.items()}
+    return {name: StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
 
 
-def path_results(path: SimulatedManoeuvre, units: Mapping[str, str] | None = None, *, alone: bool = False) -> Any:
-    """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name.
-
-    `alone`: no other flight is beside it, so it has neither a split nor a chance to stay inside.
-    """
-    outputs = {}
-    for name, error in path.errors.items():
-        parts = [f"theil_{part}={part}" for part in ("bias", "variance", "covariance")]
-        outputs[name] = {
-            "unit": STANDARD_CHANNELS[name].unit if units is None else units[name],
-            **picked(error, "rms", "largest"),
-            **picked(error.theil, "theil", *parts),
-            **picked(error, "within_tolerance=within", *([] if alone else ["probability_within=probability"])),
-        }
-    about = ("manoeuvre", "model", *(() if alone else ("split",)), "inside_envelope=inside")
-    return picked(path, *about) | {"outputs": outputs}
+def path_part(
+    kind: type[ComparedPath | FlownPath], path: SimulatedManoeuvre, units: Mapping[str, str] | None = None
+) -> Any:
+    """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
+    part = ComparedOutput if kind is ComparedPath else PathOutput
+    outputs = {
+        name: part.of(
+            **vars(error) | vars(error.theil), unit=STANDARD_CHANNELS[name].unit if units is None else units[name]
+        )
+        for name, error in path.errors.items()
+    }
+    return kind.of(path, outputs=outputs)

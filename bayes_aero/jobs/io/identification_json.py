@@ -1,4 +1,4 @@
-"""results.json: what one identification found, in a versioned schema (results.schema.json beside this file)."""
+"""results.json: what one identification found, in a versioned schema."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import xarray as xr
+from msgspec import UNSET
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
@@ -20,11 +21,26 @@ from bayes_aero.inference.results import (
     NextFlight,
     Posterior,
 )
-from bayes_aero.inference.scores import Scores
-from bayes_aero.jobs.io.consistency_json import consistency_results
-from bayes_aero.jobs.io.diagnosis_json import path_results, record_results
+from bayes_aero.jobs.io.diagnosis_json import path_part, record_parts
+from bayes_aero.jobs.io.documents import (
+    AloneFit,
+    BandEstimate,
+    ConsistencyPart,
+    CorrelatedPart,
+    FitPart,
+    FrequencyPart,
+    GivenPath,
+    IdentificationDocument,
+    IdentifiedPosterior,
+    InseparablePart,
+    NextFlightPart,
+    NextParameter,
+    ProcessesPart,
+    ProcessPart,
+    SamplerPart,
+)  # fmt: skip
 from bayes_aero.jobs.io.result_file import writable
-from bayes_aero.jobs.provenance import named_pairs, picked, write_json
+from bayes_aero.jobs.provenance import picked, write_json
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables.comparison import flown
@@ -40,129 +56,102 @@ def results(
     verdict: list[str],
     provenance: dict[str, Any],
     simulated: Sequence[SimulatedManoeuvre] = (),
-) -> dict[str, Any]:
+) -> IdentificationDocument:
     """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
 
     `simulated` are the manoeuvres flown with the fitted coefficients.
     """
     run = identification
-    alone = {name: _mle(fit) for name, fit in run.alone.items()}
-    parts: dict[str, Any] = {
-        "consistency": run.consistency and consistency_results(run.consistency),
-        "frequency": run.frequency and frequency_results(run.frequency),
-        "posterior": {"noise": run.noise.value} | posterior_results(run.posteriors) if run.posteriors else None,
-        "next_flight": run.next_flight and next_flight_results(run.next_flight),
-        "stall": run.stall and run.stall.numbers(),
-        "gpr": run.gp and gpr_results(run.gp),
-        "simulated": [path_results(path, alone=True) for path in simulated] or None,
-        "truth": None if run.truth is None else {name: run.truth[name] for name in flown(run)},
-    }
-    return {
-        "schema": SCHEMA,
-        "card": picked(run.card, "name", "title"),
-        "records": record_results(run.records, run.card),
-        "coefficients": run.forming.value,
-        "mle": _mle(run.mle) | {"covariance": run.mle.corrected, "alone": alone},
-        **{key: part for key, part in parts.items() if part is not None},
-        "verdict": verdict,
+    alone = {name: AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
+    return IdentificationDocument.of(
+        schema=SCHEMA,
+        card=run.card,
+        records=record_parts(run.records, run.card),
+        coefficients=run.forming.value,
+        mle=FitPart.of(run.mle, **_fit(run.mle), covariance=run.mle.corrected, alone=alone),
+        consistency=ConsistencyPart.of(run.consistency) if run.consistency else UNSET,
+        frequency=frequency_part(run.frequency) if run.frequency else UNSET,
+        posterior=IdentifiedPosterior(noise=run.noise.value, **posterior_parts(run.posteriors))
+        if run.posteriors
+        else UNSET,
+        next_flight=next_flight_part(run.next_flight) if run.next_flight else UNSET,
+        stall=run.stall.numbers() if run.stall else UNSET,
+        gpr=processes_part(run.gp) if run.gp else UNSET,
+        simulated=[path_part(GivenPath, path) for path in simulated] or UNSET,
+        truth=UNSET if run.truth is None else {name: run.truth[name] for name in flown(run)},
+        verdict=verdict,
         **picked(run, "health", "notes", "failures"),
-        "provenance": provenance | {"seconds": {k: round(v, 2) for k, v in run.seconds.items()}},
-    }
+        provenance=provenance | {"seconds": {k: round(v, 2) for k, v in run.seconds.items()}},
+    )
 
 
-def _scores(scores: Scores) -> dict[str, float]:
-    return {key: value for key, value in asdict(scores).items() if key != "status"}
-
-
-def _mle(result: MleResult) -> dict[str, Any]:
+def _fit(result: MleResult) -> dict[str, Any]:
     return {
         "status": result.status.name.lower(),
         "advice": result.status.value,
-        **picked(result, "det_R", "iterations"),
         "parameters": _estimates(result),
-        "fit": {name: _scores(scores) for name, scores in result.fit.items()},
-        "lag1": result.lag1,
-        "separation": {"minimum": result.separation[0], "maximum": result.separation[1]},
-        "information_eigenvalues": result.eigenvalues,
-        "inseparable": inseparable_results(result.inseparable),
-        "strong_correlations": [{"pair": [a, b], "value": value} for a, b, value in result.strong_correlations()],
-        "starts": [{"cost": cost, "outcome": outcome} for cost, outcome in result.starts],
+        "inseparable": inseparable_parts(result.inseparable),
+        "strong_correlations": [CorrelatedPart([a, b], value) for a, b, value in result.strong_correlations()],
         "warnings": result.warnings(),
     }
 
 
-def _estimates(fit: MleResult | FrequencyFit) -> dict[str, dict[str, Any]]:
-    """Estimates with their bounds, and by how much the bias of sensor noise was moved."""
+def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None = None) -> dict[str, BandEstimate]:
+    """Estimates with their bounds, by how much the bias of sensor noise was moved, and how far they are apart."""
     bias = [None] * len(fit.names) if fit.bias is None else fit.bias
     keys = ("estimate", "crb", "crb_corrected", "noise_bias", "unit")
     columns = zip(fit.estimate, fit.crb, fit.crb_corrected, bias, fit.units, strict=True)
-    return {name: dict(zip(keys, row, strict=True)) for name, row in zip(fit.names, columns, strict=True)}
+    rows = zip(fit.names, (dict(zip(keys, row, strict=True)) for row in columns), strict=True)
+    return {name: BandEstimate.of(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
 
 
-def frequency_results(fit: FrequencyFit) -> dict[str, Any]:
+def frequency_part(fit: FrequencyFit) -> FrequencyPart:
     """A fit in a band."""
-    differences = {name: {"difference": x} for name, x in fit.apart.items()}
-    rows = {name: row | differences.get(name, {}) for name, row in _estimates(fit).items()}
-    about = picked(fit, "method", "band", "frequencies=lines", "converged")
-    return about | {"parameters": rows} | picked(fit, "unseen", "at_bound")
+    return FrequencyPart.of(fit, parameters=_estimates(fit, fit.apart))
 
 
-def inseparable_results(found: Sequence[Inseparable]) -> list[dict[str, Any]]:
+def inseparable_parts(found: Sequence[Inseparable]) -> list[InseparablePart]:
     """Sets of parameters that the record cannot separate."""
-    return [{"parameters": dict(zip(one.names, one.wider, strict=True))} for one in found]
+    return [InseparablePart(dict(zip(one.names, one.wider, strict=True))) for one in found]
 
 
-def posterior_results(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
+def posterior_parts(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
     """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
-    status = {
-        key: {"noise": p.noise, "status": p.status.name.lower(), "advice": p.status.value}
-        for key, p in posteriors.items()
-    }
-    return {key: dict(posterior.marginals) for key, posterior in posteriors.items()} | {"status": status}
+    status = {key: SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()}
+    return {key: posterior.marginals for key, posterior in posteriors.items()} | {"status": status}
 
 
-def next_flight_results(found: NextFlight) -> dict[str, Any]:
+def next_flight_part(found: NextFlight) -> NextFlightPart:
     """Aircraft, scatter, next flight and manoeuvres, pooled and alone, by parameter."""
-    return {
-        "likelihood": found.tree.attrs["likelihood"],
-        **picked(found, "manoeuvres", "left_out"),
-        "parameters": {
-            p.name: {
-                "unit": p.unit,
-                "aircraft": found.aircraft[p.name],
-                "scatter": asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
-                "next_flight": found.following[p.name],
-                "pooled": {m: found.pooled[m][p.name] for m in found.manoeuvres},
-                "alone": named_pairs(
-                    {m: found.alone[m][p.name] for m in found.manoeuvres if p.name in found.alone[m]},
-                    "estimate",
-                    "crb_corrected",
-                ),
-                "undetermined": list(found.undetermined.get(p.name, ())),
-            }
-            for p in found.parameters
-        },
-        "status": found.status.name.lower(),
-        "advice": found.status.value,
+    parameters = {
+        p.name: NextParameter.of(
+            unit=p.unit,
+            aircraft=found.aircraft[p.name],
+            scatter=asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
+            next_flight=found.following[p.name],
+            pooled={m: found.pooled[m][p.name] for m in found.manoeuvres},
+            alone={m: found.alone[m][p.name] for m in found.manoeuvres if p.name in found.alone[m]},
+            undetermined=found.undetermined.get(p.name, ()),
+        )
+        for p in found.parameters
     }
+    status = {"status": found.status.name.lower(), "advice": found.status.value}
+    return NextFlightPart.of(found, likelihood=found.tree.attrs["likelihood"], parameters=parameters, **status)
 
 
-def gpr_results(report: GPReport) -> dict[str, Any]:
+def processes_part(report: GPReport) -> ProcessesPart:
     """By split and coefficient: scores over the test points of all folds together, and each fold's own."""
-    found: dict[str, Any] = {"sampled_split": report.chosen}
+    splits: dict[str, Any] = {}
     for split, folds in report.splits.items():
-        found[split] = {}
+        splits[split] = {}
         for name in folds[0]:
             own = [fold[name] for fold in folds]
             pooled = PooledScores.of(own)
-            found[split][name] = {
-                **_scores(pooled.gp),
-                **{f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()},
-                **picked(pooled, "k_hat", "status"),
-                "mle": _scores(pooled.mle),
-                "folds": [{"gpr": _scores(v.gp_scores), "mle": _scores(v.mle_scores)} for v in own],
-            }
-    return found
+            inside = {f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()}
+            each = [{"gpr": v.gp_scores, "mle": v.mle_scores} for v in own]
+            scores = {"k_hat": pooled.k_hat, "status": pooled.status, "mle": pooled.mle, "folds": each}
+            splits[split][name] = ProcessPart.of(pooled.gp, **inside, **scores)
+    return ProcessesPart.of(sampled_split=report.chosen, **splits)
 
 
 # --- What an identification writes: a file for each finished stage, and results.json with all of them.

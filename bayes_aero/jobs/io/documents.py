@@ -1,0 +1,1106 @@
+"""The JSON documents of results: each class is what is written, and its schema is generated from it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from inspect import getsource
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from msgspec import UNSET, Meta, Struct, field
+from msgspec import UnsetType as Unset
+from msgspec.json import schema
+from msgspec.structs import fields
+
+from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
+from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
+
+Number = float | None
+Size = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Share = Fraction | None
+Pair = tuple[Number, Number]
+Band = tuple[float, float]
+Matrix = list[list[Number]]
+Growth = dict[str, Annotated[float, Meta(ge=1)]]
+TWO, FOUR = Meta(min_length=2), Meta(min_length=4)  # keys, that is all of them
+Gains = Annotated[dict[Literal["elpd", "elpd_se"], Number], TWO]
+Bounded = Annotated[dict[Literal["estimate", "crb_corrected"], Number], TWO]
+Scores = Annotated[dict[Literal["r", "rmse", "theil", "r2"], Number], FOUR]
+Coefficient = Literal["CL", "CD", "Cm", "CY", "Cl", "Cn"]
+Output = Literal[
+    Coefficient, "airspeed", "alpha", "theta", "beta", "phi", "psi", "p", "q", "r", "altitude", "ax", "ay", "az"
+]
+Stage = Literal["flight path", "coefficients", "trajectories", "innovations"]
+Kind = Literal["aerodynamics", "propulsion", "mass", "measurement", "environment"]
+ToleranceWord = Literal["passes", "undecided", "fails"]
+FlightWord = Literal["again", "test", "next flight"]
+CalibrationWord = Literal["calibrated", "too_narrow", "too_wide", "not_normal", "coloured", "undecided"]
+AgreementWord = Literal["agree", "disagree_explained", "disagree_unexplained", "not_checked"]
+SamplerWord = Literal["converged", "not_converged", "divergent"]
+
+
+class Part(Struct, forbid_unknown_fields=True):
+    """A part of a document: all of its keys. What is `UNSET` is left out."""
+
+    @classmethod
+    def of(cls, found: Any = None, **more: Any) -> Any:
+        """The part with what `found` has under the names of the fields, or `more` instead; a tuple is in their order.
+
+        Objects and tuples below become the parts that the fields name; a mapping stays as it is.
+        """
+        if isinstance(found, tuple):
+            more = dict(zip(cls.__struct_fields__, found, strict=True))
+        values = {}
+        for f in _fields(cls):
+            value = more[f.name] if f.name in more else getattr(found, f.name, *(() if f.required else (f.default,)))
+            values[f.name] = _formed(f.type, value)
+        return cls(**values)
+
+
+_fields: Any = cache(fields)
+
+
+def _formed(kind: Any, value: Any) -> Any:
+    origin, inner = get_origin(kind), get_args(kind)
+    if value is None or value is UNSET:
+        return value
+    if origin in (Annotated, Union, UnionType):
+        return _formed(inner[0], value)
+    if origin is dict:
+        if isinstance(value, tuple):
+            value = dict(zip(get_args(inner[0]), value, strict=True))
+        elif not isinstance(value, Mapping):
+            value = {key: getattr(value, key) for key in get_args(inner[0])}
+        return {key: _formed(inner[1], x) for key, x in value.items()}
+    if origin is list and isinstance(value, list | tuple):
+        return [_formed(inner[0], x) for x in value]
+    if isinstance(kind, type) and issubclass(kind, Part) and not isinstance(value, Part | Mapping):
+        return kind.of(value)
+    return value
+
+
+# --- Parts of several documents.
+
+
+class CardPart(Part):
+    name: str
+    title: str
+
+
+class RecordPart(Part):
+    name: str
+    samples: int  # how many
+    dt: float  # sampling time, s
+    duration: float  # s
+    # by channel, also derived ones and the rate of alpha: the flown range (0.1 and 99.9 % quantiles, SI)
+    ranges: dict[str, Pair]
+
+
+class PathCheckPart(Part):
+    rms: dict[str, Annotated[dict[Literal["left", "permitted"], Number], TWO]]  # by channel
+    turbulence: Number  # included in the limit, m/s
+    gusts: Number  # standard deviation that the record shows, m/s
+    assumed: list[str] = field(name="assumed_zero")  # channels that were not recorded
+
+
+class OpenErrorPart(Part):
+    """A sensor error that the flight path does not determine (SI)."""
+
+    unit: str
+    mean: Number  # it holds, like sd, if it is the only error
+    sd: Number
+    among: Number  # the standard error with all others possible
+    asked: bool  # fitted but not confirmed by hold-out data
+    imitators: list[str]  # errors from which it is not distinguishable
+    share: Number  # of its effect, that the imitators reproduce
+    joint: dict[str, Number]  # errors that hold only together with it, with the correlation of the estimates
+
+
+class ConsistencyPart(Part):
+    """Agreement of the sensors along the flight path, in absolute terms. Empty if it was not checked."""
+
+    agreement: AgreementWord | Unset = field(name="outcome", default=UNSET)
+    why_not: str | Unset | None = UNSET
+    unchecked: list[str] | Unset = UNSET  # channels of the flight path that were not recorded
+    departures: list[Departure] | Unset = UNSET
+    errors: dict[str, Any] | Unset = UNSET  # known errors of sensors and winds found along the flight path, by name
+    unsought: str | Unset | None = UNSET  # why known errors could not be tested
+    open: dict[str, OpenErrorPart] | Unset = UNSET  # by name
+    recorded: dict[str, PathCheckPart] | Unset = UNSET  # by record
+    corrected: dict[str, PathCheckPart] | Unset = UNSET  # the same after correction of the errors
+
+    @classmethod
+    def of(cls, found: Consistency | None = None, **_: Any) -> Any:
+        """The answer, where records depart from their flight path, what explains it, what was left and permitted."""
+        if found is None:
+            return cls()
+        return super().of(
+            found,
+            why_not=found.why_not or None,
+            errors=found.errors or {},
+            unsought=found.unsought or None,
+            open={error.name: error for error in found.open},
+            recorded={check.record: check for check in found.recorded},
+            corrected={check.record: check for check in found.corrected},
+        )
+
+
+Records = Annotated[list[RecordPart], Meta(min_length=1)]
+Health = Annotated[
+    list[HealthFinding], Meta(description="Faults of the records' channels, as printed first; empty for sound records.")
+]
+Provenance = Annotated[
+    dict[str, Any],
+    Meta(
+        description="The only part that names a time or a machine; the rest is equal for equal seed and command.",
+        extra_json_schema={
+            "required": ["command", "settings", "seed", "inputs", "card", "versions", "platform", "written"]
+        },
+    ),
+]
+Failures = Annotated[
+    list[str],
+    Meta(
+        description="A sentence on each part of the run that failed unexpectedly; all other results are valid. The "
+        "exit code is then 1."
+    ),
+]
+
+
+class EstimatePart(Part):
+    mean: float
+    sd: Number
+
+
+class MarginalPart(Part):
+    """A marginal posterior with its equal-tailed 95 % interval and diagnostics."""
+
+    mean: Number
+    sd: Number
+    ci95: Pair
+    ess_bulk: Number
+    ess_tail: Number
+    rhat: Number
+
+
+class SamplerPart(Part):
+    """Whether a sampler's draws may be used."""
+
+    noise: str
+    status: SamplerWord
+    advice: str
+
+
+class MedianPart(Part):
+    median: Number
+    ci95: Pair
+
+
+class StallPart(Part):
+    """Highest lift coefficient of the steady flow (alpha-dot and rates zero) over the angles flown."""
+
+    CL_max: MedianPart
+    alpha_max: MedianPart  # its angle, rad
+    at_edge: Fraction  # share of draws whose maximum is the first or last angle flown; CL_max is then a lower limit
+
+
+class StatedTolerance(Part):
+    value: float
+    unit: str
+    source: str
+
+
+class PathOutput(Part):
+    """An output of a simulated manoeuvre, SI."""
+
+    unit: str
+    rms: Number  # root mean square of measured minus simulated
+    largest: Number
+    theil: Number  # Theil's inequality coefficient
+    bias: Number = field(name="theil_bias")  # share of the mean square error; so are the next two
+    variance: Number = field(name="theil_variance")
+    covariance: Number = field(name="theil_covariance")
+    # share of the time inside the tolerance; null where the card has none
+    within: Share = field(name="within_tolerance")
+
+
+class ComparedOutput(PathOutput):
+    """The same, beside other flights."""
+
+    probability: Share = field(name="probability_within")
+
+
+class FlownPath(Part):
+    """A manoeuvre, simulated with its recorded inputs."""
+
+    manoeuvre: str
+    # start: first values of the parameters, from the measured initial state. fitted: the fit, including its initial
+    # state.
+    model: Literal["start", "fitted"]
+    inside: bool = field(name="inside_envelope")
+    outputs: dict[str, PathOutput]
+
+
+class GivenPath(FlownPath):
+    """The same with the maximum-likelihood parameters, from the measured initial state."""
+
+    model: Literal["given"]
+
+
+class ComparedPath(Part):
+    """A manoeuvre, simulated by the card's or the extended model."""
+
+    manoeuvre: str
+    model: Literal["card", "extended"]
+    split: Literal["fitted", "hold_out"]
+    inside: bool = field(name="inside_envelope")
+    outputs: dict[str, ComparedOutput]
+
+
+class BandEstimate(Part, kw_only=True):
+    estimate: float
+    crb: Number  # Cramér-Rao standard error; assumes white residuals, in a band one variance at all frequencies
+    # the same, corrected for coloured residuals (Morelli and Klein 1997), in a band with the size of the residuals at
+    # each frequency; contains noise_bias
+    crb_corrected: Number
+    # bias from noise of the recorded signals; it is subtracted from the estimate and the posterior
+    noise_bias: Number | Unset = UNSET
+    unit: str
+    difference: float | Unset = UNSET  # from the time domain, in standard errors of the difference
+
+
+class InseparablePart(Part):
+    """Parameters that the record cannot separate: the factor by which the others widen the interval of each."""
+
+    parameters: dict[str, Number]
+
+
+class FrequencyPart(Part):
+    """A fit in the frequency domain, with --frequency."""
+
+    method: Literal["equation error", "output error"]
+    band: Band  # lowest and highest frequency, Hz
+    lines: int = field(name="frequencies")  # number of frequencies, of all manoeuvres together
+    converged: bool
+    parameters: dict[str, BandEstimate]
+    unseen: list[str]  # parameters that drop out with bias and drift
+    at_bound: list[str]  # parameters that went to a bound and were held there
+
+
+class PointPart(Part):
+    """A manoeuvre to be flown."""
+
+    manoeuvre: str
+    amplitude: float  # factor on the standard input
+    airspeed: float  # of the level flight in which it begins, m/s
+    altitude: float  # m
+    seconds: float  # its length
+    excursion: dict[str, Band]  # least and greatest value, SI
+
+
+# --- diagnosis.json.
+
+
+class TestedOutput(Part):
+    """Root mean squares of what the extended model leaves of an output, SI."""
+
+    __test__ = False  # not one of pytest's
+
+    unit: str
+    noise: Number  # of the sensor
+    fitted: Number  # fitted to all flights
+    unseen: Number = field(name="hold_out")  # on hold-out flights, from the measured initial state
+    beyond: bool = field(name="beyond_noise")  # more than half of the fitted mean square error is not noise
+
+
+class TestedPart(Part):
+    """What the verdict rests on, whether unexplained structure was tested, and what trajectories alone leave."""
+
+    __test__ = False
+
+    rests_on: Literal["coefficients", "trajectories", "innovations"]
+    unnamed_structure: bool
+    within_noise: bool | None  # null if nothing was simulated
+    outputs: dict[str, TestedOutput]  # by fitted output
+
+
+class CauseSize(Part):
+    mean: float
+    sd: Number
+    ci95: Pair
+    unit: str
+    at_bound: bool  # the parameter is at its bound: its size is not reliable; suspect another cause
+
+
+ScoreKey = Literal[
+    "r2_before", "r2_after", "rmse_before", "rmse_after", "r_before", "r_after", "theil_before", "theil_after"
+]
+
+
+class GainPart(Part):
+    """Measured on hold-out data."""
+
+    # log predictive density gained over the earlier causes that are confirmed, divided by the variance inflation
+    elpd: Number
+    elpd_se: Number
+    split: Literal["manoeuvre", "block", "not measured"]
+    # coefficients that are predicted worse with it by more than 3 nats and 1.645 standard errors, with that gain: it is
+    # not confirmed
+    degraded: dict[str, Gains]
+    # before = the model on the card, after = with this and every earlier cause that is confirmed; on the coefficients
+    # both with all sensors corrected
+    by_coefficient: dict[Coefficient, Annotated[dict[ScoreKey, Number], Meta(min_length=8)]]
+
+
+class CausePart(Part):
+    name: str
+    kind: Kind
+    claim: str
+    stage: Stage
+    probability: Share  # among all its possible replacements, absence included
+    # family-wise over all candidates, against noise with the residuals' autocorrelation; null where it entered by
+    # exchange
+    p_value: Share
+    excited: bool  # false if not every manoeuvre excites it
+    # removing it degrades hold-out prediction significantly (one-sided, 5 %), and no coefficient is predicted worse
+    # with it. A cause that is not confirmed is named, but is not in the extended model of predictors and trajectories,
+    # nor in the gains of later causes.
+    confirmed: bool
+    # what is lost when it is removed from the extended model; null if this was not tested
+    missed: Gains = field(name="loss_without")
+    sure: bool  # the verdict rests on it: confirmed, probability above one half, not at a bound, of a plausible size
+    # parameters beyond the largest plausible departure from neutral by two standard errors, with that departure
+    implausible: dict[str, float]
+    # share of its contribution to the outputs that no other free parameter can reproduce; below 0.02 the record hardly
+    # excites it
+    own_share: Share
+    ambiguous_with: list[str]
+    # what a rival in place of the cause has beyond it, everything fitted again; a rival that loses more than 3 nats and
+    # 1.645 standard errors is none
+    rival_gains: dict[str, Gains]
+    # causes whose estimates are correlated with its own beyond 0.9, with that correlation: neither size holds without
+    # the other
+    joint: dict[str, float]
+    parameters: dict[str, CauseSize]
+    gain: GainPart
+
+
+class UnexplainedPart(Part):
+    """Structure that no known effect explains."""
+
+    coefficient: Output
+    channel: str  # a recorded channel, a period in s, a term, or manoeuvre
+    # share of the residual of the extended model; for structure with rivals, of the residual without them
+    share: Number = field(name="share_of_variance")
+    p_value: Share
+    # more than five effects that would explain it about equally well: the record cannot attribute it. From trajectories
+    # and innovations, terms of other coefficients that fly about as well (COEFFICIENT over TERM). Empty where no effect
+    # explains it.
+    rivals: list[str]
+    # where the constant of the coefficient differs between manoeuvres (channel is manoeuvre): by manoeuvre after the
+    # first, how far it is from that of the first. rivals then explain the offsets about as well. Empty for other
+    # structure.
+    offsets: dict[str, EstimatePart]
+
+
+class ChangePart(Part):
+    """A parameter of the model that takes another value during the records. The extended model does not include it."""
+
+    parameter: str
+    unit: str
+    manoeuvre: str  # in which it changes
+    at: Size  # when, s from the begin of that manoeuvre; 0: from the manoeuvre before to this one
+    interval: Band = field(name="ci95")  # times that the record does not distinguish from it
+    lasts: bool  # later manoeuvres have the value after the change; otherwise the value before
+    before: EstimatePart
+    after: EstimatePart
+    size: EstimatePart  # of the change
+    # share of the residual of the extended model, of the coefficient of which it explains most
+    share: Number = field(name="share_of_variance")
+    p_value: Share  # family-wise: share of noise-only replicates in which some parameter and moment explain as much
+    # gain in log density of parts of the manoeuvres, each predicted from the others, divided by the variance inflation
+    gain: Number = field(name="elpd")
+    ambiguous_with: list[str]  # parameters whose change, and effects of the catalogue that, would explain about as much
+
+
+class TermPart(Part):
+    """A form of unexplained structure: the coefficient has size times the term, beside the extended model, which does
+    not include it."""
+
+    coefficient: str
+    # a product of factors; qhat, phat, rhat are the card's nondimensional rates, CT is thrust over dynamic pressure and
+    # wing area, X the separation point
+    term: str
+    code: str | None  # the expression of an effect file; null where the term depends on the past
+    unit: str
+    size: EstimatePart
+    # of what is left of the coefficient without it; from trajectories and innovations, of the output of which it takes
+    # the largest share
+    share: Number = field(name="share_of_variance")
+    gain: Number = field(name="elpd")  # gain in log density of left-out folds, divided by the variance inflation
+    weight: Share = field(name="probability")  # among all terms of the library; each factor halves the prior one
+    ambiguous_with: dict[str, float]  # terms that these records do not tell from it, with their probabilities
+
+
+class UsualSize(Part):
+    mean: float
+    sd: Number
+    unit: str
+
+
+class AbsorbedPart(Part):
+    """The derivative of a control that is at rest in these records. Such a derivative takes up what is constant."""
+
+    effect: str  # of the card
+    parameter: str
+    unit: str
+    control: str
+    estimate: EstimatePart
+    usual: EstimatePart  # mean and standard deviation of its prior
+    # by effect: with the usual value there would be one of these, as large as given were it the whole cause
+    sizes: Annotated[dict[str, UsualSize], Meta(min_length=1)]
+
+
+class CancellingPart(Part):
+    """Two causes whose large contributions cancel: the record determines only parameters[0] + factor parameters[1]."""
+
+    effects: list[str]
+    parameters: list[str]
+    factor: float
+    mean: float  # of the departures from neutral
+    sd: Number
+    unit: str
+    correlation: Number  # of the two estimates
+
+
+class NoisePart(Part):
+    """The residuals, by coefficient of the card's axes; by output where only trajectories were compared."""
+
+    labels: list[Literal["colored", "buffet", "outliers"]]
+    lag1: dict[Output, Number]
+    deviation: dict[Output, Number] = field(name="sd")
+    noise_growth: dict[Output, Number]  # noise at the deepest separation over that in attached flow
+    outliers: dict[str, int]  # replaced samples by channel
+
+
+class ScreenedPart(Part):
+    """A candidate in the first screening of a stage."""
+
+    stage: Stage
+    effect: str = field(name="name")
+    kind: Kind
+    score: Number  # estimate over a standard error that counts the residuals' autocorrelation
+    p_value: Share  # family-wise: share of noise-only replicates in which some candidate scores as high
+    # score that the best candidate exceeds in noise-only replicates as often as the level of selection allows (1 %)
+    threshold: Number
+    estimate: dict[str, Annotated[dict[Literal["estimate", "sd"], Number], TWO]] = field(name="parameters")
+    cause: bool
+
+
+class MovePart(Part):
+    """A parameter of the card: fitted with the card's model alone, and with all findings."""
+
+    before: Number
+    after: Number
+    sd_before: Number
+    sd_after: Number
+    unit: str
+
+
+class CovariancePart(Part):
+    """Of the extended model's estimates from their joint fit, SI, for coloured residuals; the diagonal has the squares
+    of the reported standard errors, or more. Parameters found in the flight path are not in it."""
+
+    names: list[str] = field(name="parameters")  # the rows and columns
+    matrix: Matrix
+    residuals: Literal["coloured"]
+
+
+class CompositionPart(Part):
+    """All manoeuvres fitted jointly (the noise may grow with separation, which gives the stall itself less weight than
+    the published fit), scored at the recorded rate."""
+
+    r: Number
+    rmse: Number
+    r2: Number
+    theil: Number
+    theil_bias: Number  # share of the mean square error; so are the next two
+    theil_variance: Number
+    theil_covariance: Number
+    lag1: Number
+    # share of residuals (5 Hz means) within the central normal band of that probability
+    calibration: Annotated[dict[Literal["0.5", "0.9", "0.95"], Share], Meta(min_length=3)]
+
+
+class LagPart(Part):
+    """The lag test: a lag of the separation point that the coefficients leave open, added to the extended model."""
+
+    effect: str
+    gain: Number  # gain in log density of the joint fit, with variance inflation; null if it did not converge
+    # the same on hold-out flights, with its standard error; null if the joint fit gains less than 3
+    unseen: Gains = field(name="hold_out")
+    kept: bool  # hold-out flights confirm it, with the same test as for causes; the extended model then includes it
+    instead: list[str] = field(name="instead_of")  # parameters of hysteresis that it replaces
+    slight: bool  # its size is too small to be named; it is then not tested on hold-out flights
+
+
+class KeptPart(Part):
+    """A cause tested on hold-out flights: the loss of log density when it is removed, with variance inflation (to first
+    order where that is beyond five deviations; null if the flight leaves its envelope without it). Not kept: the
+    simulated model omits it. A cause of which one flight alone tells is not asked, and stays."""
+
+    elpd: Number
+    elpd_se: Number
+    kept: bool
+
+
+class FlownEstimate(Part):
+    """A parameter of both models, as fitted to the trajectories."""
+
+    card: Number  # null where the card's model does not have it
+    extended: Number
+    sd: Number
+    unit: str
+    held_by_prior: bool
+    at_bound: bool
+
+
+class TrajectoriesPart(Part):
+    """Simulated trajectories, SI; empty if there are none. The manoeuvres are simulated with their recorded inputs."""
+
+    fitted: list[str] | Unset = field(name="fitted_outputs", default=UNSET)
+    status: dict[str, str] | Unset = UNSET  # by model: card, extended
+    # by model: parameters at their bound; their standard errors are not reliable
+    at_bound: dict[str, list[str]] | Unset = UNSET
+    variance_inflation: float | Unset = UNSET  # variance inflation from the residuals' autocorrelation
+    # by fitted output: noise growth, the residual size of the extended model in fully separated flow over that in
+    # attached flow; it weighs the samples
+    noise_growth: Growth | Unset = UNSET
+    lag: LagPart | Unset | None = UNSET  # null if it was not tested
+    causes: dict[str, KeptPart] | Unset = UNSET
+    tolerances: dict[str, StatedTolerance] | Unset = UNSET
+    paths: list[ComparedPath] | Unset = UNSET
+    # causes held at their joint estimate when this manoeuvre is held out: they are not identifiable from the others
+    held: dict[str, list[str]] | Unset = field(name="held_without", default=UNSET)
+    parameters: dict[str, FlownEstimate] | Unset = UNSET
+
+
+class QuestionPart(Part):
+    effects: list[str]
+    enough: float  # standard errors that decide
+    present: float  # those of the records alone
+
+
+class DecidingPoint(PointPart):
+    # for each question, by how many the rivals are expected to differ with the records, this point and those before it
+    expected: list[float] = field(name="standard_errors")
+    rate: float = field(name="nats_per_second")  # expected information on all that is open
+
+
+class DecidingPoints(Part):
+    """Manoeuvres that decide what is open, in the order of flying; empty if nothing is or the model cannot fly."""
+
+    questions: list[QuestionPart] | Unset = UNSET
+    points: list[DecidingPoint] | Unset = UNSET
+    # manoeuvres that leave the envelope with every amplitude and airspeed, or whose input was not recorded
+    refused: dict[str, str] | Unset = UNSET
+    envelope: dict[str, Pair] | Unset = UNSET  # least and greatest value, SI
+    stated: list[str] | Unset = UNSET  # the quantities that the card's [envelope] has
+
+
+class HiddenPart(Part):
+    """Only if the records are simulated: the hidden effects."""
+
+    effects: dict[str, dict[str, float]]
+    named: dict[str, Literal["first", "named", "ambiguous", "minor", "missed"]]
+
+
+Residuals = Annotated[
+    dict[Literal["before", "after"], Annotated[dict[Coefficient, CompositionPart], Meta(min_length=3)]],
+    Meta(
+        description="Empty where only trajectories were compared.",
+        extra_json_schema={"dependentRequired": {"before": ["after"]}},
+    ),
+]
+
+
+class DiagnosisDocument(Part, kw_only=True):
+    """The results of one diagnosis. A number that does not exist is null. Units are SI and radians; tau1 and tau2 in
+    chords travelled. Standard errors count the residuals' autocorrelation."""
+
+    schema: Literal["bayes_aero/diagnosis/5"]
+    card: CardPart
+    records: Records
+    consistency: ConsistencyPart
+    # no_effect: no significant model error is detectable. explained: sure causes, nothing else is significant.
+    # partly_explained: sure causes, and structure without one, or a parameter that changes. unexplained: structure, or
+    # a parameter that changes, without a sure cause. undecided: no cause is significant, but the derivative of a
+    # control at rest may have taken up an effect (see absorbed and test_points). From trajectories alone, errors beyond
+    # the sensors' noise, or errors that were not computed, forbid explained; undecided: no cause is significant, but
+    # such errors remain, which disturbed air leaves as well (see tested).
+    verdict: Literal["no_effect", "explained", "partly_explained", "unexplained", "undecided"]
+    tested: TestedPart
+    sentences: list[str]  # the findings as printed
+    causes: list[CausePart]  # in the order found: sensors on the flight path first, then the coefficients
+    # effects that were found but are too small to be named; in the extended model if hold-out data need them
+    minor: list[str]
+    unexplained: list[UnexplainedPart]
+    terms: list[TermPart]  # in the order of selection
+    changes: list[ChangePart]
+    cancelling: list[CancellingPart]
+    absorbed: list[AbsorbedPart]
+    noise: NoisePart
+    not_testable: dict[str, str]  # why each of these effects could not be tested
+    screening: list[ScreenedPart]
+    split: Literal["manoeuvre", "block"]
+    base_parameters: dict[str, MovePart]
+    covariance: CovariancePart | None
+    residuals: Residuals
+    trajectories: TrajectoriesPart
+    stall: dict[Literal["card", "extended"], StallPart]  # by model
+    test_points: DecidingPoints
+    in_band: CausesInBand | None  # null if there are no such causes or it was not computed
+    health: Health
+    notes: list[str]
+    failures: Failures
+    provenance: Provenance
+    hidden: HiddenPart | Unset = UNSET
+
+
+# --- trajectories.json.
+
+
+class SettingPart(Part):
+    """Settings in which published programs differ; the options of the command."""
+
+    initial_state: Literal["free", "fixed"]  # free: fitted for each manoeuvre; fixed: the card's, or the first sample
+    priors: bool  # false: the fit had no priors of parameters or initial states
+    inputs: Literal["linear", "held"]  # between samples
+
+
+class PriorPart(Part):
+    family: Literal["normal", "lognormal", "halfnormal", "uniform"]
+    location: float
+    scale: float
+    source: str
+    default: bool  # the program's; false: the card states it
+
+
+class FittedParameter(Part):
+    unit: str
+    start: float  # the card's value, with which the path `start` is simulated
+    estimate: float
+    crb: Number  # Cramér-Rao standard error of the data alone, for white residuals; null where they do not determine it
+    sd_corrected: Number  # standard error with the residuals' autocorrelation (Morelli and Klein 1997) and the priors
+    prior: PriorPart | None  # null where the fit had none
+    held_by_prior: bool  # the records contain little information on it
+    at_bound: bool
+    # without priors: the records do not determine it; its value is not usable and its standard errors are null
+    undetermined: bool
+
+
+class InitialState(Part):
+    """Value at the first sample, and its departure from the measured or fixed one."""
+
+    value: float
+    departure: float
+    unit: str
+    prior_sd: Number  # standard deviation of the prior of the departure; null where it has none or is fixed
+
+
+class DisagreementPart(Part):
+    """A parameter for which the coefficients of the same record, fitted as by identify, give another value: estimate
+    and corrected standard error of each."""
+
+    name: str
+    unit: str
+    coefficients: Pair
+    trajectories: Pair
+    apart: Number  # in combined standard errors
+
+
+class LevelPart(Part):
+    """Share of the innovations inside the central predictive interval."""
+
+    level: Annotated[float, Meta(gt=0, lt=1)]
+    share: Fraction
+    sd: Size  # standard error, with the autocorrelation counted
+    p: Fraction  # p-value of calibrated predictions, with the autocorrelation counted
+
+
+class PredictedPart(Part):
+    """One-step predictions of all outputs together."""
+
+    count: Annotated[int, Meta(ge=2)] = field(name="innovations")  # how many
+    # root mean square of innovations over their predicted standard deviations, and its standard error; 1 if calibrated
+    ratio: Pair
+    shares: list[LevelPart]
+    # not_normal: too narrow at one level, too wide at another; coloured: shares as they must be, but neighbouring
+    # innovations are correlated beyond 0.3
+    calibration: CalibrationWord = field(name="status")
+
+
+class PredictedOutput(PredictedPart):
+    """One-step predictions of an output."""
+
+    rms: Size  # root mean square of measured minus predicted from the samples before, in the unit of the output
+
+
+class OneStepPart(Part):
+    """Whether one-step predictions are calibrated; undecided where there are too few innovations."""
+
+    status: Literal["calibrated", "not_calibrated", "undecided"]
+    outputs: dict[str, PredictedOutput]
+    together: PredictedPart
+
+
+class ProcessNoisePart(Part):
+    """The same model with process noise, by an extended Kalman filter: only if it was asked for. SI and radians;
+    standard errors for white innovations."""
+
+    status: str
+    converged: bool
+    gain: Number  # log likelihood beyond that of output error, nats
+    estimates: dict[str, Pair]  # by parameter: estimate and standard error
+    F: dict[str, Size]  # process noise by state, unit of the state per square root of a second; 0: none
+    noise_sd: dict[str, Size]  # standard deviation of the measurement noise by output
+    autocorrelation: dict[str, float]  # of neighbouring innovations by output; near 0 if the disturbance is as modelled
+    # intensity (m/s) and scale length (m) of gusts, and of buffet (lift coefficient of fully separated flow; chords)
+    # where the model separates, by parameter: estimate and standard error; empty for a linear system. gusts.csv has
+    # their histories.
+    gusts: dict[str, Pair]
+    covariance: Matrix | None  # of the estimates, in their order
+    one_step: OneStepPart | None  # null where the fit did not converge
+
+
+class FlownPosterior(Part):
+    """The posterior of the fit with process noise by both samplers, only if it was asked for: marginals of the
+    parameters, of F_state (process noise) and of sigma_output (standard deviation of the measurement noise)."""
+
+    nuts: dict[str, MarginalPart]
+    emcee: dict[str, MarginalPart]
+    status: dict[str, SamplerPart]  # by sampler
+
+
+class QuantityPart(Part):
+    value: float
+    sd: Number
+
+
+class ModePart(Part):
+    """A mode of motion; standard errors of first order in the parameters."""
+
+    name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
+    eigenvalue: Band  # real and imaginary part, 1/s
+    sd: Pair = field(name="eigenvalue_sd")
+    period: QuantityPart | Unset = UNSET  # s
+    damping_ratio: QuantityPart | Unset = UNSET
+    time_constant: QuantityPart | Unset = UNSET  # s
+    time_to_half: QuantityPart | Unset = UNSET  # s
+    time_to_double: QuantityPart | Unset = UNSET  # s
+
+
+class MotionPart(Part):
+    """Modes of motion of the fitted model about straight level flight: only of an aircraft's model that converged."""
+
+    airspeed: Number  # m/s; null of a linear card, and so the altitude
+    altitude: Number  # m
+    estimates: Literal["output error", "process noise"]  # whose modes these are
+    modes: list[ModePart]
+    why_not: str = field(name="why_no_modes")  # empty if there are modes
+
+
+class TrajectoriesDocument(Part, kw_only=True):
+    """The results of one fit to trajectories (output error). A number that does not exist is null. Units are SI and
+    radians; tau1 and tau2 in chords travelled."""
+
+    schema: Literal["bayes_aero/trajectories/5"]
+    card: CardPart
+    records: Records
+    consistency: ConsistencyPart
+    status: Literal["converged", "at_bound", "not_converged", "left_envelope"]
+    converged: bool  # false: do not use the numbers; the program's exit status is 1
+    sentences: list[str]  # the findings as printed
+    # outputs that the fit compares; the altitude of a model of effects is reported only, unless it was asked for
+    fitted_outputs: list[str]
+    # length of the windows that were fitted before whole manoeuvres, s
+    window: Annotated[float, Meta(gt=0)] = field(name="windows")
+    setting: SettingPart
+    iterations: Annotated[int, Meta(ge=0)]  # of the last fit
+    cost: Number  # half the samples times log det R, with the priors
+    # determinant of the diagonal residual covariance over the fitted outputs: the cost that published programs print
+    det_R: Number
+    # variance inflation from the residuals' autocorrelation, in the median of the parameters; it also weighs the priors
+    variance_inflation: Number
+    # by fitted output: noise growth, the residual size in fully separated flow over that in attached flow; it weighs
+    # the samples. Empty if the simulation left the envelope.
+    noise_growth: Growth
+    parameters: dict[str, FittedParameter]
+    covariance: Matrix  # of the estimates in the order of parameters, corrected for coloured residuals, priors counted
+    inseparable: list[InseparablePart]
+    disagreement: list[DisagreementPart]
+    process_noise: ProcessNoisePart | Unset = UNSET
+    posterior: FlownPosterior | Unset = UNSET
+    frequency: list[FrequencyPart] | Unset = UNSET  # equation error and output error of a linear card
+    motion: MotionPart | Unset = UNSET
+    initial_states: dict[str, dict[str, InitialState]]  # by manoeuvre and state
+    residual_sd: dict[str, float]  # by fitted output, over all manoeuvres; in attached flow if there is noise growth
+    tolerances: dict[str, StatedTolerance]
+    paths: list[FlownPath]  # every manoeuvre, simulated twice
+    health: Health
+    notes: list[str]
+    failures: Failures
+    provenance: Provenance
+
+
+# --- results.json.
+
+
+class CorrelatedPart(Part):
+    pair: list[str]
+    value: Number
+
+
+class StartPart(Part):
+    cost: Number
+    outcome: str
+
+
+class AloneFit(Part):
+    status: Literal["converged", "at_bound", "not_converged", "singular", "stall_not_identified"]
+    advice: str
+    det_R: Number  # determinant of the diagonal residual covariance of CL, CD, Cm
+    iterations: int
+    parameters: dict[str, BandEstimate]
+    fit: Annotated[dict[Coefficient, Scores], Meta(min_length=3)]
+    lag1: dict[Coefficient, Number]  # autocorrelation of the residuals
+    separation: Annotated[dict[Literal["minimum", "maximum"], Number], TWO]
+    eigenvalues: list[Number] = field(name="information_eigenvalues")
+    inseparable: list[InseparablePart]
+    strong_correlations: list[CorrelatedPart]
+    starts: list[StartPart]
+    warnings: list[str]
+
+
+class FitPart(AloneFit):
+    covariance: Matrix  # of the estimates in the order of parameters, corrected for coloured residuals
+    alone: dict[str, AloneFit]  # the same fit to each manoeuvre alone, by its name
+
+
+class IdentifiedPosterior(Part, kw_only=True):
+    """emcee and nuts under the chosen noise model; white is by emcee under white noise."""
+
+    noise: Literal["white", "ar1", "buffet-ar1"]
+    emcee: dict[str, MarginalPart] | Unset = UNSET
+    nuts: dict[str, MarginalPart] | Unset = UNSET
+    white: dict[str, MarginalPart] | Unset = UNSET
+    status: dict[str, SamplerPart]
+
+
+class ScatterPart(MarginalPart):
+    over_prior: Number  # its posterior standard deviation over that of its prior
+
+
+class NextParameter(Part):
+    unit: str
+    aircraft: MarginalPart
+    scatter: ScatterPart
+    next_flight: MarginalPart
+    pooled: dict[str, MarginalPart]
+    alone: dict[str, Bounded]  # of manoeuvres whose records determine it
+    undetermined: list[str]  # manoeuvres whose records say less of it than its prior
+
+
+class NextFlightPart(Part):
+    """With --next-flight: parameters of a manoeuvre scatter around the aircraft's. Manoeuvres enter by the normal
+    approximation of their own fit."""
+
+    likelihood: Literal["normal approximation"]
+    manoeuvres: list[str]
+    left_out: dict[str, str]  # manoeuvres without a usable fit, with the reason
+    parameters: dict[str, NextParameter]
+    status: SamplerWord
+    advice: str
+
+
+class ProcessPart(Part):
+    """A Gaussian process over the test points of all folds together, and the maximum-likelihood fit there."""
+
+    r: Number
+    rmse: Number
+    theil: Number
+    r2: Number
+    coverage50: Share
+    coverage90: Share
+    coverage95: Share  # share of the test points inside the central 95 % interval
+    k_hat: Number  # Pareto k of the re-weighting; null where hyperparameters are at their mode
+    status: str
+    mle: Scores
+    folds: list[Annotated[dict[Literal["gpr", "mle"], Scores], TWO]]
+
+
+ByCoefficient = Annotated[dict[Coefficient, ProcessPart], Meta(min_length=3)]
+
+
+class ProcessesPart(Part):
+    """Gaussian processes by split and coefficient."""
+
+    sampled_split: str
+    random: ByCoefficient | Unset = UNSET
+    block: ByCoefficient | Unset = UNSET
+    manoeuvre: ByCoefficient | Unset = UNSET
+
+
+class IdentificationDocument(Part, kw_only=True):
+    """The results of one identification. A number that does not exist is null. Units are SI and radians; tau1 and tau2
+    in chords travelled."""
+
+    schema: Literal["bayes_aero/results/1"]
+    card: CardPart
+    records: Records
+    # how coefficients were formed: the same filter on all signals, or as published
+    coefficients: Literal["matched", "published"]
+    mle: FitPart
+    consistency: ConsistencyPart | Unset = UNSET
+    frequency: FrequencyPart | Unset = UNSET
+    posterior: IdentifiedPosterior | Unset = UNSET
+    next_flight: NextFlightPart | Unset = UNSET
+    stall: StallPart | Unset = UNSET
+    gpr: ProcessesPart | Unset = UNSET
+    # every manoeuvre, without correction by measurements. Absent if an input channel is missing (a note names it).
+    simulated: list[GivenPath] | Unset = UNSET
+    # only where the records were simulated: the true parameters, SI and radians
+    truth: dict[str, float] | Unset = UNSET
+    verdict: list[str]
+    health: Health
+    notes: list[str]
+    failures: Failures
+    provenance: Provenance
+
+
+# --- qualification.json.
+
+
+class JudgedTolerance(StatedTolerance):
+    verdict: ToleranceWord  # it fails where one of its tests does, and passes where all do and all records are inside
+
+
+class BesidePart(Part):
+    """The simulation with the estimates beside the record."""
+
+    largest: float  # largest error
+    within: float  # share of the time inside
+    passed: bool
+
+
+class TestPart(Part):
+    __test__ = False
+
+    # a fitted manoeuvre flown again, a manoeuvre that was not fitted, a fitted manoeuvre on the next flight
+    kind: FlightWord
+    manoeuvre: str
+    output: str
+    tolerance: float
+    probability: float  # with all that is counted
+    standard_error: float  # of the Monte Carlo
+    # parameters; structure: with them; gusts: with both, where gusts are counted
+    chances: dict[str, Annotated[dict[Literal["value", "error"], float], TWO]] = field(name="counted")
+    verdict: ToleranceWord
+    within: float  # expected share of the time inside
+    recorded: BesidePart | None = field(name="record")
+
+
+class RegionPart(Part):
+    """The flown region: the convex hull of all fitted samples."""
+
+    channels: list[str]  # of the convex hull
+    not_recorded: list[str]
+
+
+class OutsidePart(Part):
+    manoeuvre: str
+    motion: Literal["recorded", "simulated"]
+    channels: list[str]
+    share: float  # of the samples that are farther outside than 0.1
+    distance: float  # of the farthest sample, in half the flown range of each channel
+    time: float  # of that sample, s from the start
+    excess: dict[str, float]  # by channel, from the nearest point of the region to that sample
+
+
+class UndecidedTest(Part):
+    """An undecided test: the probability to pass now, and if the parameters were known exactly."""
+
+    kind: FlightWord
+    manoeuvre: str
+    output: str
+    present: Fraction
+    known: Fraction
+
+
+class FurtherPoint(PointPart):
+    expected: list[float] = field(name="probabilities")  # of each test, expected with this point and those before it
+    rate: float = field(name="nats_per_second")
+
+
+class FurtherPart(Part):
+    """Test points that would decide undecided tests, in the order of flying; null if none is undecided."""
+
+    tests: list[UndecidedTest]
+    points: list[FurtherPoint]
+    refused: dict[str, str]
+    why_not: str
+
+
+class QualificationDocument(Part):
+    """SI units and radians. A probability is that of a flight that stays inside the tolerance about the simulation from
+    start to end."""
+
+    schema: Literal["bayes_aero/qualification/2"]
+    card: CardPart
+    verdict: ToleranceWord  # of the model: it fails where one tolerance does, and passes where all do
+    thresholds: Annotated[dict[Literal["passes_from", "fails_to"], float], TWO]
+    draws: int  # flights drawn for every test
+    tolerances: dict[str, JudgedTolerance]  # by output
+    tests: list[TestPart]
+    flown_region: RegionPart
+    outside: list[OutsidePart]
+    further: FurtherPart | None
+    origins: dict[str, str]  # where parameters, structure, next flight and gusts come from
+    health: Health
+    consistency: ConsistencyPart
+    notes: list[str]
+    failures: Failures
+    provenance: Provenance
+
+
+# --- Their schemas.
+
+DOCUMENTS: dict[str, type[Part]] = {
+    "results": IdentificationDocument,
+    "diagnosis": DiagnosisDocument,
+    "trajectories": TrajectoriesDocument,
+    "qualification": QualificationDocument,
+}
+
+
+def document_schema(name: str) -> dict[str, Any]:
+    """The JSON schema of a document; comments beside and above the fields are their descriptions."""
+    classes = {c.__name__: c for c in (*globals().values(), SizeInBand) if isinstance(c, type)}
+    parts = schema(DOCUMENTS[name])["$defs"]
+    for key, part in parts.items():
+        part |= {"description": " ".join((classes[key].__doc__ or "").split()), "additionalProperties": False}
+        above: list[str] = []
+        own = (cls for cls in classes[key].__mro__ if cls.__module__.startswith("bayes_aero"))
+        for line in (line for cls in own for line in getsource(cls).splitlines()):
+            code, _, comment = line.partition("# ")
+            words = [*above, comment] if comment else above
+            if found := re.match(r"    (\w+): ", code):
+                named = re.search(r'name="(\w+)"', code) or found
+                if words and named[1] in part["properties"]:
+                    part["properties"][named[1]].setdefault("description", " ".join(words))
+            above = words if comment and not code.strip() else []
+    own = parts.pop(DOCUMENTS[name].__name__)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | own | {"$defs": parts}
