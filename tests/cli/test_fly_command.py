@@ -255,7 +255,3 @@ def test_identify_in_a_band_finds_the_truth_and_agrees_with_the_time_domain(card
     assert max(fit.apart.values()) < 4.0
     assert np.median(fit.crb_corrected / fit.crb) < 1.3 < 2.0 < np.median(mle.crb_corrected / mle.crb)
     assert any("agree within" in note for note in found.notes)
-
-
-def test_a_card_of_effects_is_sent_to_identify(program, flights):
-    refused(program("fly", flights.sound, "--frequency", "0.1", "1.5"), "identify --frequency", gone=["trajectories"])

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import six_axes as six
 import stranger_six
-from calling import answer, called, holds, page_of, recorded, refused, succeeded, validated
+from calling import answer, called, holds, page_of, recorded, succeeded, validated
 from markupsafe import escape
 
 from bayes_aero.cli import app, terminal
@@ -277,12 +277,6 @@ def test_same_seed_same_numbers(flown):
     first.pop("provenance")
     second.pop("provenance")
     assert first == second
-
-
-def test_one_manoeuvre_has_no_next_flight(flown):
-    folder, paths, _ = flown
-    done = called(folder, "identify", paths[0], "--out", "one", "--next-flight")
-    refused(done, "2 to 24 manoeuvres, and there is 1", gone=[folder / "one"])
 
 
 def test_diagnose_writes_and_tells_what_it_found(tmp_path, told_diagnosis):

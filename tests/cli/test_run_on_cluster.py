@@ -318,20 +318,6 @@ def test_an_address_that_does_not_answer_is_one_sentence(program, folder, monkey
     assert not finished(folder)
 
 
-APART = {
-    "--workers 2 --scheduler tcp://127.0.0.1:9": "exclude each other", "--memory 4GiB": "--workers",
-    "--workers 2 --memory lots": "'lots' is no size", "--workers 2 --memory 100MB": "too little",
-    "--workers 2 --dry-run": "leave --workers",
-    "--dry-run --scheduler tcp://127.0.0.1:9": "leave --workers and --scheduler out",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("options", APART)
-def test_options_that_do_not_go_together_are_one_sentence(program, folder, monkeypatch, options):
-    monkeypatch.chdir(folder)
-    refused(program("run", "study.toml", *options.split()), APART[options], gone=["study_results"])
-
-
 def test_without_dask_the_way_to_have_it_is_told(program, folder, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.delitem(sys.modules, "bayes_aero.study.cluster", raising=False)

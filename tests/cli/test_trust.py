@@ -117,6 +117,13 @@ BAD = {  # of every command: what it is asked, and a word of the sentence
     f"{SIMULATE} --duration 1e15": "random_stall", f"{SIMULATE} --duration nan": "random_stall",
     f"{SIMULATE} --model nowhere.toml": "nowhere.toml", "simulate --out nowhere/a.csv": "there is no folder nowhere",
     f"simulate --out {LONG}.csv": "too long", f"{SIMULATE} --manoeuvre aileron_doublet": "lateral axis",
+    "fly flight.csv --frequency 0.1 1.5": "identify --frequency", "run study.toml --memory 4GiB": "--workers",
+    "identify flight.csv --next-flight": "2 to 24 manoeuvres, and there is 1",
+    "run study.toml --workers 2 --scheduler tcp://127.0.0.1:9": "exclude each other",
+    "run study.toml --workers 2 --memory lots": "'lots' is no size",
+    "run study.toml --workers 2 --memory 100MB": "too little",
+    "run study.toml --workers 2 --dry-run": "leave --workers",
+    "run study.toml --dry-run --scheduler tcp://127.0.0.1:9": "leave --workers and --scheduler out",
 }  # fmt: skip
 
 
