@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from stranger import HIDDEN, Recorder, flown
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 
 CLEAR = 6.0  # standard errors of the first screening
 

@@ -12,14 +12,13 @@ import pytest
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import response_scales
-from bayes_aero.model.joined_records import marks_of
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import marks, observe
-from bayes_aero.physics.flightpath import path_rates
+from bayes_aero.model.observations import marks, observe, response_scales
+from bayes_aero.model.records import marks_of
+from bayes_aero.physics.aircraft import Aircraft, Axis
+from bayes_aero.physics.kinematics import path_rates
 from bayes_aero.report.text.restraints import sign_sentences
 
 AIRCRAFT = Aircraft(

@@ -14,10 +14,10 @@ import pytest
 from browsing import needed
 
 import bayes_aero as ba
-from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
-from bayes_aero.flight.card.card import PARAMETER_KEYS, SECTIONS
+from bayes_aero.flight.card import PARAMETER_KEYS, SECTIONS
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.parameter import FAMILIES
+from bayes_aero.physics.aircraft import AIRCRAFT_KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

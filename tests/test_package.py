@@ -25,13 +25,13 @@ from typechecker import check_once
 import bayes_aero as ba
 import bayes_aero.effects as effects
 from bayes_aero.cli.fits import identify as command
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.health import channel_health
-from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.model.noise import DEFAULT, Colour
@@ -199,9 +199,9 @@ def test_a_report_takes_results_and_computes_none(path):
 
 
 def test_the_check_sees_what_it_forbids():
-    tree = ast.parse("from bayes_aero.inference.stall import stall_of\nfrom bayes_aero.report.style import save")
-    assert taken(tree) == [("bayes_aero.inference.stall", "stall_of")]
-    assert inspect.isfunction(import_module("bayes_aero.inference.stall").stall_of)
+    tree = ast.parse("from bayes_aero.inference.calibration import stall_of\nfrom bayes_aero.report.style import save")
+    assert taken(tree) == [("bayes_aero.inference.calibration", "stall_of")]
+    assert inspect.isfunction(import_module("bayes_aero.inference.calibration").stall_of)
 
 
 @pytest.fixture

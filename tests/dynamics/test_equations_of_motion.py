@@ -15,19 +15,15 @@ from stranger_six import Plane, Strips
 
 from bayes_aero.dynamics.aircraft import ENVELOPE, HELD, Longitudinal, RigidBody
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics
-from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.modes import Steady, modes, named_modes
+from bayes_aero.dynamics.linear import Steady, linear_dynamics, modes, named_modes
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import System, integrate
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.atmosphere import GRAVITY, air
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import GRAVITY, NAMES, NO_AIRCRAFT, Axis, air
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.simulate.demo import TRUTH
 

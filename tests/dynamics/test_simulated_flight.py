@@ -10,8 +10,10 @@ import six_axes as six
 import stranger_six
 from stranger_six import Plane
 
-from bayes_aero.dynamics.simulated.manoeuvres import (
+from bayes_aero.dynamics.pilot import (
     SECONDS,
+    Pilot,
+    fly,
     fly_standard,
     multisine_inputs,
     multisines,
@@ -21,8 +23,7 @@ from bayes_aero.dynamics.simulated.manoeuvres import (
     steps,
     three_two_one_one,
 )
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly
-from bayes_aero.dynamics.simulated.trim import (
+from bayes_aero.dynamics.trim import (
     INPUTS,
     Condition,
     FlightState,
@@ -35,11 +36,11 @@ from bayes_aero.dynamics.simulated.trim import (
 )
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.atmosphere import GRAVITY, air
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import GRAVITY, air
 from bayes_aero.physics.coefficients import coefficients, condition_joined
 from bayes_aero.physics.filters import differentiate
-from bayes_aero.physics.flightpath import Rotation, lever_arm
+from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import PROFILES, TRUTH
 
 # Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it

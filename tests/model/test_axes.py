@@ -12,11 +12,11 @@ from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import LATERAL, NAMES, Axis
 from bayes_aero.simulate.demo import TRUTH
 
 # Which effects a model of one axis has, proposes and computes, and in which reference lengths its defaults stand

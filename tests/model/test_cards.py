@@ -12,16 +12,16 @@ import pytest
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.simulated.manoeuvres import fly_standard
-from bayes_aero.dynamics.simulated.trim import INPUTS, FlightState, Plant
+from bayes_aero.dynamics.pilot import fly_standard
+from bayes_aero.dynamics.trim import INPUTS, FlightState, Plant
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import parse_card, read_card, shipped_cards
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.model.joined_channels import join
+from bayes_aero.flight.card import parse_card, read_card, shipped_cards
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.results import MleStatus
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.simulate.demo import TRUTH, demo_records
 from bayes_aero.simulate.injection import hidden_records

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.io import schemas
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.physics import filters
+from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.coefficients import (
     SMOOTHED,
     coefficient_noise,
