@@ -24,10 +24,6 @@ Beyond = Callable[[float, float, float, float, float], tuple[float, float, float
 """What is added to CL, CD and Cm by airspeed, alpha, q, elevator and thrust, SI."""
 
 
-def nothing(*_: float) -> tuple[float, float, float]:
-    return 0.0, 0.0, 0.0
-
-
 def _body(t, V, alpha, q, elevator, thrust, beyond: Beyond):
     """Specific force along body x and z, and pitch acceleration, of a flow; the published equations (TC04)."""
     pressure = 0.5 * DENSITY * V**2 * AREA
@@ -55,7 +51,7 @@ def gusty_flight(
     gust: Mapping[str, float] = GUST,
     seconds: float = SECONDS,
     truth: Mapping[str, float] | None = None,
-    beyond: Beyond = nothing,
+    beyond: Beyond = lambda *_: (0.0, 0.0, 0.0),
 ) -> FlightRecord:
     """Elevator steps and a slow sweep of alpha from trimmed level flight; Heun's method.
 

@@ -63,14 +63,10 @@ NOISE = {
 }  # fmt: skip
 """Standard deviations of the recorder's white noise, SI."""
 UNITS = {"time": "s", "airspeed": "m/s", "altitude": "m", "density": "kg/m^3"}
+UNITS |= dict.fromkeys("pqr", "rad/s") | dict.fromkeys(("ax", "ay", "az"), "m/s^2")
+UNITS |= dict.fromkeys(("thrust_left", "thrust_right"), "N") | dict.fromkeys(("phi", "theta", "psi"), "rad")
+UNITS |= dict.fromkeys(("alpha", "beta", "elevator", "aileron", "rudder"), "rad")
 RECORDED = (*NOISE, "thrust_left", "thrust_right", "density")
-
-
-def unit(channel: str) -> str:
-    """SI unit of a channel of the record."""
-    by_kind = {"a": "m/s^2"} if channel in ("ax", "ay", "az") else {"p": "rad/s", "q": "rad/s", "r": "rad/s"}
-    usual = "N" if channel.startswith("thrust") else "rad"
-    return UNITS.get(channel, by_kind.get(channel[0] if len(channel) < 3 else "", usual))
 
 
 def card_in(folder: Path, plane: Plane, *options: Any) -> Card:
@@ -82,8 +78,8 @@ def card_in(folder: Path, plane: Plane, *options: Any) -> Card:
 def card_text(plane: Plane, effects: Any = (*LONGITUDINAL, *LATERAL), axes: Any = BOTH, more: str = "") -> str:
     """A card of this aircraft whose record has SI units and the channels' own names."""
     inertia = "\n".join(f'{name} = "{getattr(plane, name)} kg m^2"' for name in ("Ix", "Iy", "Iz", "Ixz"))
-    mapped = "\n".join(f'{n} = {{ label = "{n}", unit = "{unit(n)}" }}' for n in ("time", *RECORDED))
-    sensors = "\n".join(f'{name} = "{x} {unit(name)}"' for name, x in NOISE.items())
+    mapped = "\n".join(f'{n} = {{ label = "{n}", unit = "{UNITS[n]}" }}' for n in ("time", *RECORDED))
+    sensors = "\n".join(f'{name} = "{x} {UNITS[name]}"' for name, x in NOISE.items())
     nose = ", ".join(f'"{x} m"' for x in plane.nose)
     return f"""
 title = "another aircraft"

@@ -1,33 +1,149 @@
-"""The package: an effect is one entry, no inference in reports, compiled once, checked as it runs."""
+"""The package: public names, no inference in reports, compiled once, checked as it runs."""
 
 from __future__ import annotations
 
 import ast
+import inspect
 import os
+import re
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module, resources
-from inspect import isfunction, ismodule
 from pathlib import Path
-from types import ModuleType
 
 import jax
+import matplotlib.figure
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from beartype.roar import BeartypeCallHintViolation
 from jaxtyping import Float
 from typechecker import check_once
 
-import bayes_aero
+import bayes_aero as ba
 import bayes_aero.effects as effects
+from bayes_aero.cli.fits import identify as command
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.health import channel_health
+from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.inference.results import Posterior, PosteriorStatus
+from bayes_aero.jobs.options import IdentifyOptions
+from bayes_aero.jobs.steps.record_checks import RecordChecks
+from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
+from bayes_aero.report.tables.comparison import ordered
 
+PUBLIC = {
+    "CATALOGUE", "Card", "Diagnosed", "Effect", "Fit", "FlightRecord", "InputError", "Model", "Parameter", "Prior",
+    "Stage", "__version__", "diagnose", "fit", "flight_path", "fly", "gpr", "next_flight", "plot", "read", "read_card",
+    "sample", "write_record",
+}  # fmt: skip
+
+
+def test_public_names_are_locked_documented_and_typed():
+    """Adding or removing one is a decision: it changes this list."""
+    assert set(ba.__all__) == PUBLIC
+    assert {name for name in PUBLIC if getattr(ba, name, None) is None} == set()
+    for name in sorted(PUBLIC - {"CATALOGUE", "__version__"}):
+        thing = getattr(ba, name)
+        assert inspect.getdoc(thing), name
+        if inspect.isfunction(thing):
+            assert "return" in thing.__annotations__, name
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        ba.identfy  # noqa: B018
+
+
+@pytest.fixture(scope="module")
+def fitted(clean_records, card):
+    """A model composed in three lines and fitted."""
+    model = ba.Model.from_card(card).extended("thrust_moment")
+    return ba.fit(clean_records, card, model=model)
+
+
+def test_a_composed_model_keeps_the_card_s_priors_and_finds_nothing_where_nothing_is(fitted, card):
+    base = ba.Model.from_card(card)
+    kept = {p.name: p for p in fitted.run.model.parameters}
+    assert all(kept[p.name] == p for p in base.parameters)
+    i = fitted.mle.names.index("thrust_arm")
+    assert abs(fitted.mle.estimate[i]) < 0.05  # m; the simulation's line of thrust goes through the centre of gravity
+
+
+def test_table_and_plot(fitted):
+    table = fitted.table()
+    assert isinstance(table, pd.DataFrame)
+    assert list(table.index) == list(ordered(fitted.mle.names, fitted.mle.parameters))
+    np.testing.assert_allclose(table.loc["Cmq", "crb"], fitted.mle.crb[fitted.mle.names.index("Cmq")])
+    figure = ba.plot(fitted, width=10.0)
+    assert isinstance(figure, matplotlib.figure.Figure)
+    assert figure.get_size_inches()[0] == 10.0
+    with pytest.raises(ba.InputError, match="no posterior"):
+        ba.plot(fitted, "trace_emcee")
+    with pytest.raises(ba.InputError, match="forest"):
+        ba.plot(fitted, "florest")
+    with pytest.raises(ba.InputError, match="gpr"):
+        fitted.validation()
+
+
+def test_posteriors_under_different_noise_models_are_kept_apart(fitted):
+    """Side by side they would be read as engines that disagree."""
+    sampled = Posterior("emcee", "ar1", fitted.mle.names, xr.DataTree(), {}, PosteriorStatus.CONVERGED, 0.0)
+    beside = ba.Fit(replace(fitted.run, noise=Colour.AR1, posteriors={"emcee": sampled}))
+    with pytest.raises(ba.InputError, match="under ar1 noise"):
+        ba.sample(beside, engine="nuts", noise="buffet-ar1")
+
+
+def test_one_noise_model_is_the_default_everywhere():
+    for function in (ba.sample, IdentifyOptions, command):
+        assert Colour(inspect.signature(function).parameters["noise"].default) is DEFAULT
+
+
+@pytest.mark.parametrize("use", [ba.fit, ba.diagnose])
+def test_arrays_that_are_no_numbers_are_refused_in_one_sentence(use, diagnosed, card):
+    record = diagnosed.records[0]
+    gone = record.channels["alpha"].copy()
+    gone[100:110] = np.nan
+    with pytest.raises(ba.InputError, match=r"record .*: channel alpha is empty or not a number .*10 of"):
+        use([replace(record, channels={**record.channels, "alpha": gone})], card)
+    with pytest.raises(ba.InputError, match="channel time runs backwards"):
+        use([replace(record, time=record.time[::-1])], card)
+
+
+def test_diagnosed_says_what_the_view_holds_and_what_is_in_doubt(diagnosed, card):
+    a_view = diagnosed.view
+    found = ba.Diagnosed(a_view, card)
+    assert found.verdict == a_view.diagnosis.verdict.value
+    assert set(found.table()["cause"]) == set(found.causes)
+    assert found.sentences[0]
+    assert found.doubts == []
+    assert {"name", "score", "p_value"} <= set(found.screen().columns)
+    assert isinstance(ba.plot(found), matplotlib.figure.Figure)
+    record = diagnosed.records[0]
+    checks = RecordChecks(channel_health([record, replace(record, name="copy")], card), Consistency("not asked for"))
+    found = ba.Diagnosed(diagnosed.view, card, checks)
+    assert any("copy: is the same record as" in said for said in found.doubts)
+    assert found.sentences[: len(found.doubts)] == found.doubts
+
+
+def test_whatever_reads_records_makes_the_same_checks():
+    """Health, identity and consistency are asked for at one place, and every command gets there."""
+    package = Path(ba.__file__).parent
+    source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
+    alone = re.compile(r"(?<!def )\b(channel_health|consistency|same_records)\(")
+    assert {name for name, text in source.items() if alone.search(text)} == {
+        "flight/health/__init__.py",
+        "jobs/steps/record_checks.py",
+    }
+    makes = {name for name, text in source.items() if "record_checks(" in text}
+    jobs = {f"jobs/{name}.py" for name in ("check", "identify", "fly", "diagnose", "qualify")}
+    assert makes == {"jobs/steps/record_checks.py", "explore/opened.py", "api.py", *jobs}
+
+
+# What holds in the whole package
 ENTRY = '''
 """Drag of the elevator, squared."""
 from bayes_aero.effects.lift_drag import ELEVATOR_DRAG
@@ -36,19 +152,18 @@ ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
 
 
-def beside(package: ModuleType, name: str, text: str, folder, monkeypatch) -> None:
-    """The package as if `folder`/`name`.py, which holds `text`, lay in it."""
-    (folder / f"{name}.py").write_text(text)
-    monkeypatch.setattr(package, "__path__", [*package.__path__, str(folder)])
-    monkeypatch.delitem(sys.modules, f"{package.__name__}.{name}", raising=False)
-
-
 def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, monkeypatch):
-    beside(effects, "more_drag", ENTRY, tmp_path, monkeypatch)
+    def beside(name: str, text: str) -> None:
+        """The package as if this file lay in it."""
+        (tmp_path / f"{name}.py").write_text(text)
+        monkeypatch.delitem(sys.modules, f"{effects.__name__}.{name}", raising=False)
+
+    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+    beside("more_drag", ENTRY)
     found = effects._discover()
     assert found.keys() - CATALOGUE.keys() == {"elevator_drag_again"}
     assert list(found) == sorted(found)
-    beside(effects, "drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"), tmp_path, monkeypatch)
+    beside("drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"))
     with pytest.raises(InputError, match="second effect elevator_drag"):
         effects._discover()
 
@@ -60,7 +175,7 @@ COMPUTE = {
     *("evaluate", "linearise", "refitted", "first_order", "coefficients", "flow", "predict", "draws"),
     *("standard_normal", "default_rng", "lstsq", "solve"),
 }
-PACKAGE = Path(str(resources.files(bayes_aero)))
+PACKAGE = Path(str(resources.files(ba)))
 MODULES = sorted(PACKAGE.joinpath("report").rglob("*.py"))
 
 
@@ -75,8 +190,8 @@ def test_a_report_takes_results_and_computes_none(path):
     tree = ast.parse(path.read_text())
     for module, name in taken(tree):
         thing = getattr(import_module(module), name)
-        assert not ismodule(thing), f"{module}.{name}: import its results by name"
-        computes = isfunction(thing) or hasattr(thing, "__wrapped__")
+        assert not inspect.ismodule(thing), f"{module}.{name}: import its results by name"
+        computes = inspect.isfunction(thing) or hasattr(thing, "__wrapped__")
         assert name in DESCRIBE or not computes, f"{module}.{name} computes"
     assert not {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)} & PROBLEMS
     called = {node.func for node in ast.walk(tree) if isinstance(node, ast.Call)}
@@ -86,12 +201,7 @@ def test_a_report_takes_results_and_computes_none(path):
 def test_the_check_sees_what_it_forbids():
     tree = ast.parse("from bayes_aero.inference.calibration import stall_of\nfrom bayes_aero.report.style import save")
     assert taken(tree) == [("bayes_aero.inference.calibration", "stall_of")]
-    assert isfunction(import_module("bayes_aero.inference.calibration").stall_of)
-
-
-def renamed(record, name):
-    channels = {key: record.channels[key] for key in record.channels}
-    return FlightRecord.from_arrays(name, record.time, channels, record.source)
+    assert inspect.isfunction(import_module("bayes_aero.inference.calibration").stall_of)
 
 
 @pytest.fixture
@@ -116,7 +226,7 @@ def test_records_of_other_names_run_the_compiled_programs(traced, diagnosed, car
     settings = DiagnosisSettings(max_effects=2)
     diagnose([record], card, settings=settings)
     traced.clear()
-    again = diagnose([renamed(record, "the same flight")], card, settings=settings)
+    again = diagnose([replace(record, name="the same flight")], card, settings=settings)
     assert [c.name for c in again.causes] == [c.name for c in diagnosed.view.diagnosis.causes]
     assert not set(traced) & {"_linearise", "_residuals"}, traced
     jax.jit(lambda x: x + 1.0)(1.0)

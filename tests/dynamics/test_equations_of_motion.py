@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -181,13 +180,12 @@ def test_it_flies_as_another_simulator_does(flown, euler):
 
 def test_coefficients_are_taken_apart_again(flown):
     """What accelerometers and rates of the simulated flight say of CL, CD, Cm, CY, Cl, Cn is what the model said."""
-    plane = ODD
-    system = body(plane)
+    system = body(ODD)
     moved_point = eqx.tree_at(lambda s: s.aircraft.reference_point, system, (0.2, -0.1, 0.15))
     flight = flown["rudder"]
     u = inputs(flight)
     found = fly(moved_point, state_at_start(system, **{n: flight[n][0] for n in system.start}), u, 0.04).outputs
-    signals = found | u | {"density": jnp.asarray([plane.density(float(h)) for h in found["altitude"]])}
+    signals = found | u | {"density": jnp.asarray([ODD.density(float(h)) for h in found["altitude"]])}
     apart = coefficients(signals, moved_point.aircraft)
     for name in ("CL", "CD", "Cm", "CY", "Cl", "Cn"):
         np.testing.assert_allclose(getattr(apart, name), found[name], rtol=1e-6, atol=1e-9, err_msg=name)
@@ -195,16 +193,15 @@ def test_coefficients_are_taken_apart_again(flown):
 
 def test_an_axis_without_a_model_is_prescribed():
     """Roll and yaw with sideslip held to the record, as in the published case: p and r alone are simulated."""
-    plane = EVEN
-    flight = stranger_six.fly(plane, "rudder", np.random.default_rng(5), dt=0.02, seconds=15.0)
+    flight = stranger_six.fly(EVEN, "rudder", np.random.default_rng(5), dt=0.02, seconds=15.0)
     model = six.model(six.LATERAL, (Axis.LATERAL,))
     held = (*HELD[Axis.LONGITUDINAL], "beta", "phi")
-    system = body(plane, model, altitude=False, held=held, heading=False)
+    system = body(EVEN, model, altitude=False, held=held, heading=False)
     assert system.states == ("p", "r")
     slope = lambda name: np.gradient(flight[name], 0.02)
     spin = np.stack([flight[n] for n in ("p", "q", "r")], axis=1)
     turned = np.stack([slope(n) for n in ("p", "q", "r")], axis=1)
-    arm = np.broadcast_to(plane.nose, spin.shape)
+    arm = np.broadcast_to(EVEN.nose, spin.shape)
     felt = np.cross(turned, arm) + np.cross(spin, np.cross(spin, arm))
     u = six.channels(flight) | {name: jnp.asarray(flight[name]) for name in held}
     u |= {f"{name}_dot": jnp.asarray(slope(name)) for name in ("alpha", "q")}
@@ -220,12 +217,9 @@ def test_an_axis_without_a_model_is_prescribed():
 LINEAR = ("attached_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag", "induced_drag")
 
 
-def numbers(**changes) -> dict[str, Any]:
-    return {name: jnp.asarray(value) for name, value in (TRUTH | changes).items()}
-
-
 def longitudinal(effects, aircraft, **changes) -> Longitudinal:
-    return Longitudinal(Model.of(effects), numbers(**changes), aircraft, True)
+    values = {name: jnp.asarray(value) for name, value in (TRUTH | changes).items()}
+    return Longitudinal(Model.of(effects), values, aircraft, True)
 
 
 def begin(V=95.0, alpha=0.11, theta=0.12, q=0.0, altitude=5000.0):
