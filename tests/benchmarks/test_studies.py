@@ -34,8 +34,7 @@ from studies import resumed
 from verify import CLAIMS, LEVEL, ROUND, Claim, Side, begin, count, enter, flights, fly, line_of, mark
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.gp.emulator import ReducedData
-from bayes_aero.inference.gp.kernel import Priors
+from bayes_aero.inference.gp.kernel import Priors, ReducedData
 from bayes_aero.inference.gp.posterior import log_density
 from bayes_aero.simulate.demo import TRUTH
 

@@ -11,7 +11,7 @@ import pytest
 
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 
 # A small sound record, the card's channels for it, and what is said of a bad one

@@ -25,14 +25,14 @@ from scipy.io import netcdf_file, savemat
 from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
-from bayes_aero.flight.readers import READERS, excel
+from bayes_aero.flight.readers import READERS
+from bayes_aero.flight.readers import binary as excel
+from bayes_aero.flight.readers import isolated as process
 from bayes_aero.flight.readers.base import located
-from bayes_aero.flight.readers.excel import open_excel
-from bayes_aero.flight.readers.isolated import process
-from bayes_aero.flight.readers.isolated.process import open_dataflash, open_mdf, open_ulog
-from bayes_aero.flight.reading.read_record import read_raw, read_record
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.readers.binary import open_excel
+from bayes_aero.flight.readers.isolated import open_dataflash, open_mdf, open_ulog
+from bayes_aero.flight.reading import read_raw, read_record
+from bayes_aero.flight.record import FlightRecord, write_record
 
 OPENERS = {".xlsx": open_excel, ".mf4": open_mdf, ".ulg": open_ulog, ".bin": open_dataflash}
 LIBRARIES = {".xlsx": "openpyxl", ".mf4": "asammdf", ".ulg": "pyulog", ".bin": "pymavlink"}
@@ -87,7 +87,7 @@ def test_paths_that_are_no_files(tmp_path, monkeypatch):
         (tmp_path / name).write_text("x")
         told(tmp_path / name, CHANNELS, *FORMATS, "convert")
     with monkeypatch.context() as patch:
-        patch.setattr("bayes_aero.flight.reading.read_record.MAX_BYTES", 100)
+        patch.setattr("bayes_aero.flight.reading.MAX_BYTES", 100)
         told(path, CHANNELS, "more than 100", "cut it")
     monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
     told(path, CHANNELS, "Permission denied", "check its name and permissions")
@@ -164,7 +164,7 @@ def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
     savemat(tmp_path / "v4.mat", {"T": t}, format="4")
     told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
     path = written(tmp_path, sound(2000), ".mat")
-    monkeypatch.setattr("bayes_aero.flight.readers.mat.MAX_VALUES", 100)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.MAX_VALUES", 100)
     told(path, CHANNELS, "claims", "-v7")
 
 
@@ -184,12 +184,12 @@ def test_matlab_v73(tmp_path):
 
 def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
     path = written(tmp_path, sound(), ".nc")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.TIME_LIMIT", 0.001)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 0.001)
     told(path, CHANNELS, "did not finish", "write it again")
     monkeypatch.undo()
     monkeypatch.setattr("sys.executable", "/bin/false")
     told(path, CHANNELS, "crashed", "write it again")
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.find_spec", lambda _: None)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.find_spec", lambda _: None)
     told(path, CHANNELS, "h5py is not installed", "install h5py")
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.flight.writers import WRITERS, write_record
+from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import WRITERS, write_record
 from bayes_aero.units import to_si
 
 # .nc starts a process for each file, so it gets fewer examples; its time limit stands in for the deadline.
@@ -32,7 +32,7 @@ IN_SI = {c.name: float(to_si(1.0, c.unit, c.name)) for c in CHANNELS}
 
 @pytest.fixture(autouse=True)
 def short_time_limit(monkeypatch):
-    monkeypatch.setattr("bayes_aero.flight.readers.hdf5.TIME_LIMIT", 2.0)
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 2.0)
 
 
 @pytest.fixture(scope="module")

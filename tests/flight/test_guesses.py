@@ -8,12 +8,11 @@ import scipy.io
 from flight_samples import workbook
 from flights import flight
 
-from bayes_aero.flight.card.card import parse_card
-from bayes_aero.flight.card.toml_tables import parse_table
+from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card_tables import parse_table
 from bayes_aero.flight.channel import ALIASES, Channel, plain_heading, split_heading, symbol_of
 from bayes_aero.flight.readers import READERS
-from bayes_aero.flight.reading.inspection import inspect_record
-from bayes_aero.flight.reading.read_record import read_raw, read_record
+from bayes_aero.flight.reading import inspect_record, read_raw, read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.card_template import starter_card
 from bayes_aero.jobs.column_inference import guessed

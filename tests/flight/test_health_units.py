@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from flights import NOISE, UNITS, G, card, changed, flight, smooth
 
-from bayes_aero.flight.atmosphere import standard_air
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.air import across, derivatives
 from bayes_aero.flight.health.refuted import refuted
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import standard_air
 
 BOOK = Path(__file__).parents[2].parent / "shared" / "book"
 LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0

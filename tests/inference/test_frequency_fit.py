@@ -18,17 +18,17 @@ from linear_cards import (
     short_period_flight,
 )
 
-from bayes_aero.diagnosis.trajectories.results import Setting
-from bayes_aero.diagnosis.trajectories.trajectories import fit_trajectories
+from bayes_aero.diagnosis.trajectories import fit_trajectories
+from bayes_aero.diagnosis.trajectory_result import Setting
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.simulated.manoeuvres import multisines
+from bayes_aero.dynamics.pilot import multisines
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import channel_units, read_card
+from bayes_aero.flight.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import fit_in_band, linear_in_band
-from bayes_aero.model.joined_channels import join
-from bayes_aero.residuals.frequency_error import (
+from bayes_aero.model.observations import join
+from bayes_aero.residuals.equation_error import (
     LinearFrequencyError,
     LinearFrequencyOutputError,
     lines_in,

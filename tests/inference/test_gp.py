@@ -16,18 +16,20 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
+from bayes_aero import processes as compiled_programs
 from bayes_aero.errors import InputError
-from bayes_aero.inference import compiled_programs
-from bayes_aero.inference.compiled_programs import MAPPINGS, full_of_programs, give_back_memory
 from bayes_aero.inference.gp import Prediction, fit, fit_gp, posterior
-from bayes_aero.inference.gp.emulator import (
+from bayes_aero.inference.gp.kernel import (
+    FLAT,
     ExactPoint,
+    HyperPrior,
+    Priors,
     ReducedData,
     fit_emulator,
+    noise_to_signal,
     reduced_stats,
     stats_and_gradient,
 )
-from bayes_aero.inference.gp.kernel import FLAT, HyperPrior, Priors, noise_to_signal
 from bayes_aero.inference.gp.optimum import SD_BOUNDS, MapStatus, best_sizes, find_map, maximise, slopes
 from bayes_aero.inference.gp.posterior import (
     K_LIMIT,
@@ -42,6 +44,7 @@ from bayes_aero.inference.gp.posterior import (
     small_posterior,
     thin,
 )
+from bayes_aero.processes import MAPPINGS, full_of_programs, give_back_memory
 
 
 def covariance(theta, x):
@@ -571,7 +574,7 @@ def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.compiled_programs import exit_with
+from bayes_aero.processes import exit_with
 
 def work(parent):
     exit_with(parent)

@@ -22,30 +22,23 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.trajectories.results import FITTED
+from bayes_aero.diagnosis.trajectory_result import FITTED
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import parse_card, shipped_cards
+from bayes_aero.flight.card import parse_card, shipped_cards
 from bayes_aero.inference.frequency import linear_in_band
-from bayes_aero.inference.likelihood.normal_equations import INITIAL_STATE_SD
-from bayes_aero.inference.likelihood.output_error import (
-    MAX_GROWTH,
-    SeparatedFlow,
-    fit_cascade,
-    fit_output_error,
-    trajectories,
-)
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.inference.likelihood.prediction_error import fit_prediction_error
+from bayes_aero.inference.output_error import MAX_GROWTH, SeparatedFlow, fit_cascade, fit_output_error, trajectories
+from bayes_aero.inference.output_error_result import INITIAL_STATE_SD, OutputErrorStatus
+from bayes_aero.inference.prediction_error import fit_prediction_error
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
+from bayes_aero.physics.aircraft import NO_AIRCRAFT
 from bayes_aero.physics.filters import differentiate
 from bayes_aero.report.tables.fly import parameter_rows
 from bayes_aero.report.text.fly import fly_sentences

@@ -31,8 +31,14 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import System
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood import prediction_error
-from bayes_aero.inference.likelihood.prediction_error import (
+from bayes_aero.inference import prediction_error
+from bayes_aero.inference.calibration import LEVELS, one_step, probability_transform
+from bayes_aero.inference.nuts import (
+    SPREAD,
+    innovations_posterior,
+    sample_innovations,
+)
+from bayes_aero.inference.prediction_error import (
     MAX_ITERATIONS,
     Evaluation,
     PredictionErrorStatus,
@@ -41,11 +47,9 @@ from bayes_aero.inference.likelihood.prediction_error import (
     fit_prediction_error,
     minimise,
 )
-from bayes_aero.inference.one_step import LEVELS, one_step, probability_transform
-from bayes_aero.inference.posterior.nuts import SPREAD, innovations_posterior, sample_innovations
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.inference.scores import Calibration
-from bayes_aero.model.joined_channels import join
+from bayes_aero.model.observations import join
 from bayes_aero.parameter import Parameter, Prior
 
 # One-step predictions: their transform in closed form, shares of a simulated truth, and what correlation does

@@ -9,12 +9,11 @@ import pytest
 from scipy.stats import kstest, norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.posterior.calibration import BAND, histogram, neighbours, pit
+from bayes_aero.inference.calibration import BAND, histogram, neighbours, pit
 from bayes_aero.inference.scores import ScoreStatus, interval_coverage, score
 from bayes_aero.inference.validation import BLOCK_SECONDS, make_splits
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.simulate.demo import TRUTH
 
 

@@ -15,17 +15,22 @@ from scipy.stats import multivariate_normal
 
 import bayes_aero as ba
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.mle import descend, fit_mle, without_noise_bias
-from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.laplace import ModeStatus, density_start, find_mode, other_modes, search_modes
-from bayes_aero.inference.posterior.nuts import NutsLength, WarmUp, sample_nuts
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.inference.stall import maxima, stall_of
-from bayes_aero.model.density import Density, LogDensity
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.calibration import maxima, stall_of
+from bayes_aero.inference.ensemble import (
+    EnsembleLength,
+    ModeStatus,
+    density_start,
+    find_mode,
+    other_modes,
+    sample_ensemble,
+    search_modes,
+)
+from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
+from bayes_aero.inference.nuts import NutsLength, WarmUp, sample_nuts
+from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
