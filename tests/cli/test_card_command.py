@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from calling import answer, holds, refused, succeeded
-from flight.health.flights import flight
+from flight.flights import flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stranger import fly, plane, write

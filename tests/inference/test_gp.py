@@ -1,9 +1,13 @@
-"""Gaussian processes: density, priors and derivatives, the optimum, full Bayes of the hyperparameters, and `fit_gp`."""
+"""Gaussian processes: density, priors, optimum, full Bayes of hyperparameters, `fit_gp`; processes that train."""
+
+import subprocess
+import sys
 
 import arviz_stats
 import jax
 import jax.numpy as jnp
 import numpy as np
+import psutil
 import pytest
 import xarray as xr
 from arviz_stats.base import array_stats
@@ -12,8 +16,9 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from bayes_aero.api import fit
+from bayes_aero import processes as compiled_programs
 from bayes_aero.errors import InputError
+from bayes_aero.inference import gp as fit
 from bayes_aero.inference.gp import Prediction, fit_gp, posterior
 from bayes_aero.inference.gp.kernel import (
     FLAT,
@@ -23,11 +28,10 @@ from bayes_aero.inference.gp.kernel import (
     ReducedData,
     fit_emulator,
     noise_to_signal,
-    outputs,
     reduced_stats,
     stats_and_gradient,
 )
-from bayes_aero.inference.gp.optimum import SD_BOUNDS, MapStatus, assemble, best_sizes, find_map, maximise, slopes
+from bayes_aero.inference.gp.optimum import SD_BOUNDS, MapStatus, best_sizes, find_map, maximise, slopes
 from bayes_aero.inference.gp.posterior import (
     K_LIMIT,
     Budget,
@@ -41,7 +45,7 @@ from bayes_aero.inference.gp.posterior import (
     small_posterior,
     thin,
 )
-from bayes_aero.processes import give_back_memory
+from bayes_aero.processes import MAPPINGS, full_of_programs, give_back_memory
 
 
 def covariance(theta, x):
@@ -211,19 +215,6 @@ def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
         assert np.max(np.abs(found.by_w[inside]), initial=0.0) < 1e-4 * max(1.0, 1e-3 * abs(found.value))
 
 
-@pytest.mark.parametrize("family", ["half-normal", "log-normal", "inverse-gamma", "frechet", "flat"])
-def test_slopes_of_a_prior_are_those_of_its_density(family):
-    prior = HyperPrior(family, 0.7, 1.3)
-    t = np.random.default_rng(3).uniform(-2.0, 2.0, 7)
-    value, slope, bend = prior.slopes(t)
-    np.testing.assert_allclose(value, prior.log_density(jnp.asarray(t)), rtol=1e-12, atol=1e-12)
-    first = jax.vmap(jax.grad(prior.log_density))
-    np.testing.assert_allclose(slope, first(jnp.asarray(t)), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        bend, jax.vmap(jax.grad(jax.grad(prior.log_density)))(jnp.asarray(t)), rtol=1e-9, atol=1e-12
-    )
-
-
 # Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
 LENGTH = Settings(250, 500, 4)
 BUDGET = Budget(exact=400, nuts=LENGTH)
@@ -345,17 +336,6 @@ def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
 
 
 # The search finds the optimum it should, from bad starts too, and says how it ended
-def test_theta_and_derivatives_of_the_outputs_are_what_they_stand_for(problem):
-    _, theta = problem(0, d=4)
-    np.testing.assert_allclose(assemble(theta[:6], noise_to_signal(theta)), theta, atol=1e-14)
-    data, theta = problem(8, n=50, d=2)
-    u = noise_to_signal(theta)
-
-    def at(v):
-        return outputs(ExactPoint(v, *stats_and_gradient(v, data)))
-
-    numeric = [(at(u + s)[0] - at(u - s)[0]) / 2e-5 for s in 1e-5 * np.eye(u.size)]
-    np.testing.assert_allclose(at(u)[1], numeric, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -472,7 +452,9 @@ def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters
     X, y = make(1, n=1500)
     y = y - 6 * X[:, 0]
     p = sampled.predict(X[:, 1:])
-    for level, share in p.coverage(y).items():
+    coverage = p.coverage(y)
+    assert list(coverage) == [0.5, 0.9, 0.95]
+    for level, share in coverage.items():
         assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
     assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
     assert np.all(p.sd > p.latent_sd)
@@ -587,3 +569,62 @@ def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
     assert found.status is SampleStatus.dependent
     assert found.posterior is None
     assert np.isfinite(found.predict(X).mean).all()
+
+
+# Processes that train for a parent that was killed do not outlive it
+PARENT = """
+import os, time
+from joblib import Parallel, delayed, parallel_config
+from bayes_aero.processes import exit_with
+
+def work(parent):
+    exit_with(parent)
+    print(os.getpid(), flush=True)
+    time.sleep(600.0)
+
+with parallel_config(backend="loky"):
+    Parallel(n_jobs=2)(delayed(work)(os.getpid()) for _ in range(2))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process has no new parent there")
+def test_processes_end_with_a_parent_that_is_killed():
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        children = [psutil.Process(int(parent.stdout.readline())) for _ in range(2)]
+        assert all(child.ppid() == parent.pid for child in children)
+        parent.kill()
+    _, alive = psutil.wait_procs(children, timeout=20.0)
+    assert [child for child in alive if child.status() != psutil.STATUS_ZOMBIE] == []
+
+
+# Compiled programs take memory mappings, of which Linux allows a process so many
+LINUX_ONLY = pytest.mark.skipif(sys.platform != "linux", reason="another system has no such limit")
+
+
+def mappings():
+    return len(MAPPINGS.read_text().splitlines())
+
+
+@pytest.mark.forgets
+@LINUX_ONLY
+def test_programs_take_mappings_and_give_them_back():
+    give_back_memory()
+    before = mappings()
+    for k in range(40):
+        jax.jit(lambda x, k=k: jax.lax.scan(lambda c, y: (c + k * jnp.sin(y), c), 0.0, x)[0])(jnp.ones(3 + k))
+    taken = mappings() - before
+    assert taken >= 40
+    give_back_memory()
+    assert mappings() - before < 0.5 * taken
+
+
+@pytest.mark.forgets
+@LINUX_ONLY
+def test_a_process_is_full_near_the_limit_of_the_system(tmp_path, monkeypatch):
+    limit = tmp_path / "max_map_count"
+    monkeypatch.setattr(compiled_programs, "LIMIT", limit)
+    assert not full_of_programs()  # no such limit
+    for allowed, full in ((2 * mappings(), False), (mappings(), True)):
+        limit.write_text(f"{allowed}\n")
+        assert full_of_programs() is full

@@ -1,6 +1,5 @@
 """Fits of flights whose truth is known by every engine; output error: intervals, settings, and what it cannot tell."""
 
-import json
 import tomllib
 from dataclasses import replace
 
@@ -16,7 +15,6 @@ from linear_cards import (
     SHORT_PERIOD_TRUTH,
     card_of,
     lateral_flight,
-    multistep,
     record_of,
     short_period_flight,
 )
@@ -31,14 +29,12 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import parse_card, shipped_cards
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.output_error import MAX_GROWTH, SeparatedFlow, fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import INITIAL_STATE_SD, NormalEquations, NormalPriors, OutputErrorStatus
+from bayes_aero.inference.output_error_result import INITIAL_STATE_SD, OutputErrorStatus
 from bayes_aero.inference.prediction_error import fit_prediction_error
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import fly_results
-from bayes_aero.jobs.provenance import as_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
 from bayes_aero.parameter import Prior
@@ -149,23 +145,6 @@ def test_the_extrapolated_last_step_is_that_of_a_simulation(short_period):
     np.testing.assert_allclose(np.mean(told**2, axis=0), found.R, rtol=1e-6)
 
 
-def test_the_extrapolation_of_initial_states_is_exact_where_the_system_is_linear():
-    flown = flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH), 3, window=4.0)
-    rng = np.random.default_rng(4132)
-    theta = np.array([SHORT_PERIOD_TRUTH[p.name] for p in flown.dynamics.free])
-    w, s = flown.index.shape[0], len(flown.dynamics.states)
-    equations, steps = NormalEquations(flown, NormalPriors.of(flown, 1.0)), 0.02 * rng.standard_normal((2, w, s))
-    here, there = equations.evaluate(theta, steps[0]), equations.evaluate(theta, steps[0] + steps[1])
-    found = equations.extrapolate(here, np.zeros(len(theta)), steps[1])
-    assert abs(there.cost - here.cost) > 1.0
-    assert found.cost == pytest.approx(there.cost, rel=1e-9)
-    states = [0, *range(1 + len(theta), 1 + len(theta) + s)]  # sensitivities to parameters do change
-    gram, seen = (point.products.gram[:, :, 0, states] for point in (found, there))
-    np.testing.assert_allclose(gram, seen, rtol=1e-6, atol=1e-9)
-    for a, b in zip(found.products.columns, there.products.columns, strict=True):
-        np.testing.assert_allclose(a[..., 0], b[..., 0], atol=1e-9)
-
-
 def test_deviations_are_those_of_a_fisher_information_by_differences():
     """Cramer-Rao at the estimate by differences of the matrix exponential, the initial state unknown as in the fit.
 
@@ -210,6 +189,7 @@ def test_what_the_record_does_not_move_and_what_is_held(short_period):
     for name, deviation in {"Mde": 0.7, "Zde": 0.3}.items():
         assert found.sd[found.names.index(name)] == pytest.approx(deviation, rel=1e-6)
         assert found.crb[found.names.index(name)] == np.inf
+        assert found.sd_corrected[found.names.index(name)] == pytest.approx(deviation, rel=1e-6)
     for name in ("Zalpha", "Malpha", "Mq"):
         k = found.names.index(name)
         assert abs(found.estimate[k] - truth[name]) < 4.0 * found.sd[k] < 0.4 * abs(truth[name])
@@ -252,25 +232,14 @@ def test_a_bound_in_the_way_is_said_and_a_bias_of_nothing_refused():
         fit_output_error(coloured_flown(5, 0.0), biases={"altitude": Prior("normal", 0.0, 1.0)})
 
 
-def test_an_aircraft_that_cannot_fly_the_record_is_said(card):
-    """Held at a strong static instability the simulation tumbles; every number that is reported is one."""
-    n = 400
-    rest = np.zeros(n)
-    channels = {
-        "airspeed": rest + 100.0, "alpha": rest + 0.08, "theta": rest + 0.08, "q": rest, "altitude": rest + 4000.0,
-        "elevator": multistep(n, 0.04, 1.0, 0.5, 0.03), "thrust_left": rest + 1e4, "thrust_right": rest + 1e4,
-    } | dict.fromkeys(("p", "r", "beta", "phi", "ay", "p_dot", "r_dot"), rest)  # fmt: skip
-    model = Model.of(["attached_lift", "elevator_moment", "pitching_moment", "profile_drag"])
-    flights = join([FlightRecord.from_arrays("tumble", np.arange(n) * 0.04, channels)], card, ())
-    dynamics = aircraft_dynamics(model, flights)
-    flown = segments(flights, dynamics)
-    values = {"CL0": 0.2, "CLa": 4.5, "Cmde": -0.8, "Cm0": 0.05, "Cma": 8.0, "CD0": 0.04}
-    found = fit_output_error(flown, held=values)
+def test_an_aircraft_that_cannot_fly_the_record_is_said():
+    """Held at a static instability that doubles every 50 ms; every number that is reported is one."""
+    text = SHORT_PERIOD.replace("Zq = 1.0", "Zq = 1.0\nMalpha = 200.0")
+    found = fit_output_error(flown_of(text, short_period_flight(SHORT_PERIOD_TRUTH), 1))
     assert found.status is OutputErrorStatus.LEFT_ENVELOPE
     assert "cannot be simulated" in found.status.value
-    for array in (found.estimate, found.departure, found.R, found.rms, found.covariance):
+    for array in (found.estimate, found.departure, found.R, found.rms, found.covariance, found.cost):
         assert np.all(np.isfinite(array))
-    assert np.isfinite(found.cost)
 
 
 def coloured_flown(seed, rho, n=500, biases=(0.0,)):
@@ -328,14 +297,6 @@ def test_what_one_stretch_alone_tells_has_a_corrected_deviation_of_its_size():
             assert crb < sd < 20.0 * crb, name
 
 
-def test_a_prior_that_holds_a_parameter_is_its_corrected_deviation_too():
-    """The colour of residuals says nothing of what the record does not move."""
-    found = fit_output_error(coloured_flown(3, 0.9), prior_weight=7.0)
-    k = found.names.index("az0")
-    prior = next(p.prior.scale for p in found.parameters if p.name == "az0")
-    assert found.sd_corrected[k] == pytest.approx(prior, rel=1e-6)
-
-
 def test_biases_of_manoeuvres_are_recovered_and_free_the_parameters():
     """An alpha vane that stands off by another constant in each flight."""
     flown = coloured_flown(5, 0.0, biases=(0.02, -0.015))
@@ -357,15 +318,6 @@ def test_biases_of_manoeuvres_are_recovered_and_free_the_parameters():
     wrong, right = (abs(fit.estimate[k] - SHORT_PERIOD_TRUTH["Zalpha"]) for fit in (plain, found))
     assert wrong > 2.0 * right
     assert plain.sd[k] > 3.0 * found.sd[k]
-
-
-def test_a_second_of_flight_without_input_is_fitted_and_says_what_it_cannot_tell():
-    """25 samples before the elevator moves: numbers are finite, and its derivatives are held by their priors."""
-    found = fit_output_error(flown_of(SHORT_PERIOD, short_period_flight(SHORT_PERIOD_TRUTH, n=25), 6, ("alpha", "q")))
-    assert found.status is OutputErrorStatus.CONVERGED
-    assert {"Zde", "Mde", "az0"} <= set(found.held_by_prior)
-    for array in (found.estimate, found.sd, found.sd_corrected, found.departure, found.rms):
-        assert np.all(np.isfinite(array))
 
 
 # Settings of a trajectory fit: fixed initial states, no priors, held inputs, outputs on request, priors per rate
@@ -454,6 +406,7 @@ def test_without_priors_nothing_but_the_record_counts():
     assert set(fit.undetermined) == {"Zde", "Mde"}
     assert fit.held_by_prior == ()
     rows = parameter_rows(found.flown)
+    assert set(rows) == set(SHORT_PERIOD_TRUTH)
     for name, row in rows.items():
         assert row["undetermined"] == (name in fit.undetermined)
         assert np.isinf(row["sd_corrected"]) == row["undetermined"]
@@ -461,9 +414,6 @@ def test_without_priors_nothing_but_the_record_counts():
         if not row["undetermined"]:
             assert abs(row["estimate"] - SHORT_PERIOD_TRUTH[name]) < 4.0 * row["sd_corrected"], name
     assert any("do not determine Zde and Mde" in line for line in fly_sentences(found.flown))
-    told = json.loads(as_json(fly_results(found, card_of(SHORT_PERIOD), [record], {})))
-    assert told["parameters"]["Mde"]["sd_corrected"] is None
-    assert told["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
     table = tomllib.loads(SHORT_PERIOD)
     table["parameters"] = {"Mq": {"prior": {"family": "normal", "location": 5.0, "scale": 0.001}}}
     wrong = parse_card(table, "x", "x.toml")

@@ -332,6 +332,7 @@ def test_a_flight_without_a_stall_has_a_mode(thinned, model):
     estimate = [wild.get(name, value) for name, value in zip(mle.names, mle.estimate, strict=True)]
     start = density_start(density, replace(mle, estimate=np.array(estimate), covariance=covariance))
     begun = dict(zip(density.parameters, start, strict=True))
+    assert set(wild) <= {p.name for p in begun}
     assert all(begun[p] == pytest.approx(p.prior.normal[0]) for p in begun if p.name in wild)
     far = np.array([wild.get(name, value) for name, value in zip(density.names, start, strict=True)])
     mode, lost = (find_mode(density, x) for x in (start, far))

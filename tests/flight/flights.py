@@ -79,3 +79,8 @@ def put(x, index, value):
     x = np.array(x)
     x[index] = value
     return x
+
+
+def rounded(x, step):
+    """To a last digit of this size, or as it is."""
+    return step * np.round(x / step) if step else np.asarray(x)
