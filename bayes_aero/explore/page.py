@@ -27,7 +27,7 @@ from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.plots import FARTHEST, Line, Panel, dress, extremes, scale
+from bayes_aero.report.html.plots import FARTHEST, Line, dress, extremes, scale
 from bayes_aero.report.text.phrases import axis_label, bracket, for_people
 
 Parts = Mapping[str, np.ndarray]
@@ -438,8 +438,8 @@ class TimePanel:
     def fit(self, shown: Sequence[Curve]) -> None:
         """A vertical scale for the measurement (first) and the result; what is flown now cannot flatten them."""
         lines = tuple(Line("", "", self.factor * y) for y in shown)
-        found = scale(Panel(self.label, lines, band=self.band))
-        self.range.update(start=found.start, end=found.end)
+        start, end = scale(lines, self.band)
+        self.range.update(start=start, end=end)
 
 
 def stacked(views: Sequence[TimePanel], name: str) -> models.Column:

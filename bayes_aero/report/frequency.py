@@ -14,7 +14,7 @@ from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, bullets
 from bayes_aero.report.html.pictures import Gallery
-from bayes_aero.report.style import NotDrawn, housed
+from bayes_aero.report.style import NotDrawn, housed, panels
 from bayes_aero.report.tables.table import Column, Estimate, in_brackets
 from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.units import number
@@ -92,8 +92,8 @@ def bode(found: TrajectoryFit) -> Figure:
         raise NotDrawn("no band was asked for")
     if len(found.frequency_responses) > MOST_RESPONSES:
         raise NotDrawn(f"more than {MOST_RESPONSES} responses")
-    figure = Figure(figsize=(2.6 * len(found.frequency_responses) + 1.2, 5.6), layout="constrained")
-    axes = figure.subplots(3, len(found.frequency_responses), squeeze=False, sharex=True, sharey="row")
+    columns = len(found.frequency_responses)
+    figure, axes = panels(3, columns, (2.6 * columns + 1.2, 5.6), sharex=True, sharey="row")
     for (magnitude, phase, coherence), one in zip(axes.T, found.frequency_responses, strict=True):
         f, seen = one.frequency, np.where(one.error < KNOWN * np.abs(one.measured), 1.0, np.nan)
         middle = np.rad2deg(np.unwrap(np.angle(one.modelled)))

@@ -25,7 +25,7 @@ from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, HtmlTable, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.tables.table import Column, Table, columns_of
-from bayes_aero.report.text.phrases import WORDS, amounts, axis_label, for_people, several, symbol
+from bayes_aero.report.text.phrases import WORDS, amounts, for_people, several, symbol
 from bayes_aero.units import number
 
 BLANK = "\u00a0" * 30
@@ -100,15 +100,14 @@ def _strip(strip: Strip, found: Qualification, key: str) -> html.Plot:
     if strip.kind is FlightKind.NEXT:
         record, colour = "record of the manoeuvre", COLOURS["prior"]
     for output, (tolerance, _) in found.tolerances.items():
-        unit = STANDARD_CHANNELS[output].unit
-        factor = for_people(unit)[1]
+        unit, factor = for_people(STANDARD_CHANNELS[output].unit)
         lines = (
             Line("simulation", COLOURS["after"], factor * strip.simulated[output]),
             Line(record, colour, factor * strip.measured[output], width=1.0),
             Line("flights, 2.5 %", FLIGHTS, factor * strip.low[output], width=0.6),
             Line("flights, 97.5 %", FLIGHTS, factor * strip.high[output], width=0.6),
         )
-        panels.append(Panel(axis_label(output, unit), lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
+        panels.append(Panel(symbol(output), unit, lines, shade=((2, 3),), band=factor * tolerance, height=LOW))
     legend = (
         ("simulation", COLOURS["after"], "solid"),
         (record, colour, "solid"),

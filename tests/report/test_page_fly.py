@@ -138,7 +138,7 @@ def test_first_states_are_those_flown_and_a_linear_card_shows_its_own_channels()
 @pytest.mark.parametrize("name", ["q", "aileron_right", "flow_angle_of_the_right_wing", 40 * "long_"])
 def test_a_label_is_never_longer_than_its_panel(name):
     """A letter of 13 pixels is some 7 wide; no name makes a panel higher than two."""
-    item = linked(np.arange(3.0), [Panel(f"{name} [deg]", (Line("x", "#000000", np.arange(3.0)),), height=LOW)], "t")
+    item = linked(np.arange(3.0), [Panel(name, "deg", (Line("x", "#000000", np.arange(3.0)),), height=LOW)], "t")
     (label,) = (text for text in found(item, "axis_label") if text and name in text)
     height = max(h for h in found(item, "height") if h) - AXIS
     assert label.replace("\n", " ") == f"{name} [deg]"

@@ -208,7 +208,7 @@ def nothing(diagnosed):
 def test_simulated_trajectories_are_told_in_numbers(flown, split):
     figure = DIAGNOSIS_FIGURES[f"trajectories_{split}"](flown)
     texts = [text.get_text() for text in figure.axes[2].texts]
-    assert texts == ["RMS: card's 1.0, extended 0.10"]  # alpha in deg
+    assert texts == ["RMS error 1.0 → 0.10"]  # alpha in deg
     close(figure)
 
 
@@ -289,8 +289,10 @@ def test_shares_of_the_mean_square_error_add_up_and_the_extension_explains_more(
             levels = [numbers["calibration"][level] for level in ("0.5", "0.9", "0.95")]
             assert levels == sorted(levels)
     assert view.extended.composition["Cm"]["r2"] > view.card.composition["Cm"]["r2"]
-    figure = DIAGNOSIS_FIGURES["measured_simulated"](view)  # what was measured is the same line before and after
-    assert np.array_equal(*(figure.axes[i].lines[0].get_ydata() for i in (0, 1)))
+    figure = DIAGNOSIS_FIGURES["measured_simulated"](view)
+    measured, *simulated = (line.get_ydata() for line in figure.axes[2].lines)
+    rmse = " → ".join(f"{np.sqrt(np.mean((y - measured) ** 2)):.2g}" for y in simulated)
+    assert figure.axes[2].texts[0].get_text().endswith(f"RMSE {rmse}")
     close(figure)
 
 

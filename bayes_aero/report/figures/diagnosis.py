@@ -20,13 +20,14 @@ from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.figures.time_histories import drawn
+from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.tables.diagnosis_tables import SPLITS
 from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, size_text
 
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same
 LONGEST_LAG = 10.0  # s
-NOTE = {"bbox": {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.5}, "zorder": 5, "fontsize": 8.0}
 LABELS = {"before": "card's model", "after": "extended model"}
 TIGHT = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 0.3}
 
@@ -39,33 +40,26 @@ def models_of(view: View) -> list[tuple[str, str, Fitted]]:
     return found if view.changed else found[:1]
 
 
+def coefficient_panels(view: View, number: int) -> list[Panel]:
+    """A panel for each coefficient of one manoeuvre, measured and by the models; the last model's error shaded."""
+    mine, models, panels = view.manoeuvre == number, models_of(view), []
+    for c, name in enumerate(view.coefficients):
+        z = view.measured[mine, c]
+        curves = [z - fitted.residual[mine, c] for _, _, fitted in models]
+        found = [score(z, x) for x in curves]
+        lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
+        for (label, colour, fitted), x in zip(models, curves, strict=True):
+            lines.append(Line(label, colour, x, "dashed" if fitted is view.card else "solid"))
+        r2, rmse = " → ".join(f"{s.r2:.3f}" for s in found), " → ".join(f"{s.rmse:.2g}" for s in found)
+        panels.append(Panel(name, "1", tuple(lines), ((0, len(models)),), note=f"R² {r2}, RMSE {rmse}"))
+    return panels
+
+
 @style.housed
 def measured_simulated(view: View) -> Figure:
-    """Coefficients measured and simulated by both models, the error between them shaded; a column per manoeuvre."""
-    models, count = models_of(view), len(view.names)
-    style.refuse_many(count)
-    rows = len(view.coefficients) * len(models)
-    figure, axes = style.panels(
-        rows, count, (style.column_width(count) * count, 1.75 * rows + 1.2), sharex="col", sharey=False
-    )
-    for c, name in enumerate(view.coefficients):
-        z = view.measured[:, c]
-        curves = np.stack([z, *(z - fitted.residual[:, c] for _, _, fitted in models)])
-        low, high = float(curves.min()), float(curves.max())
-        for k, (label, colour, fitted) in enumerate(models):
-            for number, ax in enumerate(axes[c * len(models) + k]):
-                mine = view.manoeuvre == number
-                simulated = z[mine] - fitted.residual[mine, c]
-                found = score(z[mine], simulated)
-                text = f"{label}: R² = {found.r2:.3f}, r = {found.r:.3f}, RMSE = {found.rmse:.2g}"
-                _error_shaded(ax, view.time[mine], z[mine], simulated, colour)
-                ax.set_ylim(low - 0.08 * (high - low), high + 0.22 * (high - low))
-                ax.margins(x=0.01)
-                ax.text(0.01, 0.95, text, transform=ax.transAxes, va="top", **NOTE)
-            axes[c * len(models) + k, 0].set_ylabel(f"{name} [-]")
-    style.name_panels(axes, view.names)
-    figure.suptitle("Measured (black) and simulated coefficients, the error shaded; all manoeuvres fitted jointly")
-    return figure
+    """Coefficients measured and simulated by both models; a column per manoeuvre."""
+    columns = {name: (view.time[view.manoeuvre == k], coefficient_panels(view, k)) for k, name in enumerate(view.names)}
+    return drawn(columns, "Measured and simulated coefficients, the error of the last model shaded")
 
 
 def _error_shaded(ax: Axes, time: np.ndarray, measured: np.ndarray, simulated: np.ndarray, colour: str) -> None:
@@ -92,7 +86,7 @@ def ranking(view: View) -> Figure:
         if np.isfinite(one.threshold):
             ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
             label = f"noise alone exceeds\n{one.threshold:.1f} in {100.0 * one.level:g} % of replicates"
-            ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
+            ax.text(0.99, 0.02, label, transform=ax.transAxes, va="bottom", ha="right", **style.NOTE)
         _rows_of(ax, [s.effect for s in one.candidate_scores])
         ax.set_xlim(0.0, 1.1 * widest)
         ax.set_xlabel("estimate over its standard error, autocorrelation included [-]")
@@ -190,8 +184,8 @@ def channel_label(name: str) -> tuple[str, float]:
     }
     if name in plain:
         return plain[name]
-    label, factor = channel_axis(name)
-    return label.replace("_", " "), factor
+    shown, unit, factor = channel_axis(name)
+    return f"{shown.replace('_', ' ')} {bracket(unit)}", factor
 
 
 @style.housed
@@ -218,7 +212,6 @@ def residual_profiles(view: View) -> Figure:
         for ax in row[len(channels) :]:
             ax.remove()
         row[0].set_ylabel(f"mean residual of {name} [-]")
-    figure.align_ylabels(list(axes[:, 0]))
     title = "Residuals over the channels with the clearest dependence (bins of equal count, ± one standard error)"
     figure.suptitle(title)
     style.legend_below(figure, axes[0, 0])
@@ -297,13 +290,13 @@ def _found(narrow: bool, view: View) -> Figure:
         places = [[row] for row in (*rows, *below)]
         options = {"height_ratios": [3.2 if row == "R" else 1.7 for (row,) in places]}
         size = style.PHONE, sum(options["height_ratios"]) + 0.9
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout=style.MeasuredOnce())
     axes = figure.subplot_mosaic(places, **options)
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
         ax = axes[row]
         _error_shaded(ax, shown.time, shown.measured, simulated, colour)
         ax.margins(x=0.01, y=0.2)
-        ax.text(0.01, 0.97, f"{label}: {note}", transform=ax.transAxes, va="top", **NOTE)
+        ax.text(0.01, 0.97, f"{label}: {note}", transform=ax.transAxes, va="top", **style.NOTE)
         ax.set_ylabel(shown.label)
     axes[rows[0]].set_title("Measured (black) and simulated, the error shaded")
     axes[rows[-1]].set_xlabel(f"time from start of {shown.manoeuvre} [s]")
@@ -388,7 +381,7 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
         text += f"alone exceeds in {100.0 * ranking.level:g} % of replicates"
         if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
             text += f"\n{left} more with lower scores: see screen.csv"
-        ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **NOTE)
+        ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **style.NOTE)
     _rows_of(ax, [s.effect for s in leaders])
     ax.set_xlim(0.0, 1.03 * widest)
     ax.set_xlabel("share of the remaining variance explained [%]")

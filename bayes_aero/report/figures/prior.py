@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -95,11 +95,6 @@ def gp_prior_posterior(identification: Identification) -> Figure:
             _log_density(ax, prior[hyper], "prior")
             _log_density(ax, posterior[hyper], "gpr")
             ax.set(xscale="log", ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
-            low, high = ax.get_xlim()
-            if high < 10.0 * low:  # less than a decade, where powers of ten would run into each other
-                ax.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-                ax.xaxis.set_major_formatter(FormatStrFormatter("%.3g"))
-                ax.xaxis.set_minor_locator(NullLocator())
             # a length scale has its input's unit, a slope its inverse
             kind, _, channel = hyper.rstrip("]").partition("[")
             si = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "SI unit" if channel else "1"
@@ -109,7 +104,6 @@ def gp_prior_posterior(identification: Identification) -> Figure:
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
         ax.set_ylabel("density / peak [-]")
-    figure.align_ylabels(list(axes[:, 0]))
     legend_below(figure, axes[0, 0], 2)
     figure.suptitle(
         "GP hyperparameters, prior against posterior \n(densities of the logarithm, each over its own peak)"

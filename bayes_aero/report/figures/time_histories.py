@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,8 +20,9 @@ from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html.plots import Line, Panel, extremes, scale
 from bayes_aero.report.tables.across_cases import PredictedPoints, broken, clock, predicted, what_is_shown
-from bayes_aero.report.text.phrases import axis_label, channel_axis, for_people, short
+from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, symbol
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
 HISTORY = ("alpha", "theta", "q", "elevator", "ax", "az", "airspeed", "altitude", "mach", "thrust")
@@ -51,7 +53,7 @@ def time_history(identification: Identification) -> Figure:
     width = style.column_width(len(records))
     figure, axes = style.panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
     for row, name in zip(axes, rows, strict=True):
-        label, factor = channel_axis(name)
+        shown, unit, factor = channel_axis(name)
         for ax, record, column in zip(row, records, values[name], strict=True):
             ax.margins(x=0.01)
             if column is None:
@@ -62,7 +64,7 @@ def time_history(identification: Identification) -> Figure:
         low, high = zip(*(ax.get_ylim() for ax in drawn), strict=True)
         for ax in drawn:  # one vertical scale for a row, so that manoeuvres are comparable
             ax.set_ylim(min(low), max(high))
-        row[0].set_ylabel(label)
+        row[0].set_ylabel(f"{shown} {bracket(unit)}")
     style.name_panels(axes, [f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)" for record in records])
     figure.suptitle(f"Manoeuvres flown: {card.title}")
     return figure
@@ -162,10 +164,71 @@ FIGURES = {
 
 # --- Simulated trajectories over the measured ones: of `fly`, and of `diagnose` before and after the extension.
 
-MODELS = (("card", "card's model", COLOURS["before"]), ("extended", "extended model", COLOURS["after"]))
-FLOWN = ((START, "start", COLOURS["before"]), (FITTED, "fitted", COLOURS["after"]))
-Curve = tuple[SimulatedManoeuvre, str, str]
-"""A path with its label and colour."""
+MODELS = (
+    ("card", "card's model", COLOURS["before"], "dashed"),
+    ("extended", "extended model", COLOURS["after"], "solid"),
+)
+FLOWN = ((START, "first values", COLOURS["before"], "dashed"), (FITTED, "fitted model", COLOURS["after"], "solid"))
+
+
+class Curve(NamedTuple):
+    """A simulated manoeuvre and how it is drawn."""
+
+    path: SimulatedManoeuvre
+    label: str
+    colour: str
+    style: str
+
+
+def output_panels(curves: Sequence[Curve], units: Mapping[str, str]) -> list[Panel]:
+    """A panel for each output of `units` (SI) of one manoeuvre, the last curve's error shaded."""
+    path, panels = curves[0].path, []
+    for output in (name for name in units if name in path.measured):
+        (unit, factor), tolerance = for_people(units[output]), path.errors[output].tolerance
+        lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
+        with np.errstate(over="ignore"):  # first values of parameters may fly anywhere
+            lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
+        band = None if tolerance is None else factor * tolerance
+        note = f"RMS error {' → '.join(short(factor * c.path.errors[output].rms) for c in curves)}"
+        panels.append(Panel(symbol(output), unit, tuple(lines), ((0, len(curves)),), band, note=note))
+    return panels
+
+
+def drawn(columns: Mapping[str, tuple[np.ndarray, Sequence[Panel]]], title: str) -> Figure:
+    """The panels of a page for paper: a column for each manoeuvre, whose time starts at zero."""
+    style.refuse_many(len(columns))
+    labels = list(dict.fromkeys(panel.label for _, panels in columns.values() for panel in panels))
+    tall = float(np.clip(8.0 / len(labels), 1.35, 2.6))
+    size = (style.column_width(len(columns)) * len(columns), tall * len(labels) + 1.3)
+    figure, axes = style.panels(len(labels), len(columns), size, sharex="col", sharey="row")
+    reach: dict[int, list[tuple[float, float]]] = {}
+    for column, (time, panels) in zip(axes.T, columns.values(), strict=True):
+        for panel in panels:
+            row = labels.index(panel.label)
+            _draw(column[row], time - time[0], panel)
+            reach.setdefault(row, []).append(scale(panel.lines, panel.band))
+    for row, label in enumerate(labels):
+        low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
+        axes[row, 0].set_ylim(min(low), max(high))
+        axes[row, 0].set_ylabel(label)
+    style.name_panels(axes, columns)
+    style.legend_below(figure, axes[0, 0])
+    figure.suptitle(title)
+    return figure
+
+
+def _draw(ax: Axes, time: np.ndarray, panel: Panel) -> None:
+    kept = extremes([line.values for line in panel.lines])
+    t, values = time[kept], [line.values[kept] for line in panel.lines]
+    if panel.band is not None:
+        ax.fill_between(t, values[0] - panel.band, values[0] + panel.band, color="#dddddd", lw=0.0, label="tolerance")
+    for first, second in panel.shade:
+        colour = panel.lines[second].colour
+        ax.fill_between(t, values[first], values[second], color=colour, alpha=0.3, lw=0.0)
+    for line, y in zip(panel.lines, values, strict=True):
+        ax.plot(t, y, color=line.colour, ls=line.style, lw=0.75 * line.width, label=line.label)
+    ax.margins(x=0.01)
+    ax.text(0.01, 0.95, panel.note, transform=ax.transAxes, va="top", **style.NOTE)
 
 
 def _shown(split: str, title: str, view: View) -> Figure:
@@ -176,51 +239,11 @@ def _shown(split: str, title: str, view: View) -> Figure:
     names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
     if not names:
         raise style.NotDrawn(f"no manoeuvre is {split}")
-    columns = {
-        name: [(p, label, colour) for model, label, colour in MODELS if (p := flown.path(name, model, split))]
-        for name in names
-    }
-    return over_measured(columns, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, title)
-
-
-def over_measured(columns: Mapping[str, Sequence[Curve]], outputs: Mapping[str, str], title: str) -> Figure:
-    """A row of panels for each output (with its SI unit), a column for each manoeuvre."""
-    tall = 1.35 if len(outputs) > 1 else 2.6
-    size = (style.column_width(len(columns)) * len(columns), tall * len(outputs) + 1.3)
-    figure, axes = style.panels(len(outputs), len(columns), size, sharex="col", sharey="row")
-    reach: dict[int, list[tuple[float, float]]] = {}
-    for column, curves in enumerate(columns.values()):
-        for row, (output, unit) in enumerate(outputs.items()):
-            reach.setdefault(row, []).append(_panel(axes[row, column], curves, output, unit))
-    for row, (output, unit) in enumerate(outputs.items()):
-        low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
-        axes[row, 0].set_ylim(min(low), max(high))
-        axes[row, 0].set_ylabel(axis_label(output, unit))
-    style.name_panels(axes, columns)
-    style.legend_below(figure, axes[0, 0], 4)
-    figure.suptitle(title)
-    return figure
-
-
-def _panel(ax: Axes, paths: Sequence[Curve], output: str, unit: str) -> tuple[float, float]:
-    """Draw one; what is measured reaches from and to there, with room: a lost simulation would flatten all else."""
-    _, factor = for_people(unit)
-    first = paths[0][0]
-    time, measured = first.time - first.time[0], factor * first.measured[output]
-    tolerance = first.errors[output].tolerance
-    if tolerance is not None:
-        width = factor * tolerance
-        ax.fill_between(time, measured - width, measured + width, color="#dddddd", lw=0.0, label="tolerance")
-    ax.plot(time, measured, color=COLOURS["measured"], lw=0.8, label="measured")
-    for path, label, colour in paths:
-        ax.plot(time, factor * path.simulated[output], color=colour, lw=1.0, label=label)
-    ax.margins(x=0.01)
-    text = ", ".join(f"{label.split()[0]} {short(factor * p.errors[output].rms)}" for p, label, _ in paths)
-    box = {"fc": "white", "ec": "none", "alpha": 0.85, "pad": 1.0}
-    ax.text(0.01, 0.95, f"RMS: {text}", transform=ax.transAxes, va="top", fontsize=7.5, bbox=box)
-    low, high = float(measured.min()), float(measured.max())
-    reach = max(0.35 * (high - low), 1.5 * factor * (tolerance or 0.0))
-    return low - reach, high + reach
+    units, columns = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, {}
+    for name in names:
+        curves = [Curve(p, *how) for model, *how in MODELS if (p := flown.path(name, model, split))]
+        columns[name] = curves[0].path.time, output_panels(curves, units)
+    return drawn(columns, title)
 
 
 DIAGNOSIS_FIGURES = {
@@ -244,10 +267,11 @@ def stem_of(output: str) -> str:
 
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:
-    style.refuse_many(len(flown.manoeuvres))
-    columns = {name: [(flown.path(name, model), x, colour) for model, x, colour in FLOWN] for name in flown.manoeuvres}
-    title = "Measured; simulated from the first values; simulated with parameters and initial state fitted"
-    return over_measured(columns, {output: flown.units[output]}, title)
+    columns, unit = {}, {output: flown.units[output]}
+    for name in flown.manoeuvres:
+        curves = [Curve(flown.path(name, model), *how) for model, *how in FLOWN]
+        columns[name] = curves[0].path.time, output_panels(curves, unit)
+    return drawn(columns, "Measured and simulated: with the first values, and with parameters and initial state fitted")
 
 
 # --- Estimated gusts with their bands.
@@ -264,8 +288,7 @@ def gusts(found: ProcessNoise) -> Figure:
     style.refuse_many(len(found.histories))
     labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
     rows = len(found.histories)
-    figure = Figure(figsize=(4.2 * len(labels) + 1.2, 1.9 * rows + 0.9), layout="constrained")
-    axes = figure.subplots(rows, len(labels), squeeze=False, sharey="col")
+    figure, axes = style.panels(rows, len(labels), (4.2 * len(labels) + 1.2, 1.9 * rows + 0.9), sharey="col")
     for row, h in zip(axes, found.histories, strict=True):
         for ax, (name, label) in zip(row, labels.items(), strict=True):
             mean, sd = h.gusts[name]

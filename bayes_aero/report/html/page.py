@@ -357,8 +357,8 @@ def context_panels(channels: Mapping[str, np.ndarray]) -> list[Panel]:
     """Low panels of measured channels (SI), below those of outputs."""
     panels = []
     for name, values in channels.items():
-        label, factor = channel_axis(name)
-        panels.append(Panel(label, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
+        shown, unit, factor = channel_axis(name)
+        panels.append(Panel(shown, unit, (Line("measured", COLOURS["measured"], factor * values),), height=LOW))
     return panels
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bayes_aero.report.text.phrases import bracket
+
 MOST = 1600  # points a line: more than a screen has columns
 PANEL, AXIS = 150, 44  # pixels: height of a panel, and of the time axis below the last
 LOW = 105  # of a panel that only gives context
@@ -52,13 +54,20 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over time; the first one sets the scale."""
+    """Curves over time, on a page and in a file; the first one sets the scale."""
 
-    label: str  # with unit
+    name: str
+    unit: str  # as people read it
     lines: tuple[Line, ...]
     shade: tuple[tuple[int, int], ...] = ()  # lines (by index) with the difference filled, in the second one's colour
     band: float | None = None  # half the width of a tolerance about the first line
     height: int = PANEL
+    note: str = ""  # for a file, where no curve can be pointed at
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return f"{self.name} {bracket(self.unit)}"
 
 
 def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> Int[np.ndarray, " m"]:
@@ -117,12 +126,12 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
     box = models.BoxZoomTool(dimensions="width")
     wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
     others = models.ResetTool(), models.SaveTool(), models.CrosshairTool(overlay=cross)
-    label, height = _fitting(panel)
+    (label, height), (low, high) = _fitting(panel), scale(panel.lines, panel.band)
     f = figure(
         height=height + (AXIS if last else 0),
         sizing_mode="stretch_width",
         x_range=shared,
-        y_range=scale(panel),
+        y_range=models.Range1d(start=low, end=high),
         y_axis_label=label,
         x_axis_label=over.label if last else None,
         tools=[box, models.PanTool(dimensions="width"), wheel, *others],
@@ -147,7 +156,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         f.line("t", f"y{i}", source=source, color=line.colour, line_dash=line.style, line_width=line.width)
         for i, line in enumerate(panel.lines)
     ]
-    unit = panel.label.rpartition("[")[2].rstrip("]").replace("-", "") if panel.label.endswith("]") else ""
+    unit = "" if bracket(panel.unit) == bracket("1") else panel.unit
     values = ((line.label, f"@y{i}{{0.[0000]}} {unit}".strip()) for i, line in enumerate(panel.lines))
     tips = [(over.name, f"@t{over.digits} {over.unit if over is TIME else ''}".strip()), *values]
     f.add_tools(models.HoverTool(renderers=[shown[0]], mode="vline", tooltips=tips, line_policy="nearest"))
@@ -159,9 +168,8 @@ def _fitting(panel: Panel) -> tuple[str, int]:
     """Label and height: a long label has its unit below it, and a longer one a higher panel, so that none is cut."""
     if LETTER * len(panel.label) <= panel.height:
         return panel.label, panel.height
-    label = "\n[".join(panel.label.rsplit(" [", 1))
-    longest = LETTER * max(map(len, label.split("\n")))
-    return label, int(min(max(panel.height, longest), HIGHEST))
+    longest = LETTER * max(len(panel.name), len(bracket(panel.unit)))
+    return f"{panel.name}\n{bracket(panel.unit)}", int(min(max(panel.height, longest), HIGHEST))
 
 
 def dress(f: Any, last: bool, panel_height: int) -> None:
@@ -179,18 +187,15 @@ def dress(f: Any, last: bool, panel_height: int) -> None:
     f.yaxis.ticker.desired_num_ticks = 4 if panel_height >= PANEL else 3
 
 
-def scale(panel: Panel) -> Any:
+def scale(lines: Sequence[Line], half: float | None) -> tuple[float, float]:
     """The first line's span, widened for its tolerance: a simulation that has lost the flight would flatten it."""
-    from bokeh.models import Range1d
-
-    first = panel.lines[0].values[np.isfinite(panel.lines[0].values)]
+    first, band = lines[0].values[np.isfinite(lines[0].values)], half or 0.0
     low, high = (float(first.min()), float(first.max())) if first.size else (0.0, 1.0)
     span = max(high - low, 1e-9 * max(1.0, abs(high)))
-    others = [line.values[np.isfinite(line.values)] for line in panel.lines[1:]]
+    others = [line.values[np.isfinite(line.values)] for line in lines[1:]]
     below = min([low, *(float(x.min()) for x in others if x.size)])
     above = max([high, *(float(x.max()) for x in others if x.size)])
-    reach = max(0.35 * span, 1.5 * (panel.band or 0.0))
-    band = panel.band or 0.0
+    reach = max(0.35 * span, 1.5 * band)
     start = max(low - reach, min(below, low - band) - 0.05 * span)
     end = min(high + reach, max(above, high + band) + 0.05 * span)
-    return Range1d(start=start, end=end) if end > start else Range1d(start=low - 1.0, end=high + 1.0)
+    return (start, end) if end > start else (low - 1.0, high + 1.0)

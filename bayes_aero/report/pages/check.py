@@ -19,7 +19,7 @@ from bayes_aero.report.html.page import Block, Fold, HtmlTable, Text, bullets, p
 from bayes_aero.report.html.plots import SAMPLE, TIME, Line, Panel
 from bayes_aero.report.tables.table import channel_table
 from bayes_aero.report.text import check as text
-from bayes_aero.report.text.phrases import axis_label, bracket, for_people, plain_unit, several
+from bayes_aero.report.text.phrases import bracket, for_people, plain_unit, several, symbol
 from bayes_aero.units import number
 
 SHOWN = ("airspeed", "altitude", "alpha", "theta", "q", "az", "ax", "elevator", "stabilizer", "thrust", "beta", "phi")
@@ -65,15 +65,16 @@ def recorded(records: list[FlightRecord]) -> tuple[Block, ...]:
     plots = []
     for order, record in enumerate(records[: len(shown)]):
         units = {name: STANDARD_CHANNELS[name].unit for name in SHOWN if record.has(name)}
-        panels = [_panel(axis_label(n, unit), for_people(unit)[1] * record[n]) for n, unit in units.items()]
+        known = {n: for_people(unit) for n, unit in units.items()}
+        panels = [_panel(symbol(n), unit, factor * record[n]) for n, (unit, factor) in known.items()]
         if panels:
             key = f"time-recorded-{order}"
             plots.append(html.histories(record.name, key, record.time, panels, LEGEND, "Recorded channels"))
     return (*plots, *remark)
 
 
-def _panel(label: str, values: np.ndarray) -> Panel:
-    return Panel(label, (Line("recorded", COLOURS["measured"], values),))
+def _panel(name: str, unit: str, values: np.ndarray) -> Panel:
+    return Panel(name, unit, (Line("recorded", COLOURS["measured"], values),))
 
 
 def _sensors(report: CheckReport) -> tuple[Block, ...]:
@@ -152,9 +153,7 @@ def card_page(view: StarterView, source: Mapping[str, Any]) -> html.Report:
     left = f"{len(view.todo)} entries are to be filled in" if view.todo else "no entry is left to be filled in"
     without = WITHOUT.format("them" if many else "it")
     blind = f" {' and '.join(view.blind)} {'were' if many else 'was'} not found: {without}." if view.blind else ""
-    panels = [
-        _panel(f"{t.channel} {bracket(t.unit or 'unit?')}", t.sign * t.values) for t in used if t.channel != "time"
-    ]
+    panels = [_panel(t.channel, t.unit or "unit?", t.sign * t.values) for t in used if t.channel != "time"]
     todo = [HtmlTable("Entries that say TODO", ("entry", "what it is"), tuple(view.todo), words=(1,))]
     return html.Report(
         title=f"Starter card: {view.card}",
@@ -203,8 +202,7 @@ def _unknown(view: StarterView) -> tuple[Block, ...]:
         return ()
     said = "They stand in the card as comments; give them a name there if the model needs them."
     places = tuple(rest.place + (": no numbers" if rest.values is None else "") for rest in view.unknown)
-    known = [(f"{rest.place} {bracket(rest.unit or 'unit?')}", rest.values) for rest in view.unknown]
-    panels = [_panel(label, values) for label, values in known if values is not None]
+    panels = [_panel(r.place, r.unit or "unit?", r.values) for r in view.unknown if r.values is not None]
     return (Text(said), html.Points(places), *_drawn(view, "time-rest", "Columns without a name", ASIS, panels))
 
 

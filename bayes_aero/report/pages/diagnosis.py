@@ -16,11 +16,10 @@ from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import design
-from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.figures.diagnosis import coefficient_panels
 from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Section, Text, bullets, page_table, section
 from bayes_aero.report.html.pictures import Gallery
-from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained, stall_table
 from bayes_aero.report.pages.fly import trajectories
 from bayes_aero.report.tables import across_cases, diagnosis_tables
@@ -198,26 +197,15 @@ def _open(d: Diagnosis, context: PageContext) -> tuple[Block, ...]:
 
 
 def _coefficients(view: View) -> tuple[Block, ...]:
-    models = [("card's model", COLOURS["before"], view.card, "dashed")]
-    if view.changed:
-        models.append(("extended model", COLOURS["after"], view.extended, "solid"))
-    legend = (
-        html.MEASURED,
-        *((label, colour, style) for label, colour, _, style in models),
-        (f"error of the {models[-1][0]}", models[-1][1], "area"),
-    )
     shown, more = html.first(view.names)
     plots: list[Block] = [*more]
     context = SIX_CONTEXT if set(LATERAL) & set(view.coefficients) else CONTEXT
     what = "Coefficients measured and simulated by the card's and the extended model, and the controls,"
     for number, name in enumerate(shown):
-        mine = view.manoeuvre == number
-        panels = []
-        for c, coefficient in enumerate(view.coefficients):
-            z = view.measured[mine, c]
-            lines = [Line("measured", COLOURS["measured"], z, width=1.0)]
-            lines += [Line(label, colour, z - f.residual[mine, c], style) for label, colour, f, style in models]
-            panels.append(Panel(f"{coefficient} [-]", tuple(lines), shade=((0, len(models)),)))
+        mine, panels = view.manoeuvre == number, coefficient_panels(view, number)
+        last = panels[0].lines[-1]
+        curves = [(line.label, line.colour, line.style) for line in panels[0].lines]
+        legend = (*curves, (f"error of the {last.label}", last.colour, "area"))
         moved = {c: np.asarray(view.channels[c], float)[mine] for c in context if c in view.channels}
         panels += html.context_panels({c: values for c, values in moved.items() if np.ptp(values) > 0.0})
         plots.append(html.histories(name, f"time-coefficients-{number}", view.time[mine], panels, legend, what))

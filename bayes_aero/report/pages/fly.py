@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
-    START,
     Motion,
     ProcessNoise,
-    SimulatedManoeuvre,
     Trajectories,
     TrajectoryFit,
 )
@@ -24,7 +22,7 @@ from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import stem_of
+from bayes_aero.report.figures.time_histories import FLOWN, MODELS, Curve, output_panels, stem_of
 from bayes_aero.report.frequency import frequency_blocks
 from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
@@ -33,14 +31,9 @@ from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.motion import mode_table
 from bayes_aero.report.tables import fly
 from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
-from bayes_aero.report.text.phrases import WORDS, amounts, axis_label, for_people, several, symbol
+from bayes_aero.report.text.phrases import WORDS, amounts, for_people, several, symbol
 from bayes_aero.report.text.restraints import unfinished
 from bayes_aero.units import number
-
-MODELS = (
-    (START, "first values", COLOURS["before"], "dashed"),
-    (FITTED, "fitted model", COLOURS["after"], "solid"),
-)
 
 
 @dataclass(frozen=True)
@@ -121,7 +114,7 @@ def _flights(flown: TrajectoryFit) -> tuple[Block, ...]:
     units = {name: flown.units[name] for name in flown.outputs}
     plots = []
     for order, name in enumerate(shown):
-        curves = [Curve(flown.path(name, model), *how) for model, *how in MODELS]
+        curves = [Curve(flown.path(name, model), *how) for model, *how in FLOWN]
         what = "Measured outputs, those simulated from the first values and by the fit, and the inputs"
         plots.append(over_measured(name, f"time-flown-{order}", curves, units, what, _inputs(flown, order)))
     free = flown.setting.initial is None
@@ -145,9 +138,11 @@ def _inputs(flown: TrajectoryFit, order: int) -> list[Panel]:
         unit = flown.units.get(name)
         if unit is None or name in flown.outputs or name not in flights.channels:
             continue
-        values = for_people(unit)[1] * np.asarray(flights.channels[name], float)[mine]
+        shown, factor = for_people(unit)
+        values = factor * np.asarray(flights.channels[name], float)[mine]
         if np.ptp(values) > 0.0:
-            panels.append(Panel(axis_label(name, unit), (Line("measured", COLOURS["measured"], values),), height=LOW))
+            line = Line("measured", COLOURS["measured"], values)
+            panels.append(Panel(symbol(name), shown, (line,), height=LOW))
     return panels
 
 
@@ -211,23 +206,10 @@ def _posterior(context: FlyContext) -> tuple[Block, ...]:
 
 # --- Simulated trajectories on the page: errors before and after, and time histories with tolerance bands.
 
-COMPARED_MODELS = (
-    ("card", "card's model", COLOURS["before"], "dashed"),
-    ("extended", "extended model", COLOURS["after"], "solid"),
-)
 SPLITS = {
     "hold_out": "Hold-out: simulated from the measured initial state with the fit to the other flights",
     "fitted": "Fitted: parameters and initial states fitted to all flights",
 }
-
-
-class Curve(NamedTuple):
-    """A simulated manoeuvre and how it is drawn."""
-
-    path: SimulatedManoeuvre
-    label: str
-    colour: str
-    style: str
 
 
 def trajectories(flown: Trajectories, card: Card) -> tuple[Block, ...]:
@@ -260,7 +242,7 @@ def _flight_plots(flown: Trajectories, split: str) -> tuple[Block, ...]:
     plots: list[Block] = [*remark]
     units = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}
     for order, name in enumerate(shown):
-        curves = [Curve(p, *how) for key, *how in COMPARED_MODELS if (p := flown.path(name, key, split)) is not None]
+        curves = [Curve(p, *how) for key, *how in MODELS if (p := flown.path(name, key, split)) is not None]
         what = f"{SPLITS[split]}: measured and simulated outputs"
         plot = over_measured(name, f"time-{split}-{order}", curves, units, what)
         caption = f"{SPLITS[split]}. {plot.caption}"
@@ -272,17 +254,7 @@ def over_measured(
     name: str, key: str, curves: Sequence[Curve], units: Mapping[str, str], what: str, context: Sequence[Panel] = ()
 ) -> html.Plot:
     """One manoeuvre: a panel for each output of `units` (SI), the last curve's error shaded; then `context`."""
-    path = curves[0].path
-    panels: list[Panel] = []
-    for output, unit in units.items():
-        if output in path.measured:
-            factor, tolerance = for_people(unit)[1], path.errors[output].tolerance
-            lines = [Line("measured", COLOURS["measured"], factor * path.measured[output], width=1.0)]
-            with np.errstate(over="ignore"):  # first values of parameters may fly anywhere
-                lines += [Line(c.label, c.colour, factor * c.path.simulated[output], c.style) for c in curves]
-            band = None if tolerance is None else factor * tolerance
-            shade = ((0, len(curves)),)
-            panels.append(Panel(axis_label(output, unit), tuple(lines), shade=shade, band=band))
+    panels = output_panels(curves, units)
     legend = [
         html.MEASURED,
         *((c.label, c.colour, c.style) for c in curves),
@@ -290,4 +262,4 @@ def over_measured(
     ]
     if any(panel.band is not None for panel in panels):
         legend.append(("tolerance", "#999999", "area"))
-    return html.histories(name, key, path.time, [*panels, *context], tuple(legend), what)
+    return html.histories(name, key, curves[0].path.time, [*panels, *context], tuple(legend), what)

@@ -124,7 +124,7 @@ def _fit(run: Identification) -> list[Block]:
         for i, coefficient in enumerate(o.coefficients):
             line = Line("measured", COLOURS["measured"], measured[mine, i], width=1.0)
             both = (line, Line("fitted", COLOURS["mle"], fitted[mine, i]))
-            panels.append(Panel(f"{coefficient} [-]", both, shade=((0, 1),)))
+            panels.append(Panel(coefficient, "1", both, shade=((0, 1),)))
         panels += html.context_panels({c: np.asarray(o.signals[c])[mine] for c in context if c in o.signals})
         what = "Measured and fitted coefficients, and the manoeuvre flown,"
         plots.append(html.histories(name, f"time-fit-{number}", o.time[mine], panels, LEGEND, what))

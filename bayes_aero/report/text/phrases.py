@@ -124,10 +124,10 @@ def axis_label(output: str, unit: str) -> str:
     return f"{symbol(output)} {bracket(for_people(unit)[0])}"
 
 
-def channel_axis(channel: str) -> tuple[str, float]:
-    """A channel's symbol with the unit in which people read it, and the factor to that from SI."""
+def channel_axis(channel: str) -> tuple[str, str, float]:
+    """A channel's symbol, the unit in which people read it, and the factor to that from SI."""
     unit, factor = for_people(STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "N")
-    return f"{SYMBOLS.get(channel, channel)} {bracket(unit)}", factor
+    return SYMBOLS.get(channel, channel), unit, factor
 
 
 def short(x: float) -> str:
