@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from bayes_aero.effect import Effect, Stage
     from bayes_aero.effects import CATALOGUE
     from bayes_aero.errors import InputError
-    from bayes_aero.flight.card.card import Card, read_card
-    from bayes_aero.flight.record import FlightRecord
-    from bayes_aero.flight.writers import write_record
+    from bayes_aero.flight.card import Card, read_card
+    from bayes_aero.flight.record import FlightRecord, write_record
     from bayes_aero.jobs.fly import flight_path, fly
     from bayes_aero.model.model import Model
     from bayes_aero.parameter import Parameter, Prior

@@ -16,10 +16,8 @@ from typing import Any
 from jaxtyping import Float
 
 from bayes_aero.arrays import AnyArray
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Lengths, Parameter, Prior, Role
-from bayes_aero.physics.coefficient_names import COEFFICIENTS, LATERAL, NAMES
+from bayes_aero.physics.aircraft import COEFFICIENTS, LATERAL, NAMES, Aircraft, Axis
 
 Values = Mapping[str, Any]
 """Parameter values by name."""

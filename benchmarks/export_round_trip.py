@@ -19,14 +19,14 @@ from jsbsim_flights import STATES, flown, loaded, simulated
 
 from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.model.records import with_sums
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 ATTAS = Path(__file__).resolve().parents[2] / "shared" / "attas" / "fAttas_qst01.asc"

@@ -69,7 +69,7 @@ def cases(work: Path) -> Iterator[tuple[str, list[str]]]:
         if number not in IN_FULL:
             options += ["--no-test-points", "--no-trajectories"]
         if number in WITHOUT_ACCELEROMETERS:
-            from bayes_aero.flight.card.card import shipped_cards
+            from bayes_aero.flight.card import shipped_cards
 
             card.write_text(ACCELEROMETERS.sub("", shipped_cards()["attas"].read_text()))
             model, options = str(card), ["--no-figures"]
@@ -103,7 +103,7 @@ def six_axes(work: Path) -> list[str]:
 
 def said(arguments: list[str]) -> tuple[int, str]:
     """Exit code and output of a command, in this process."""
-    from bayes_aero.cli import main
+    from bayes_aero.cli.app import main
 
     sys.argv = ["bayes-aero", *arguments]
     text = io.StringIO()

@@ -13,19 +13,17 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_records
-from bayes_aero.inference.gp import Priors
-from bayes_aero.inference.gp.emulator import ReducedData
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.gp.fit import gaussian_parts
-from bayes_aero.inference.gp.kernel import Scaling
+from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
 from bayes_aero.inference.gp.optimum import curvature, find_map, maximise
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.scores import score
 from bayes_aero.inference.validation import gp_inputs, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 
 PRIORS = Priors.quasi_steady()
 ASKED = {"CL": 0.0015, "CD": 0.005, "Cm": 0.40}

@@ -33,7 +33,7 @@ from out_of_catalogue import unknown as of_no_catalogue
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.simulate.demo import TRUTH
 from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_records
 

@@ -34,16 +34,14 @@ from studies import Z95, Row, mean_and_error, parser_of, resumed, rows_of, seeds
 
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.ensemble import EnsembleLength, density_start, find_mode, sample_ensemble
 from bayes_aero.inference.frequency import coefficients_in_band
-from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
-from bayes_aero.inference.posterior.ensemble import EnsembleLength, sample_ensemble
-from bayes_aero.inference.posterior.laplace import density_start, find_mode
+from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.jobs.fly import fly
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Colour, Noise
+from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_aero.dynamics.kalman import Filtered
-from bayes_aero.inference.one_step import one_step
+from bayes_aero.inference.calibration import one_step
 from bayes_aero.inference.scores import Calibration
 
 CASES = [(n, c, rho) for n, c in ((200, 3), (600, 1), (600, 7), (3000, 3)) for rho in (0.0, 0.15, 0.86)]

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import log_expit
 
 if TYPE_CHECKING:  # a peer's process reads a pickled reference and must not carry the weight of JAX
-    from bayes_aero.flight.card.card import Card
-    from bayes_aero.model.density import Density
+    from bayes_aero.flight.card import Card
     from bayes_aero.model.model import Model
+    from bayes_aero.model.noise import Density
     from bayes_aero.model.observations import Observations
 
 PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "tau2", "a1", "alpha_star", "CDX", "CmX")
@@ -25,8 +25,8 @@ PARAMETERS = ("CL0", "CLa", "CLaM", "Cmde", "Cm0", "Cma", "Cmq", "CD0", "e", "ta
 
 def load(paths: list[Path]) -> tuple[Card, Model, Observations]:
     """The ATTAS card, its model, and the records at `paths` (none: the simulated ones of the package)."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.flight.reading.read_record import read_record
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.flight.reading import read_record
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import observe
     from bayes_aero.simulate.demo import demo_records

@@ -40,15 +40,14 @@ def long_record(n: int, seed: int = 0):
 
 def samples(n: int) -> dict[str, float]:
     """Read a CSV file, fit, and a fixed number of emcee's steps under AR(1) noise."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.flight.reading.read_record import read_record
-    from bayes_aero.flight.writers import write_record
-    from bayes_aero.inference.likelihood.mle import fit_mle
-    from bayes_aero.inference.posterior import ensemble
-    from bayes_aero.inference.posterior.laplace import density_start, find_mode
-    from bayes_aero.model.density import Density
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.flight.reading import read_record
+    from bayes_aero.flight.record import write_record
+    from bayes_aero.inference import ensemble
+    from bayes_aero.inference.ensemble import density_start, find_mode
+    from bayes_aero.inference.mle import fit_mle
     from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour, Noise
+    from bayes_aero.model.noise import Colour, Density, Noise
     from bayes_aero.model.observations import observe
 
     card = read_card("attas")
@@ -84,8 +83,8 @@ def samples(n: int) -> dict[str, float]:
 
 def manoeuvres(count: int) -> dict[str, float]:
     """One joint fit of manoeuvres of 500 to 1000 samples, hardly two of one length."""
-    from bayes_aero.flight.card.card import read_card
-    from bayes_aero.inference.likelihood.mle import fit_mle
+    from bayes_aero.flight.card import read_card
+    from bayes_aero.inference.mle import fit_mle
     from bayes_aero.model.model import Model
     from bayes_aero.model.observations import observe
 

@@ -32,22 +32,20 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import least_squares
 from studies import resumed
 
+from bayes_aero.diagnosis.accuracy import measured_blocks, truncated
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.parameter_fit import optimum
-from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.selection.holdout import measured_blocks, truncated
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_records
-from bayes_aero.inference.gp import Priors, fit_gp
-from bayes_aero.inference.gp.emulator import ReducedData
-from bayes_aero.inference.gp.kernel import Scaling
+from bayes_aero.diagnosis.selection_state import moved, optimum
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_records
+from bayes_aero.inference.gp.fit import fit_gp
+from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
 from bayes_aero.inference.gp.optimum import maximise, starting_points
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.scores import log_density, score
 from bayes_aero.inference.validation import KINDS, SplitKind, make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save
 

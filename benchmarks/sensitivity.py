@@ -21,21 +21,19 @@ import numpy as np
 import pandas as pd
 from scipy import signal
 
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.flight.card import Card, read_card
+from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.inference.posterior.calibration import prior_sensitivity
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
-from bayes_aero.inference.posterior.laplace import density_start, find_mode
-from bayes_aero.model.density import Density
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.inference.calibration import prior_sensitivity
+from bayes_aero.inference.ensemble import density_start, find_mode, sample_ensemble
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.coefficients import SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.physics.flightpath import RATES
+from bayes_aero.physics.kinematics import RATES
 from bayes_aero.simulate.demo import demo_records
 
 Filter = Callable[[np.ndarray, float], np.ndarray]

@@ -34,9 +34,9 @@ from stranger_six import Plane, Strips, drawn, fly
 from wing_first import EFFECTS, card_of
 from wing_first import FLOWN as STALLS
 
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle, without_noise_bias
+from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.jobs import fly as flying
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe

@@ -24,7 +24,7 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import proposed_points
 from bayes_aero.simulate.demo import Request

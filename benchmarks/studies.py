@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.result import Diagnosis
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
+from bayes_aero.processes import full_of_programs, give_back_memory
 
 Row = dict[str, Any]
 Z95 = 1.959963984540054

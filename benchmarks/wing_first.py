@@ -27,7 +27,7 @@ from six_axes import LATERAL, LONGITUDINAL, STALL, card_text, recorded
 from stranger_six import Plane, Strips, drawn, fly
 
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.flight.card.card import Card, read_card
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import proposed_points
 

@@ -99,7 +99,7 @@ def units() -> str:
 
 def aircraft() -> str:
     """Keys of [aircraft]."""
-    from bayes_aero.flight.aircraft import AIRCRAFT_KEYS, OPTIONAL
+    from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, OPTIONAL
 
     instead = {"half_span": "yes, or `span`", "span": "yes, or `half_span`"}
     rows = [
@@ -119,7 +119,7 @@ def tolerances() -> str:
 
 def envelope() -> str:
     """Ranges that hold where a card has none."""
-    from bayes_aero.flight.aircraft import DEFAULT_RANGES, UNITS
+    from bayes_aero.physics.aircraft import DEFAULT_RANGES, UNITS
 
     rows = [
         (f"`{name}`", UNITS[name], *("" if math.isinf(x) else _number(x) for x in pair))

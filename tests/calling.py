@@ -12,8 +12,8 @@ from unittest.mock import patch
 import jsonschema
 import pytest
 
-from bayes_aero.cli import main
-from bayes_aero.flight.writers import write_record
+from bayes_aero.cli.app import main
+from bayes_aero.flight.record import write_record
 
 
 def called(folder, *arguments):

@@ -16,13 +16,13 @@ import numpy as np
 
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import coefficients
-from bayes_aero.physics.flightpath import Rotation, lever_arm
+from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH
 from bayes_aero.simulate.synthetic_record import misrecorded
 

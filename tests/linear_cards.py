@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
-from bayes_aero.dynamics.simulated.manoeuvres import pulses, three_two_one_one
-from bayes_aero.flight.card.card import Card, parse_card
+from bayes_aero.dynamics.pilot import pulses, three_two_one_one
+from bayes_aero.flight.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord
 
 SHORT_PERIOD = """

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
+from bayes_aero.diagnosis.trajectory_result import (
     Error,
     SimulatedManoeuvre,
     Trajectories,
@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.trajectories.results import (
     theil_parts,
 )
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorStatus
 
 
 def halves(record: FlightRecord) -> Trajectories:

@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from stranger_six import Plane
 
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Aircraft, Axis
 
 BOTH = (Axis.LONGITUDINAL, Axis.LATERAL)
 LONGITUDINAL = (

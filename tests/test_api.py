@@ -13,9 +13,9 @@ import xarray as xr
 
 import bayes_aero as ba
 from bayes_aero.cli.fits import identify as command
-from bayes_aero.flight.agreement import Consistency
 from bayes_aero.flight.health import channel_health
-from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.model.noise import DEFAULT, Colour

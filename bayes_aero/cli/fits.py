@@ -36,7 +36,7 @@ def identify(
     card, flights = terminal.card_and_records(records or [], reading)
     # Imported here: --help, a mistyped option and a file that is not there need not wait for the numerical libraries.
     with terminal.loading():
-        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
         from bayes_aero.report.pooled import next_flight_table
         from bayes_aero.report.tables.run_tables import parameter_table

@@ -106,7 +106,7 @@ def qualify(
 
     Example: bayes-aero qualify trajectories --out qualification
     """
-    from bayes_aero.flight.reading.read_record import present
+    from bayes_aero.flight.reading import present
 
     for path in (*(records or ()), *options.fitted):
         present(path)

@@ -42,7 +42,7 @@ def check(
     Example: bayes-aero check qst01.asc qst02.asc --model attas
     """
     with terminal.loading():
-        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.flight.card import read_card
         from bayes_aero.jobs.check import check_records, check_results, write_check
 
     card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
@@ -114,7 +114,7 @@ def card(
 
     Example: bayes-aero card flight7.csv --out mine.toml
     """
-    from bayes_aero.flight.reading.segments import segment_of
+    from bayes_aero.flight.record import segment_of
 
     record = segment_of(record).file
     target = out or Path(f"{record.stem}.toml")
@@ -181,7 +181,7 @@ def effects(
 
     Example: bayes-aero effects pitch_rate_bias
     """
-    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.flight.card import read_card
     from bayes_aero.jobs.catalogue import effect_facts, effect_named, known_effects
 
     card = None if model is None else read_card(model)
@@ -287,7 +287,7 @@ def simulate(
     if out.exists() and not force:
         raise InputError(f"{out} exists; give --force to overwrite it, or another name with --out")
     with terminal.loading():
-        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.flight.card import read_card
         from bayes_aero.jobs.catalogue import known_effects
         from bayes_aero.jobs.simulate import parsed_effects, simulate_file
         from bayes_aero.simulate.demo import Request

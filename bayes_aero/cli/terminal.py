@@ -22,9 +22,8 @@ from bayes_aero.jobs.options import MAX_SEED, Options, ReadingOptions
 from bayes_aero.progress import Progress
 
 if TYPE_CHECKING:
-    from bayes_aero.flight.agreement import Consistency
-    from bayes_aero.flight.card.card import Card
-    from bayes_aero.flight.health import HealthFinding
+    from bayes_aero.flight.card import Card
+    from bayes_aero.flight.health.finding import Consistency, HealthFinding
     from bayes_aero.flight.record import FlightRecord
 
 
@@ -112,12 +111,12 @@ def loading() -> Iterator[None]:
 
 def card_and_records(records: Sequence[Path], reading: ReadingOptions) -> tuple[Card, list[FlightRecord]]:
     """What a command is given, read before anything that takes seconds to load: a mistake is reported at once."""
-    from bayes_aero.flight.reading.read_record import present, read_records
+    from bayes_aero.flight.reading import present, read_records
 
     for path in records:
         present(path)
     with loading():
-        from bayes_aero.flight.card.card import read_card
+        from bayes_aero.flight.card import read_card
     card, how = read_card(reading.model), {"resample": reading.resample, "split": reading.split}
     return card, read_records(records, card.channels, segments=card.segments, **how)
 

@@ -18,12 +18,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import next_fast_len
 
-from bayes_aero.flight.agreement import Departure, PathCheck
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.signals import noise_of
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import Departure, PathCheck, noise_of
+from bayes_aero.physics.aircraft import NO_AIRCRAFT
 from bayes_aero.physics.filters import differentiate_joined
-from bayes_aero.physics.flightpath import PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
+from bayes_aero.physics.kinematics import PATH_NEEDS, RATES, STRAIGHT, integral, path_outputs, path_rates
 
 WINDOW = 10.0  # s
 REPLICATES = 200  # records of noise: one in 200 that are as noisy as permitted exceeds them all in a kind of measure

@@ -17,18 +17,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.output_channels import FLIGHT, RIGID
-from bayes_aero.dynamics.system import Row, System
+from bayes_aero.dynamics.system import FLIGHT, RIGID, Row, System
 from bayes_aero.effect import Stage
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.atmosphere import air
-from bayes_aero.flight.card.tables import HOLDABLE
-from bayes_aero.flight.channel import Axis
-from bayes_aero.model.joined_channels import Flights
+from bayes_aero.flight.card_tables import HOLDABLE
 from bayes_aero.model.model import Model
-from bayes_aero.physics.equations_of_motion import AircraftMotion, accelerometers, motion_of_aircraft
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import Aircraft, Axis, air
+from bayes_aero.physics.coefficients import AircraftMotion, accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate, smooth
-from bayes_aero.physics.flightpath import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm
+from bayes_aero.physics.kinematics import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm
 
 # --- Prescribed motion of an aircraft as recorded, and the outputs of its simulation.
 

@@ -23,14 +23,13 @@ from bayes_aero.dynamics.flight import EffectDynamics, Values
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.aircraft import NO_AIRCRAFT, Aircraft
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.readings import dead_heading
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
-from bayes_aero.physics import flightpath
+from bayes_aero.physics import kinematics
+from bayes_aero.physics.aircraft import NO_AIRCRAFT, Aircraft, Axis
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 
 INERTIAL = frozenset(("ax", "ay", "az", "p", "q", "r"))
@@ -55,8 +54,8 @@ class FlightPath(InGusts):
         state = dict(zip(self.states, x, strict=True))
         s, flow = dict(u) | state, self.flow_signals(x, u)
         force = (u["force_x"], u["force_y"], u["force_z"])
-        rates = flightpath.motion_of_path(s, force) | flightpath.lateral_motion(s, force)
-        rates["psi"] = flightpath.euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
+        rates = kinematics.motion_of_path(s, force) | kinematics.lateral_motion(s, force)
+        rates["psi"] = kinematics.euler_rates((s["p"], s["q"], s["r"]), s["phi"], s["theta"])[2]
         decay, _ = self.mean_gust_rates(state, flow)
         return jnp.stack([*(rates[name] for name in self.named), *decay]), state | {
             n: flow[n] for n in FLOW if n in state
@@ -119,21 +118,21 @@ class PathDynamics(EffectDynamics):
 
     def drives(self, values: Values, channels: Mapping[str, Array], flights: Flights) -> dict[str, Array]:  # noqa: ARG002
         """Specific force at the centre of gravity, rates, and prescribed quantities of the path."""
-        true = flightpath.as_symmetric(channels)
+        true = kinematics.as_symmetric(channels)
         ends = [channels[name] for name in ("dt", "first", "last")]
         slope = lambda x: differentiate_joined(smooth_joined(x, *ends[1:]), *ends)  # noqa: E731
-        p, q, r = (true[name] for name in flightpath.RATES)
-        turning = flightpath.Rotation(p, q, r, *(slope(x) for x in (p, q, r)))
-        arm = flightpath.lever_arm(turning, flights.aircraft.accelerometer)
+        p, q, r = (true[name] for name in kinematics.RATES)
+        turning = kinematics.Rotation(p, q, r, *(slope(x) for x in (p, q, r)))
+        arm = kinematics.lever_arm(turning, flights.aircraft.accelerometer)
         force = {n: true[a] - x for n, a, x in zip(FORCES, ("ax", "ay", "az"), arm, strict=True)}
-        made = {*self.named, "ay", *flightpath.RATES}
-        given = (*flightpath.RATES, *(name for name in flightpath.STRAIGHT if name not in made))
+        made = {*self.named, "ay", *kinematics.RATES}
+        given = (*kinematics.RATES, *(name for name in kinematics.STRAIGHT if name not in made))
         return force | {name: true[name] for name in given}
 
 
 def path_states(flights: Flights) -> tuple[str, ...]:
     """Recorded quantities of the flight path; none where it cannot be integrated."""
-    found = flightpath.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
+    found = kinematics.path_outputs({name: np.asarray(x) for name, x in flights.channels.items()})
     return (*found, *(("psi",) if "phi" in found and heading(flights) is not None else ()))
 
 

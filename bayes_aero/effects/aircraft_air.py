@@ -20,9 +20,8 @@ from bayes_aero.effect import (
     parameter,
 )
 from bayes_aero.effects.derivatives import OUR_WIDTH, RELATIVE_ERROR
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Prior
+from bayes_aero.physics.aircraft import Aircraft, Axis
 from bayes_aero.physics.separation import lagged
 
 ETKIN_REID = "Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, ch. 13; of first order, where Dryden has second"

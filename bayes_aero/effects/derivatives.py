@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Signals, Stage, effect
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Parameter
-from bayes_aero.physics.rates import reduced, reduced_lateral, speed_ratio
+from bayes_aero.physics.aircraft import Aircraft
+from bayes_aero.physics.kinematics import reduced, reduced_lateral, speed_ratio
 
 DERIVATIVE = "a linear aerodynamic derivative; textbook form"
 EVEN_TERM = "lowest even term of a Taylor series, by symmetry; our choice of form"

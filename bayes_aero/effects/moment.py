@@ -8,9 +8,9 @@ from typing import Any
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Example, Increments, Stage, effect, parameter
 from bayes_aero.effects.derivatives import ATTAS, EVEN_TERM, HFB_320, MACH_TERM, STALL_MODEL, derivative
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.parameter import Length, Limits, Prior, Sign
-from bayes_aero.physics.rates import reduced
+from bayes_aero.physics.aircraft import Aircraft
+from bayes_aero.physics.kinematics import reduced
 
 # Entries are packed; one argument a line would make the module twice as long:
 # effect(name, claim, formula, increments, *parameters, ...); parameter(name, unit, description, prior, sizes, bounds).

@@ -6,8 +6,8 @@ from typing import Any
 
 from bayes_aero.arrays import xp
 from bayes_aero.effect import Effect, Example, Increments, Kind, Signals, Stage, Values, effect, parameter
-from bayes_aero.flight.channel import Axis
 from bayes_aero.parameter import Prior, Role
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.filters import advance, differentiate_joined
 
 DELAY = "definition of a delay; cubic convolution between samples, Keys 1981"

@@ -13,7 +13,7 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs import fitted
 from bayes_aero.jobs.export import write_export

@@ -23,7 +23,7 @@ from bayes_aero import __version__
 from bayes_aero.errors import InputError, failure
 from bayes_aero.explore.opened import Choice, export_chosen
 from bayes_aero.explore.simulator import DRAWS, Flown, Simulator
-from bayes_aero.flight.card.card import channel_units
+from bayes_aero.flight.card import channel_units
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.report.colours import COLOURS

@@ -20,10 +20,9 @@ from bayes_aero.dynamics.aircraft import MIN_LAG, POINTS
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, plain_line
 from bayes_aero.export.program import Operand, Program, translated
-from bayes_aero.flight.aircraft import Aircraft
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.physics.aircraft import LATERAL, Aircraft
 
 LEAST = {"airspeed": 1.0, "density": 1e-3}
 """Signals that models divide by (q c/V, thrust over dynamic pressure), and what stands for them below it: m/s, kg/m3.

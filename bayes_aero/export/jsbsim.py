@@ -16,9 +16,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified, about, unit
 from bayes_aero.export.program import Operand, Program
-from bayes_aero.flight.atmosphere import GRAVITY
-from bayes_aero.flight.channel import Axis
-from bayes_aero.physics.coefficient_names import LATERAL, NAMES
+from bayes_aero.physics.aircraft import GRAVITY, LATERAL, NAMES, Axis
 
 # --- Programs as functions of JSBSim: one XML element an operation. Source: JSBSim reference manual, ch. Functions.
 

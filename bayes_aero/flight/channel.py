@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -122,16 +121,6 @@ _TABLE = (
 STANDARD_CHANNELS: dict[str, StandardChannel] = {
     name: StandardChannel(name, unit, description, (lo, hi)) for name, unit, description, lo, hi in _TABLE
 }
-
-
-# --- Axes of an aircraft's motion: what a card may model.
-
-
-class Axis(StrEnum):
-    """The plane of symmetry (CL, CD, Cm) or out of it (CY, Cl, Cn)."""
-
-    LONGITUDINAL = "longitudinal"
-    LATERAL = "lateral"
 
 
 # --- What people call channels and units in the headers of their files.

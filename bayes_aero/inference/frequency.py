@@ -18,24 +18,23 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 from scipy.signal import csd
 
-from bayes_aero.dynamics.flight import Dynamics
+from bayes_aero.dynamics.flight import Dynamics, unbiased
 from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
-from bayes_aero.dynamics.output_biases import unbiased
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.card.tables import ONE
-from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.flight.reading.read_record import at_common_rate
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.card_tables import ONE
+from bayes_aero.flight.health.finding import noise_of
+from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
-from bayes_aero.inference.frequency_result import FrequencyFit, FrequencyResponse
-from bayes_aero.inference.likelihood.mle import PAIRS
-from bayes_aero.inference.likelihood.mle_result import MleResult
-from bayes_aero.model.joined_channels import Flights, join
+from bayes_aero.inference.mle import PAIRS
+from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
-from bayes_aero.physics.coefficient_names import required_of
-from bayes_aero.residuals.frequency_error import (
+from bayes_aero.physics.aircraft import required_of
+from bayes_aero.residuals.equation_error import (
     Band,
     FrequencyError,
     InBand,

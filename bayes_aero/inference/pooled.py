@@ -25,15 +25,12 @@ from jaxtyping import Array, Bool, Float
 from bayes_aero.arrays import AnyArray
 from bayes_aero.errors import InputError
 from bayes_aero.inference.covariance import robust_covariance
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, SINGULAR, TOLERANCE, data_of, evaluate, full_steps
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.ensemble import diagnose
-from bayes_aero.inference.posterior.laplace import find_mode
-from bayes_aero.inference.posterior.nuts import NutsLength, sample_nuts
-from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.model.density import LogDensity
+from bayes_aero.inference.ensemble import diagnose, find_mode
+from bayes_aero.inference.mle import MAX_SEPARATE_FITS, SINGULAR, TOLERANCE, data_of, evaluate, full_steps
+from bayes_aero.inference.nuts import NutsLength, sample_nuts
+from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
 from bayes_aero.model.model import Model
+from bayes_aero.model.noise import LogDensity
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress

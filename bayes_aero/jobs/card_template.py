@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.flight.aircraft import AIRCRAFT_KEYS
-from bayes_aero.flight.card.card import parse_card
-from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
-from bayes_aero.flight.card.toml_tables import UNFILLED, parse_table
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis, split_heading
-from bayes_aero.flight.health.signals import noise_of, quantum
-from bayes_aero.flight.reading.checks import MIN_SAMPLES
-from bayes_aero.flight.reading.read_record import RawColumn, read_raw, repeats
-from bayes_aero.flight.reading.segments import parts_of
+from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.card_tables import ATMOSPHERE, RULES, UNFILLED, parse_table
+from bayes_aero.flight.channel import STANDARD_CHANNELS, split_heading
+from bayes_aero.flight.checks import MIN_SAMPLES
+from bayes_aero.flight.health.finding import noise_of, quantum
+from bayes_aero.flight.reading import RawColumn, read_raw, repeats
+from bayes_aero.flight.record import parts_of
 from bayes_aero.jobs.column_inference import Guess, guessed
 from bayes_aero.jobs.provenance import picked, provenance, sha256_of
-from bayes_aero.physics.coefficient_names import FORMED_FROM, REQUIRED
+from bayes_aero.physics.aircraft import AIRCRAFT_KEYS, FORMED_FROM, REQUIRED, Axis
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
 from bayes_aero.units import canonical, from_si

@@ -10,7 +10,7 @@ from typing import Any
 from bayes_aero.effect import Effect
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.model.model import own_effects
 

@@ -13,18 +13,16 @@ from bayes_aero.diagnosis.candidate_set import candidate_model
 from bayes_aero.diagnosis.consistency import KnownErrors, errors_of_path, screen_sensor_errors
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Agreement
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.inspection import RecordReport, inspect_record
-from bayes_aero.flight.reading.read_record import manoeuvres
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import Agreement
+from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
-from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import joined, on_recorded_axes
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.records import joined, on_recorded_axes, with_sums
 from bayes_aero.progress import Progress
 
 SCHEMA = "bayes_aero/check/1"

@@ -13,7 +13,6 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayes_aero.flight.atmosphere import GRAVITY, standard_air
 from bayes_aero.flight.channel import (
     ALIASES,
     STANDARD_CHANNELS,
@@ -23,7 +22,8 @@ from bayes_aero.flight.channel import (
     split_heading,
     symbol_of,
 )
-from bayes_aero.flight.reading.read_record import RawColumn
+from bayes_aero.flight.reading import RawColumn
+from bayes_aero.physics.aircraft import GRAVITY, standard_air
 from bayes_aero.units import canonical, to_si
 
 ALIKE = 0.84  # likeness of a heading to a known one

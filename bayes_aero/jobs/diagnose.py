@@ -13,36 +13,34 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
-from bayes_aero.diagnosis.in_band import causes_in_band
-from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.view.models import view_of, with_holdout_scores, with_stalls
-from bayes_aero.diagnosis.view.results import View
-from bayes_aero.dynamics.output_channels import FLIGHT
-from bayes_aero.dynamics.simulated.manoeuvres import ANYWHERE
-from bayes_aero.dynamics.simulated.trim import can_simulate
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
+from bayes_aero.diagnosis.trajectory_result import Trajectories, View
+from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
+from bayes_aero.dynamics.pilot import ANYWHERE
+from bayes_aero.dynamics.system import FLIGHT
+from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.aircraft import Envelope
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.compiled_programs import blas_threads, cores
 from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.physics.aircraft import Envelope
+from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.design import points_table
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
@@ -51,6 +49,7 @@ from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
+from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 

@@ -17,17 +17,16 @@ from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Draws, Identified
-from bayes_aero.flight.card.card import Card, read_card, shipped_cards
-from bayes_aero.flight.card.tables import LinearCard
-from bayes_aero.flight.reading.read_record import read_again
-from bayes_aero.flight.reading.segments import segment_of
-from bayes_aero.flight.record import FlightRecord
+from bayes_aero.flight.card import Card, read_card, shipped_cards
+from bayes_aero.flight.card_tables import LinearCard
+from bayes_aero.flight.reading import read_again
+from bayes_aero.flight.record import FlightRecord, segment_of
 from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.options import MOST_DRAWS
 from bayes_aero.jobs.provenance import sha256_of
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model, effect_named, own_effects
-from bayes_aero.physics.coefficient_names import COEFFICIENTS
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import COEFFICIENTS
 
 
 def fitted_records(

@@ -10,38 +10,30 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError, attempted
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.read_record import rate_notes
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.reading import rate_notes
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.inference.calibration import pit_of, prior_sensitivity, stall_of_run
+from bayes_aero.inference.ensemble import density_start, other_modes, sample_ensemble, search_modes
 from bayes_aero.inference.frequency import coefficients_in_band
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
-from bayes_aero.inference.likelihood.mle_result import MleResult
+from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
+from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.calibration import pit_of, prior_sensitivity
-from bayes_aero.inference.posterior.ensemble import sample_ensemble
-from bayes_aero.inference.posterior.laplace import density_start, other_modes, search_modes
-from bayes_aero.inference.posterior.nuts import sample_nuts
-from bayes_aero.inference.posterior.posterior import Posterior
-from bayes_aero.inference.stall import stall_of_run
-from bayes_aero.inference.validation import Training, validate
+from bayes_aero.inference.results import Identification, MleResult, NextFlight, Posterior
+from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
-from bayes_aero.model.density import Density
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Forming, despiked, join, observe
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.frequency import frequency_sentences
@@ -49,7 +41,7 @@ from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.text.restraints import leaning_sentences
-from bayes_aero.residuals.frequency_error import Band, lines_in
+from bayes_aero.residuals.equation_error import Band, lines_in
 
 
 def identify(

@@ -21,7 +21,7 @@ from typing import Any
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 
 PACKAGES = (

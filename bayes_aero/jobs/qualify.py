@@ -11,19 +11,18 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import FlightNoise, trajectory_variance_inflation
+from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.same_record import repeats_of
-from bayes_aero.flight.reading.read_record import read_records
+from bayes_aero.flight.health.finding import repeats_of
+from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import TOLERANCES, FlightRecord
-from bayes_aero.inference.likelihood.mle import MAX_SEPARATE_FITS
-from bayes_aero.inference.likelihood.output_error import fit_output_error
+from bayes_aero.inference.mle import MAX_SEPARATE_FITS
+from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.jobs.fitted import (
     Finished,
     IdentifiedLinear,
@@ -38,7 +37,8 @@ from bayes_aero.jobs.io.result_file import result_file, writable
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import Flights
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import (
     OpenTest,

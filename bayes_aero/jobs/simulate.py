@@ -10,9 +10,9 @@ from typing import Any
 
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.reading.read_record import read_record
-from bayes_aero.flight.writers import WRITERS, write_record
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.reading import read_record
+from bayes_aero.flight.record import WRITERS, write_record
 from bayes_aero.jobs.catalogue import effect_named
 from bayes_aero.jobs.provenance import picked, provenance, sha256_of, write_json
 from bayes_aero.parameter import Parameter

@@ -19,11 +19,9 @@ from bayes_aero.arrays import AnyArray, namespace, xp
 from bayes_aero.effect import NEUTRAL_FLOW, WINGS, Disturbance, Effect, Known, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card
 from bayes_aero.parameter import USUAL, Lengths, Parameter, Role, per_length
-from bayes_aero.physics.coefficient_names import coefficients_of
+from bayes_aero.physics.aircraft import Aircraft, Axis, coefficients_of
 
 Signals = Mapping[str, Float[AnyArray, "*#n"]]
 

@@ -17,11 +17,27 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bayes_aero.arrays import Samples, xp
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.physics.coefficient_names import NAMES
-from bayes_aero.physics.filters import SMOOTHED_DERIVATIVE_GAIN, SMOOTHING_GAIN, differentiate_joined, smooth_joined
-from bayes_aero.physics.flightpath import RATES, Rotation, inertial_moments, lever_arm
-from bayes_aero.physics.incidence_rate import alpha_rate, lift_regression
+from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
+from bayes_aero.physics.filters import (
+    LONG_REACH,
+    SMOOTHED_DERIVATIVE_GAIN,
+    SMOOTHING_GAIN,
+    differentiate_joined,
+    inside_joined,
+    smooth_joined,
+    smooth_long,
+)
+from bayes_aero.physics.kinematics import (
+    RATES,
+    Rotation,
+    angular_accelerations,
+    down_of,
+    inertial_moments,
+    lever_arm,
+    motion_in_plane,
+    side_force,
+    sideslip_rate,
+)
 
 SMOOTHED = ("alpha", "beta", "airspeed")
 
@@ -236,3 +252,223 @@ def moments(
 def lateral_force(CY: Samples, pressure: Samples, aircraft: Aircraft) -> Samples:
     """Aerodynamics along body y over the mass, m/s2; `pressure` is dynamic, Pa."""
     return pressure * aircraft.wing_area * CY / aircraft.mass
+
+
+# --- Rate of change of the angle of attack from vane, gyro and accelerometer, with noise independent of that of lift.
+# Newton's law normal to the flight path: alpha-dot is the pitch rate less the rotation of the path by specific force
+# and gravity.
+
+KNOTS = (0.4, 0.6, 0.75, 0.85, 0.93)  # shares of the samples at lower alpha; dense where the flow separates
+ITERATIONS = 2  # of the regression, because the hysteresis depends on alpha-dot
+RIDGE = 1e-6  # of the mean square of a column
+
+Operator = Callable[[Series], Series]
+
+
+class LiftRegression(NamedTuple):
+    """Regression of the part of alpha-dot due to specific force on the variables on which lift depends."""
+
+    share: Float[Array, " c"]  # coefficients of the regressors (see `_causes`)
+    knots: Float[Array, " j"]  # rad
+    before: Series  # part of alpha-dot due to specific force, rad/s, of which the hysteresis was computed
+
+
+def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
+    """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
+
+    The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
+    it into a bias. Offsets of gyro and accelerometer, and gravity, are slow. The measured part due to specific force is
+    the measured lift; as a regressor of the lift coefficient it would explain the noise of the lift, and the estimates
+    of lift due to pitch rate and to alpha-dot would be large with opposite signs. It is therefore regressed on the
+    variables on which lift depends (angle of attack in pieces, their hysteresis, elevator, pitch rate), and the
+    prediction is used: two-stage least squares. Near the ends of a manoeuvre only the smoothed vane is used.
+
+    `s` are the channels (n,), SI, with `p_dot`, `q_dot`, `r_dot` in rad/s2; `first` and `last` the ends of each
+    sample's manoeuvre. `regression` is that of the uncorrected record; it is not changed by corrections of `s`.
+
+    Source: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 10 (kinematics); two-stage least squares:
+    Wooldridge, *Econometric Analysis of Cross Section and Panel Data*, 2010, ch. 5.
+    """
+    smooth, fast, base = _parts(s, dt, first, last)
+    raw = regression.share @ _causes(s, base + regression.before, regression.knots)
+    return base + fast(raw, smooth(raw))
+
+
+def lift_regression(
+    s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
+) -> LiftRegression:
+    """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
+    `accelerometer` is its position from the CG, m."""
+    smooth, fast, base = _parts(s, dt, first, last)
+    names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
+    smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))
+    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
+    arm_x, _, arm_z = lever_arm(rotation, accelerometer)
+    at_cg = (s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])
+    known = smooth(at_cg / s["airspeed"])  # the part of alpha-dot due to specific force at the CG
+    response = fast(known, known)
+    knots = jnp.quantile(smoothed["alpha"], jnp.asarray(KNOTS))
+    before = part = jnp.zeros_like(base)
+    share = jnp.zeros(0)
+    for _ in range(ITERATIONS):
+        causes = _causes(smoothed, smooth(base + part), knots)
+        even = jax.vmap(fast)(causes, causes)
+        size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
+        gram = even @ even.T / jnp.outer(size, size) / even.shape[1]
+        right = even @ response / size / even.shape[1]
+        share = jnp.linalg.solve(gram + RIDGE * jnp.eye(len(size)), right) / size
+        raw = share @ _causes(s, base + part, knots)
+        before, part = part, fast(raw, smooth(raw))
+    return LiftRegression(share, knots, before)
+
+
+def _parts(
+    s: Mapping[str, Array], dt: Series, first: Index, last: Index
+) -> tuple[Operator, Callable[[Array, Array], Array], Series]:
+    """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
+
+    def smooth(x):
+        return smooth_joined(x, first, last)
+
+    vane = smooth(s["alpha"])
+    alone, long = (differentiate_joined(x, dt, first, last) for x in (vane, smooth_long(vane)))
+    inside = inside_joined(vane.shape[0], first, last) >= LONG_REACH
+
+    def fast(x, smoothed):
+        return jnp.where(inside, x - smooth_long(smoothed), 0.0)
+
+    turning = s["q"]
+    if "beta" in s:
+        turning = turning - (s["p"] * jnp.cos(s["alpha"]) + s["r"] * jnp.sin(s["alpha"])) * jnp.tan(s["beta"])
+    return smooth, fast, jnp.where(inside, long, alone) + fast(turning, smooth(turning))
+
+
+def _causes(s: Mapping[str, Array], rate: Series, knots: Float[Array, " j"]) -> Float[Array, "c n"]:
+    """Regressors of lift over mass and airspeed, as rows."""
+    weight = s["density"] * s["airspeed"]
+    pieces = jnp.maximum(s["alpha"] - knots[:, None], 0.0)
+    falling = jnp.minimum(rate, 0.0)
+    rows = [s["alpha"][None], pieces, falling[None], falling * pieces, s["q"][None]]
+    if "elevator" in s:
+        rows.append(s["elevator"][None])
+    return weight * jnp.concatenate(rows)
+
+
+# --- Equations of motion at one instant: from the flow's coefficients to the motion of the aircraft.
+# Six degrees of freedom, of which any may be prescribed. Flat earth. Sources: Etkin and Reid, *Dynamics of Flight*,
+# 3rd ed. 1996, ch. 4; Klein and Morelli, *Aircraft System Identification*, 2006, ch. 3.
+
+TOLERANCE = 1e-12  # rad/s, of alpha-dot
+MIN_SLOPE = 0.1  # of the equation of alpha-dot; at zero the motion is not unique
+MAX_ITERATIONS = 60  # iterations: bisection alone would need 50
+LONGITUDINAL = (Axis.LONGITUDINAL,)
+
+
+class AircraftMotion(NamedTuple):
+    """Motion at one instant."""
+
+    flow: Mapping[str, Any]  # coefficients and other quantities of the effects
+    force: tuple[Any, Any, Any]  # specific force at the CG along body axes, m/s2
+    rates: Mapping[str, Any]  # time derivatives of airspeed (m/s2), alpha, beta (rad/s) and altitude (m/s)
+    rotation: tuple[Any, Any, Any]  # p_dot, q_dot, r_dot, rad/s2
+
+    @property
+    def q_dot(self) -> Any:
+        """Pitch acceleration, rad/s2."""
+        return self.rotation[1]
+
+
+def motion_of_aircraft(
+    flow: Callable[[Any], Mapping[str, Any]],
+    air: Mapping[str, Any],
+    path: Mapping[str, Any],
+    aircraft: Aircraft,
+    *,
+    implicit: bool,
+    axes: Collection[Axis] = LONGITUDINAL,
+    prescribed: Collection[str] = ("p", "r"),
+) -> AircraftMotion:
+    """Forces, moments and the motion that follows.
+
+    Forces of `axes` are those of the flow. Others are given: in the plane of symmetry as `force_x` and `force_z`; the
+    lateral one follows from `ay` at the accelerometer, else from the sideslip's rate `beta_dot`, else it is 0.
+
+    `flow` gives the coefficients and other quantities of the effects as a function of alpha-dot in rad/s, on which they
+    depend where `implicit`. `air`: `alpha`, `airspeed` and `density` of the flow, and `thrust`; SI. `path`: the motion
+    over ground, SI: `airspeed`, `alpha`, `beta`, `p`, `q`, `r`, and `theta` and `phi` or `down`, the direction of
+    gravity in body axes; the angular accelerations of `prescribed` rates (else 0). `prescribed`: those of `p`, `q`, `r`
+    that are given, and `alpha`, if it is, with its rate `alpha_dot`.
+    """
+    nothing = jnp.zeros_like(air["alpha"])
+    pressure = 0.5 * air["density"] * jnp.square(air["airspeed"])
+    down = path["down"] if "down" in path else down_of(path["phi"], path["theta"])
+
+    def forces(known: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        if Axis.LONGITUDINAL in axes:
+            fx, fz = specific_force(known["CL"], known["CD"], air["alpha"], pressure, air["thrust"], aircraft)
+        else:
+            fx, fz = path["force_x"], path["force_z"]
+        if Axis.LATERAL in axes:
+            return fx, lateral_force(known["CY"], pressure, aircraft), fz
+        if "ay" in path:
+            p_dot, q_dot, r_dot = (path.get(f"{n}_dot", nothing) for n in RATES)
+            spin = Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot)
+            return fx, path["ay"] - lever_arm(spin, aircraft.accelerometer)[1], fz  # q-dot does not enter it
+        return fx, side_force(path, fx, fz) if "beta_dot" in path else nothing, fz
+
+    if "alpha" in prescribed:
+        rate = path["alpha_dot"]
+    elif implicit:
+        rate = alpha_dot(lambda rate: motion_in_plane(path, forces(flow(rate)), down)["alpha"])
+    else:
+        rate = None
+    known = flow(nothing if rate is None else rate)
+    force = forces(known)
+    rates = motion_in_plane(path, force, down) | {"beta": sideslip_rate(path, force, down)}
+    rates |= {} if rate is None else {"alpha": rate}
+    given = {f"{n}_dot": path.get(f"{n}_dot", nothing) for n in RATES if n in prescribed}
+    acting = moments(known, force, air, aircraft)
+    rotation = angular_accelerations(acting, tuple(path[n] for n in RATES), aircraft, given)  # type: ignore[arg-type]
+    return AircraftMotion(known, force, rates, rotation)
+
+
+def accelerometers(now: AircraftMotion, path: Mapping[str, Any], aircraft: Aircraft) -> dict[str, Any]:
+    """Specific force at the accelerometers, m/s2; `path` has the rates p, q, r."""
+    p_dot, q_dot, r_dot = now.rotation
+    arm = lever_arm(Rotation(path["p"], path["q"], path["r"], p_dot, q_dot, r_dot), aircraft.accelerometer)
+    return {name: f + x for name, f, x in zip(("ax", "ay", "az"), now.force, arm, strict=True)}
+
+
+def alpha_dot(rate_of: Callable[[Any], Any]) -> Float[Array, ""]:
+    """Solve rate = rate_of(rate), because lift depends on alpha-dot through the separation point. Usually the right
+    side decreases with alpha-dot, and the root is between zero and rate_of(0). Where it increases (a negative `CLadot`
+    or hysteresis time) the root is beyond, and for a larger slope the motion is not unique: the result is then NaN.
+    Newton steps that leave the bracket are replaced by bisection. A fixed-point iteration would not converge (gain 0.9
+    to 2.7). Derivatives are those of the implicit function."""
+
+    def bracketed(excess, first):
+        def not_converged(state):
+            _, _, _, step, _, count = state
+            return (jnp.abs(step) > TOLERANCE) & (count < MAX_ITERATIONS)
+
+        def iterate(state):
+            low, high, rate, _, min_slope, count = state
+            value, slope = jax.jvp(excess, (rate,), (jnp.ones_like(rate),))
+            low, high = jnp.where(value < 0.0, rate, low), jnp.where(value > 0.0, rate, high)
+            newton = rate - value / jnp.where(slope > 0.0, slope, 1.0)
+            outside = (newton < low) | (newton > high) | ~(slope > 0.0)
+            new = jnp.where(outside, 0.5 * (low + high), newton)
+            return low, high, new, new - rate, jnp.minimum(slope, min_slope), count + 1
+
+        infinite = jnp.full_like(first, jnp.inf)
+        bound = first / MIN_SLOPE  # of the root, if the slope is nowhere smaller
+        begin = (jnp.minimum(bound, 0.0), jnp.maximum(bound, 0.0), 0.5 * first, infinite, infinite, 0)
+        _, _, rate, _, min_slope, _ = jax.lax.while_loop(not_converged, iterate, begin)
+        return rate, min_slope
+
+    first = rate_of(jnp.zeros(()))
+    root = jax.lax.custom_root(
+        lambda rate: rate - rate_of(rate), first, bracketed, lambda g, y: y / g(1.0), has_aux=True
+    )
+    rate, min_slope = root  # type: ignore[misc]
+    return jnp.where(min_slope > MIN_SLOPE, rate, jnp.nan)

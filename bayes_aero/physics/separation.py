@@ -10,7 +10,7 @@ import math
 from jaxtyping import Bool, Float
 
 from bayes_aero.arrays import AnyArray, Samples, xp
-from bayes_aero.flight.aircraft import Aircraft
+from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.physics.filters import recurrence
 
 Scalar = Float[AnyArray, ""]

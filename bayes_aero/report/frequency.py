@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import TrajectoryFit
-from bayes_aero.inference.frequency_result import FrequencyFit
+from bayes_aero.diagnosis.trajectory_result import TrajectoryFit
+from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, bullets
 from bayes_aero.report.html.pictures import Gallery

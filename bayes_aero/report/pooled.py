@@ -8,9 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.inference.results import Identification, NextFlight, PosteriorStatus
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import WORDS, decimals, from_to, several

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.qualification.result import (
     Chance,

@@ -21,7 +21,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.results import Identification
 
 DPI = 150
 PHONE = 5.0  # inches, of a figure for a phone: shrunk to its width, the text stays legible

@@ -10,16 +10,14 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from bayes_aero.dynamics.simulated.manoeuvres import LATERAL, Series, pulses, ramps, rounded, three_two_one_one
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly
-from bayes_aero.dynamics.simulated.trim import FlightState
+from bayes_aero.dynamics.pilot import LATERAL, Pilot, Series, fly, pulses, ramps, rounded, three_two_one_one
+from bayes_aero.dynamics.trim import FlightState
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES, Axis
 
 SEED = 20150101
 DURATION = 90.0  # s

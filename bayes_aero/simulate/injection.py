@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.dynamics.simulated.simulate import fly_together, outside
-from bayes_aero.dynamics.simulated.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
+from bayes_aero.dynamics.pilot import fly_together, outside
+from bayes_aero.dynamics.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 

@@ -19,9 +19,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.simulated.manoeuvres import standard_pilots
-from bayes_aero.dynamics.simulated.simulate import Pilot, fly, fly_rigid, outside
-from bayes_aero.dynamics.simulated.trim import (
+from bayes_aero.dynamics.pilot import Pilot, fly, fly_rigid, outside, standard_pilots
+from bayes_aero.dynamics.trim import (
     SIGNALS,
     Condition,
     FlightState,
@@ -32,14 +31,11 @@ from bayes_aero.dynamics.simulated.trim import (
 )
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.atmosphere import air
-from bayes_aero.flight.card.card import Card, read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.records import plain_marks
+from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis, air
 from bayes_aero.simulate import demo
 
 ENVELOPE = {"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)}  # rad, m/s: outside, no truth is claimed

@@ -15,8 +15,8 @@ from typing import Any
 import bayes_aero
 from bayes_aero.atomic_write import beside, put_folder, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.card.toml_tables import is_file
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.card_tables import is_file
 from bayes_aero.jobs.provenance import environment_id, provenance, sha256_of, write_json
 from bayes_aero.progress import Progress
 from bayes_aero.study.study import TASKS, Unit, card_of
@@ -101,7 +101,7 @@ def run_unit(
 
     found = _write_unit(Unit.of_json(given), Path(folder), attempt)
     if "jax" in sys.modules:
-        from bayes_aero.inference.compiled_programs import full_of_programs, give_back_memory
+        from bayes_aero.processes import full_of_programs, give_back_memory
 
         if full_of_programs():  # units of many sizes compile many programs
             give_back_memory()
@@ -164,7 +164,7 @@ def _disk_full(target: Path) -> str:
 
 def run_task(unit: Unit, out: Path, progress: Progress | None = None) -> None:
     """Run the task of a unit; all its files are in `out`."""
-    from bayes_aero.flight.reading.read_record import read_records
+    from bayes_aero.flight.reading import read_records
     from bayes_aero.jobs.diagnose import diagnose_records
     from bayes_aero.jobs.fly import fly
     from bayes_aero.jobs.identify import identify  # imported here, because a driver of a cluster needs none of these

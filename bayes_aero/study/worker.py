@@ -20,11 +20,11 @@ import jax
 import psutil
 from jax.experimental.compilation_cache import compilation_cache
 
+from bayes_aero import processes
 from bayes_aero.atomic_write import beside, host, sweep
 from bayes_aero.errors import InputError
-from bayes_aero.inference import compiled_programs
-from bayes_aero.inference.compiled_programs import VARIABLE as CORES
 from bayes_aero.jobs.provenance import PACKAGES, environment
+from bayes_aero.processes import VARIABLE as CORES
 from bayes_aero.study.case import run_unit
 from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
 
@@ -88,7 +88,7 @@ def work(given: Mapping[str, Any], folder: str, driver: Driver, memory: int | No
         finally:
             sys.argv = before
             if memory and psutil.Process().memory_info().rss > MAX_MEMORY_SHARE * memory:
-                compiled_programs.give_back_memory()
+                processes.give_back_memory()
 
 
 @cache

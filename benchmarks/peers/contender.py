@@ -40,7 +40,7 @@ class Problem:
 
 def stall(problem: Problem) -> tuple[Model, Observations]:
     """The package's own model and observations; only this loads JAX."""
-    from bayes_aero.flight.card.card import read_card
+    from bayes_aero.flight.card import read_card
     from bayes_aero.model.model import Model
 
     return Model.from_card(read_card("attas")), pickle.loads((problem.folder / OURS).read_bytes())

@@ -17,7 +17,7 @@ Run = Callable[[int], np.ndarray]
 
 def ours(problem: Problem, _: int, __: argparse.Namespace) -> Run:
     """The fit alone."""
-    from bayes_aero.inference.likelihood.mle import descend
+    from bayes_aero.inference.mle import descend
 
     model, observations = stall(problem)
     return lambda _: descend(model, observations, problem.start).theta
@@ -25,7 +25,7 @@ def ours(problem: Problem, _: int, __: argparse.Namespace) -> Run:
 
 def ours_with_bounds(problem: Problem, _: int, __: argparse.Namespace) -> Run:
     """As a user calls it: with Cramer-Rao bounds and those corrected for colour."""
-    from bayes_aero.inference.likelihood.mle import fit_mle
+    from bayes_aero.inference.mle import fit_mle
 
     model, observations = stall(problem)
     return lambda _: fit_mle(model, observations, extra_starts=0).estimate

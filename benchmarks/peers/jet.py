@@ -23,7 +23,7 @@ from contender import Problem
 if TYPE_CHECKING:
     import aeroid
 
-    from bayes_aero.inference.likelihood.output_error_result import OutputErrorResult
+    from bayes_aero.inference.output_error_result import OutputErrorResult
 
 JET = "jet.pickle"
 
@@ -103,10 +103,10 @@ def flown_jet():
     from bayes_aero.dynamics.flight import aircraft_dynamics
     from bayes_aero.dynamics.segments import segments
     from bayes_aero.dynamics.system import integrate
-    from bayes_aero.flight.card.card import parse_card
+    from bayes_aero.flight.card import parse_card
     from bayes_aero.flight.record import FlightRecord
-    from bayes_aero.model.joined_channels import join
     from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import join
     from bayes_aero.parameter import Prior
 
     card = parse_card(tomllib.loads(CARD), "jet", "jet.toml")
@@ -174,8 +174,8 @@ def prepare_jet(folder: Path) -> None:
     """Simulate the record, fit it and put it into `folder`."""
     import jax.numpy as jnp
 
-    from bayes_aero.flight.atmosphere import GRAVITY
-    from bayes_aero.inference.likelihood.output_error import trajectories
+    from bayes_aero.inference.output_error import trajectories
+    from bayes_aero.physics.aircraft import GRAVITY
 
     flown, aircraft = flown_jet()
     fit = our_fit(flown)
@@ -205,7 +205,7 @@ def plain(value):
 
 def our_fit(flown) -> OutputErrorResult:
     """From the wrong start."""
-    from bayes_aero.inference.likelihood.output_error import fit_output_error
+    from bayes_aero.inference.output_error import fit_output_error
 
     return fit_output_error(flown, start=wrong_start(flown.dynamics.names))
 

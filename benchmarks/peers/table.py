@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 SAME = 1e-2  # nats within which two optima are one: a hundredth of what a standard deviation costs, and less
 AHEAD = 1.05  # a peer is ahead where it is better by this factor
-TARGET_ESS = 400  # as in bayes_aero.inference.posterior.posterior, which this file does without
+TARGET_ESS = 400  # as in bayes_aero.inference.results, which this file does without
 FAR_APART = 0.3  # standard deviations between two means from which the draws are not of one posterior, or too few
 
 

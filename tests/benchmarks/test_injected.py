@@ -14,8 +14,8 @@ from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Verdict
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.jobs.diagnose import diagnose_records, proposed_points
 from bayes_aero.jobs.io.effect_file import write_effects
 from bayes_aero.jobs.options import DiagnoseOptions

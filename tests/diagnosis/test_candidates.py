@@ -10,27 +10,23 @@ import pytest
 from lateral_flight import LATERAL_TRUTH, can_simulate, flown, three_axis_card, values
 from parts import fitted_to_stalls
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis.accuracy import LeftOut, confirmation, noise_effect, sizes, truncated
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS
-from bayes_aero.diagnosis.screening.accuracy import noise_effect, sizes
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.forward_selection import explained
-from bayes_aero.diagnosis.selection.holdout import LeftOut, confirmation, truncated
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
+from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
+from bayes_aero.diagnosis.screening import screen
+from bayes_aero.diagnosis.selection import explained
+from bayes_aero.diagnosis.selection_state import SelectionState, linearised, refitted
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model, lengths_of
-from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import NAMES, Axis
+from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import TRUTH
 from bayes_aero.simulate.injection import FLOWN_AXES, flyable, hidden_flights
 

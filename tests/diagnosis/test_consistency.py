@@ -9,9 +9,10 @@ import pytest
 import six_axes
 from gusty_flight import gusty_flight
 from parts import part
-from stranger_records import flown
+from stranger import flown
 from stranger_six import drawn, fly
 
+from bayes_aero.diagnosis.accuracy import Size, filtered_channels, recording_noise
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import (
     Blocks,
@@ -23,32 +24,28 @@ from bayes_aero.diagnosis.consistency import (
     screen_sensor_errors,
 )
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
 from bayes_aero.diagnosis.flight_path_check import LIGHT_TURBULENCE, gusts, sensor_noise
-from bayes_aero.diagnosis.screening.accuracy import Size, filtered_channels, recording_noise
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import Extension
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import Agreement, Consistency
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.health.signals import noise_of
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.health.finding import Agreement, Consistency, noise_of
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.inference.mle import fit_mle
+from bayes_aero.inference.validation import filter_mismatch_notes
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import joined
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.observations import Forming, despiked, join, observe
+from bayes_aero.model.records import joined
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.filters import LONG_REACH, differentiate_joined, smooth
-from bayes_aero.physics.flightpath import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
+from bayes_aero.physics.kinematics import LATERAL, PATH, Rotation, integral, lever_arm, path_rates, side_force
 from bayes_aero.report.text.check import consistency_sentences, open_sentences
 from bayes_aero.report.text.identification import verdict
-from bayes_aero.residuals.flight_path import FlightPathError
+from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.simulate.demo import simulate_stall
 from bayes_aero.simulate.injection import hidden_records
 

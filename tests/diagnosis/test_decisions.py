@@ -13,36 +13,29 @@ from scipy.special import erfc
 from scipy.stats import norm
 from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis import consistency, result
+from bayes_aero.diagnosis import accuracy, consistency, result
 from bayes_aero.diagnosis import diagnose as decided
-from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis import selection as selecting
+from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size, backward_elimination, implausible
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import standard
+from bayes_aero.diagnosis.flights import left_out_of
 from bayes_aero.diagnosis.result import Cause, Diagnosis, UnexplainedStructure, Verdict, verdict_of
-from bayes_aero.diagnosis.screening.accuracy import Size, implausible
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.screening import ScreeningResult, uncertainty
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
+from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
-from bayes_aero.diagnosis.selection import forward_selection as selecting
-from bayes_aero.diagnosis.selection import holdout
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
-from bayes_aero.diagnosis.selection.rivals import cancelling
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure import unexplained
-from bayes_aero.diagnosis.trajectories.holdout import left_out_of
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.selection import Extension, cancelling
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.diagnosis.unexplained import unexplained
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.agreement import OpenError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
 from bayes_aero.model.model import lengths_of
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.report.text.phrases import verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
@@ -153,13 +146,12 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
-        monkeypatch.setattr(holdout, "truncated", lambda state, effects: (state, effects))
-        parts = np.arange(n) if compared == "innovations" else None
+        monkeypatch.setattr(accuracy, "truncated", lambda state, effects: (state, effects))
         responses = SimpleNamespace(
-            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
+            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), kinematic=compared == "flight path",
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
-        found = holdout.confirmation(part(
+        found = accuracy.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
             theta=np.zeros(0), S=np.zeros((n, 3, 1)), noise_growth=np.ones((n, 3)),

@@ -12,20 +12,25 @@ from parts import with_candidates
 from stranger_six import Plane
 
 from bayes_aero.diagnosis import design
-from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.settings import ENOUGH
-from bayes_aero.dynamics.simulated.manoeuvres import commands
-from bayes_aero.dynamics.simulated.trim import Trim, trimmed
+from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel
+from bayes_aero.diagnosis.selection_state import linearised
+from bayes_aero.dynamics.pilot import commands
+from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import DEFAULT_RANGES, Envelope, excursion
-from bayes_aero.flight.atmosphere import GRAVITY, air, altitude_of_density
-from bayes_aero.flight.channel import Axis
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import (
+    DEFAULT_RANGES,
+    GRAVITY,
+    NAMES,
+    Axis,
+    Envelope,
+    air,
+    altitude_of_density,
+    excursion,
+)
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH
 

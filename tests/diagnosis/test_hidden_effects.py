@@ -5,37 +5,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import six_axes
-from changing_parameters import AT, changed
-from out_of_catalogue import unknown
+from out_of_catalogue import AT, changed, unknown
 from parts import without_accelerometers
 from scipy import stats
 from scipy.signal import lfilter
-from stranger_records import HIDDEN, Recorder, flown
+from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
-from bayes_aero.diagnosis.candidate_set import candidate_model, manoeuvres
+from bayes_aero.diagnosis.accuracy import Size, integrated_deviance
+from bayes_aero.diagnosis.candidate_set import DEFAULT, candidate_model, manoeuvres
 from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
-from bayes_aero.diagnosis.result import COEFFICIENTS, TRAJECTORIES, Verdict
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.regression import Products
-from bayes_aero.diagnosis.screening.selection_state import moved
+from bayes_aero.diagnosis.result import COEFFICIENTS, Verdict
 from bayes_aero.diagnosis.search import search_in_stages
-from bayes_aero.diagnosis.selection.forward_selection import noise_shares
-from bayes_aero.diagnosis.selection.holdout import integrated_deviance
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure.changes import ChangeScan, Span, spans
+from bayes_aero.diagnosis.selection import noise_shares
+from bayes_aero.diagnosis.selection_state import Products, moved
+from bayes_aero.diagnosis.unexplained import ChangeScan, Span, spans
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle import fit_mle
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
-from bayes_aero.physics.coefficient_names import required_of
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.physics.aircraft import required_of
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records

@@ -17,35 +17,34 @@ from scipy import stats
 from scipy.linalg import lstsq
 from scipy.signal import lfilter
 
-from bayes_aero.diagnosis import diagnose
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis import accuracy, diagnose, selection
+from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights
 from bayes_aero.diagnosis.result import Verdict, as_absorbed
-from bayes_aero.diagnosis.screening import accuracy
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, Middle, autocorrelations_of
-from bayes_aero.diagnosis.screening.parameter_fit import PartialledRegression
-from bayes_aero.diagnosis.screening.regression import Products, RegressionFit, inverse
-from bayes_aero.diagnosis.screening.screening import CandidateScore, ScreeningResult, block_jackknife_covariance
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection import forward_selection
-from bayes_aero.diagnosis.selection.forward_selection import Extension, worth
-from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut
-from bayes_aero.diagnosis.selection.rivals import Absorbed, absorbed
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure.unexplained import left_beside
-from bayes_aero.diagnosis.view.models import compared, profiles
+from bayes_aero.diagnosis.screening import (
+    Autocorrelation,
+    CandidateScore,
+    Middle,
+    PartialledRegression,
+    ScreeningResult,
+    autocorrelations_of,
+    block_jackknife_covariance,
+)
+from bayes_aero.diagnosis.selection import Absorbed, Extension, absorbed, worth
+from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse
+from bayes_aero.diagnosis.unexplained import left_beside
+from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
 from bayes_aero.jobs.io.diagnosis_json import absorbed_results
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import NAMES, Axis
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError
@@ -394,7 +393,7 @@ def test_a_size_that_may_as_well_be_none_is_no_cause(monkeypatch, scores, named)
     size = 2.0 * least
     full = part(CandidateModel, candidates=(CATALOGUE["cg_shift"],), model=Model.of(["cg_shift"]))
     state = part(SelectionState, active=("cg_shift",), full=full)
-    monkeypatch.setattr(forward_selection, "largest_noise_bias", lambda *_: {})
+    monkeypatch.setattr(selection, "largest_noise_bias", lambda *_: {})
     fit = RegressionFit(np.zeros(0, int), np.zeros(0), np.zeros((0, 0)), np.ones(1), 0.0)
     causes, minor = worth(state, fit, {"cg_shift": Size(size, size / score, "m")})
     assert (causes, minor) == ((("cg_shift",), ()) if named else ((), ("cg_shift",)))

@@ -17,22 +17,22 @@ from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
 from parts import without_accelerometers
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, ProductTerm, library
 from bayes_aero.diagnosis.result import FoundTerm
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.forward_selection import forward_selection
-from bayes_aero.diagnosis.terms.forms import flown_forms
-from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, ProductTerm, library
+from bayes_aero.diagnosis.selection import forward_selection
+from bayes_aero.diagnosis.selection_state import linearised
+from bayes_aero.diagnosis.terms import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.flight.aircraft import Aircraft
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.inference.likelihood.output_error import disturbed
+from bayes_aero.dynamics.system import FLIGHT
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.output_error import disturbed
 from bayes_aero.jobs.io.diagnosis_json import term_results
 from bayes_aero.jobs.io.effect_file import effect_file, write_effects
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import Aircraft
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError

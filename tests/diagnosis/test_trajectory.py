@@ -16,47 +16,49 @@ from parts import fitted_to_stalls, part, without_accelerometers
 from scipy.stats import norm
 from simulated_halves import halves
 
+from bayes_aero.diagnosis import flights as hold_out
 from bayes_aero.diagnosis import result
 from bayes_aero.diagnosis import search as searches
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
+from bayes_aero.diagnosis.accuracy import LeftOut
+from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.in_band import band_of, causes_in_band, with_sensor_errors_held
-from bayes_aero.diagnosis.result import INNOVATIONS, OutputMiss, Verdict, as_tested, as_white
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
-from bayes_aero.diagnosis.screening.selection_state import constants_of_manoeuvres
+from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested, as_white
+from bayes_aero.diagnosis.screening import NoiseReport
 from bayes_aero.diagnosis.search import in_windows
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import LeftOut
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories import holdout
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.diagnosis.trajectories.motion import flown_mode, flown_modes, motion_of
-from bayes_aero.diagnosis.trajectories.results import LagTest, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
-from bayes_aero.diagnosis.trajectories.trajectories import (
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
+from bayes_aero.diagnosis.trajectories import (
     beyond_noise,
     compare_trajectories,
     fit_disagreements,
+    flown_mode,
+    flown_modes,
+    motion_of,
     still_apart,
 )
+from bayes_aero.diagnosis.trajectory_result import LagTest, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
+from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.modes import Steady
-from bayes_aero.dynamics.output_channels import FLIGHT
+from bayes_aero.dynamics.linear import Steady
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.likelihood.output_error import GUSTS
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
+from bayes_aero.inference.output_error import GUSTS
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import MleResult, MleStatus
 from bayes_aero.jobs import fly as job
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io import diagnosis_json
-from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.figures.diagnosis import spectrum
 from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences
+from bayes_aero.residuals.base import INNOVATIONS
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import Beyond, flyable, hidden_records
 
@@ -245,7 +247,7 @@ def test_log_scores_of_segments_of_different_length():
     expected = np.concatenate(missed)[:, 0] / 2.0
     density = norm.logpdf(expected, scale=np.sqrt(np.mean(expected**2)))
     for _ in range(20):  # the type checker looks at one element of a sequence, drawn at random
-        found = holdout.left_out_of(paths, flown, 1.0)
+        found = hold_out.left_out_of(paths, flown, 1.0)
     assert found.density() == pytest.approx(density)
 
 
@@ -264,18 +266,18 @@ def asked(card, hidden, seed):
     model = Model.from_card(card)
     flights, fit, noise = fitted_to_stalls(card, model, hidden, seed)
     full = candidate_model(model, flights)
-    plain, effect = holdout.CandidateFit("extended", fit), lag_of(full)
+    plain, effect = hold_out.CandidateFit("extended", fit), lag_of(full)
     wider = replace(model.extended(), fixed=())
-    lagged, lag = holdout.with_lag(wider, effect, plain, noise, flights)
+    lagged, lag = hold_out.with_lag(wider, effect, plain, noise, flights)
     if not lag.gains:
         return lag, lagged
     silent = {c.name: {0: {}, 1: {}} for c in (plain, lagged)}
     fits: dict[str, list] = {"extended": [], "lagged": []}
-    for name, found in holdout.left_out((plain, lagged), silent, noise):
+    for name, found in hold_out.left_out((plain, lagged), silent, noise):
         fits[name].append(found)
-    paths = [holdout.holdout_fits(c, fits[c.name], {}) for c in (plain, lagged)]
-    without, within = (holdout.left_out_of(one, fit.flown, noise.variance_inflation) for one in paths)
-    return holdout.confirmed(lag, without, within), lagged
+    paths = [hold_out.holdout_fits(c, fits[c.name], {}) for c in (plain, lagged)]
+    without, within = (hold_out.left_out_of(one, fit.flown, noise.variance_inflation) for one in paths)
+    return hold_out.confirmed(lag, without, within), lagged
 
 
 @pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
@@ -306,7 +308,7 @@ def test_a_lag_is_not_wanted_where_the_hysteresis_is_quasi_steady(card):
 @pytest.mark.parametrize(("gain", "flyable", "kept"), [(9.0, True, True), (1.0, True, False), (9.0, False, False)])
 def test_a_lag_is_kept_where_held_out_flights_are_predicted_worse_without(gain, flyable, kept):
     lagged = Mock(spec=LeftOut, flyable=flyable, gain=lambda _: (gain, 1.0))
-    found = holdout.confirmed(LagTest("separation_lag", 5.0), Mock(spec=LeftOut), lagged)
+    found = hold_out.confirmed(LagTest("separation_lag", 5.0), Mock(spec=LeftOut), lagged)
     assert found.kept is kept
     assert found.unseen == (gain, 1.0)
 

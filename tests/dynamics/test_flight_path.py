@@ -14,14 +14,14 @@ import scipy.io
 
 from bayes_aero.dynamics.path import PathDynamics, path_states
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.flight.card.card import read_card, shipped_cards
-from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.reading.read_record import read_records
-from bayes_aero.inference.likelihood.output_error import fit_output_error
-from bayes_aero.model.joined_channels import join
+from bayes_aero.flight.card import read_card, shipped_cards
+from bayes_aero.flight.reading import read_records
+from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.model import Model
-from bayes_aero.physics import flightpath
-from bayes_aero.physics.flightpath import PATH_CORE
+from bayes_aero.model.observations import join
+from bayes_aero.physics import kinematics as flightpath
+from bayes_aero.physics.aircraft import Axis
+from bayes_aero.physics.kinematics import PATH_CORE
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 BIASES = {

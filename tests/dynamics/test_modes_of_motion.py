@@ -7,12 +7,10 @@ import stranger_six
 from stranger_six import Plane
 
 from bayes_aero.dynamics.flight import AircraftDynamics
-from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.modes import Steady, modes, named_modes
+from bayes_aero.dynamics.linear import Steady, linear_dynamics, modes, named_modes
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import read_card
+from bayes_aero.physics.aircraft import NO_AIRCRAFT, Axis
 
 # Boeing 747 in cruise at Mach 0.8 and 40,000 ft. Etkin and Reid, Dynamics of Flight, 3rd ed. 1996, sections 6.2 and
 # 6.7: speeds in ft/s, at 774 ft/s.

@@ -8,9 +8,9 @@ import numpy as np
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.simulate.demo import LATERAL_EFFECTS, LATERAL_TRUTH, TRUTH
 
 BOTH = (Axis.LONGITUDINAL, Axis.LATERAL)

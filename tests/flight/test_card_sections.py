@@ -11,14 +11,14 @@ from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, s
 
 from bayes_aero.diagnosis.result import CheckReport, SensorCheck
 from bayes_aero.errors import InputError
-from bayes_aero.flight.agreement import Consistency
-from bayes_aero.flight.aircraft import DEFAULT_RANGES
-from bayes_aero.flight.card.card import channel_units, parse_card, shipped_cards
-from bayes_aero.flight.card.tables import parse_aircraft, parse_envelope, refuse_no_body
+from bayes_aero.flight.card import channel_units, parse_card, shipped_cards
+from bayes_aero.flight.card_tables import parse_aircraft, parse_envelope, refuse_no_body
+from bayes_aero.flight.health.finding import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import with_sums
+from bayes_aero.physics.aircraft import DEFAULT_RANGES
 from bayes_aero.report.text.check import card_sentences
 
 # [aircraft]: what follows from other constants need not be stated

@@ -6,7 +6,7 @@ from flight_samples import sound
 
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS, Channel
-from bayes_aero.flight.reading.checks import MIN_SAMPLES, check_record
+from bayes_aero.flight.checks import MIN_SAMPLES, check_record
 from bayes_aero.units import si_unit
 
 T = np.arange(120) * 0.04

@@ -10,14 +10,18 @@ from flight_samples import CHANNELS, sound
 
 import bayes_aero as ba
 from bayes_aero.errors import InputError
-from bayes_aero.flight.card.card import parse_card
-from bayes_aero.flight.reading.checks import check_record
-from bayes_aero.flight.reading.inspection import inspect_record, proposals
-from bayes_aero.flight.reading.read_record import at_common_rate, manoeuvres, rate_notes, read_record, read_records
-from bayes_aero.flight.reading.resample import resample_record
-from bayes_aero.flight.reading.segments import parts_of, segment_of
-from bayes_aero.flight.record import FlightRecord
-from bayes_aero.flight.writers import write_record
+from bayes_aero.flight.card import parse_card
+from bayes_aero.flight.checks import check_record, resample_record
+from bayes_aero.flight.reading import (
+    at_common_rate,
+    inspect_record,
+    manoeuvres,
+    proposals,
+    rate_notes,
+    read_record,
+    read_records,
+)
+from bayes_aero.flight.record import FlightRecord, parts_of, segment_of, write_record
 
 
 # FlightRecord: immutable, named, in SI; and its resampling

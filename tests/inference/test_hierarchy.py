@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import halfnorm, multivariate_normal, norm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.likelihood.mle import data_of, evaluate, fit_mle
-from bayes_aero.inference.likelihood.mle_result import MleStatus
+from bayes_aero.inference.mle import data_of, evaluate, fit_mle
 from bayes_aero.inference.pooled import (
     SCATTER,
     Hierarchy,
@@ -19,7 +18,7 @@ from bayes_aero.inference.pooled import (
     normal_estimates,
     pool,
 )
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.simulate.demo import TRUTH
 
 Y = np.array([[0.4, -0.2], [1.1, 0.3], [0.2, 0.5]])

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import psutil
 import pytest
 
-from bayes_aero.inference import compiled_programs
-from bayes_aero.inference.compiled_programs import MAPPINGS, full_of_programs, give_back_memory
+from bayes_aero import processes as compiled_programs
+from bayes_aero.processes import MAPPINGS, full_of_programs, give_back_memory
 
 # Processes that train for a parent that was killed do not outlive it
 PARENT = """
 import os, time
 from joblib import Parallel, delayed, parallel_config
-from bayes_aero.inference.compiled_programs import exit_with
+from bayes_aero.processes import exit_with
 
 def work(parent):
     exit_with(parent)

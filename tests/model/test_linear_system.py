@@ -22,9 +22,9 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import NO_AIRCRAFT
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import NO_AIRCRAFT
 
 FLIGHTS = {
     "short period": (SHORT_PERIOD, SHORT_PERIOD_TRUTH, short_period_flight),

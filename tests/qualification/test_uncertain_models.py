@@ -11,16 +11,15 @@ from scipy.stats import norm
 
 from bayes_aero.diagnosis.design import Information
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.output_channels import FLIGHT
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
-from bayes_aero.flight.aircraft import Envelope
-from bayes_aero.flight.card.card import read_card
-from bayes_aero.model.joined_channels import join
+from bayes_aero.flight.card import read_card
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import Envelope
 from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
-from bayes_aero.qualification.qualify import Region, Uncertain, nearest, qualify
+from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
-from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
 from bayes_aero.report.qualification import further_sentences
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 

@@ -9,21 +9,27 @@ import numpy as np
 import pytest
 from simulated_halves import halves
 
-from bayes_aero.diagnosis.view.models import with_stalls
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.diagnosis.view import with_stalls
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.gp import GPFit
-from bayes_aero.inference.identification import GPReport, Identification, Validation
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.posterior.calibration import pit_of
-from bayes_aero.inference.posterior.posterior import Marginal, Posterior, PosteriorStatus
+from bayes_aero.inference.calibration import pit_of, stall_of_posterior
+from bayes_aero.inference.gp.fit import GPFit
+from bayes_aero.inference.results import (
+    GPReport,
+    Identification,
+    Marginal,
+    MleResult,
+    MleStatus,
+    Posterior,
+    PosteriorStatus,
+    Validation,
+)
 from bayes_aero.inference.scores import score
-from bayes_aero.inference.stall import stall_of_posterior
 from bayes_aero.inference.validation import make_splits
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Observations
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 
 EFFECTS = ("attached_lift", "elevator_moment", "pitching_moment", "profile_drag")
 TRUTH = {"CL0": 0.2, "CLa": 4.0, "Cmde": -0.8, "Cm0": 0.05, "Cma": -0.5, "CD0": 0.04}

@@ -20,7 +20,7 @@ from browsing import (
 )
 from report_samples import CARD, flight, records, study_told
 
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.catalogue import effect_facts, known_effects, write_effects_page
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures import comparison as figures_comparison

@@ -9,13 +9,13 @@ from calling import holds
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from bayes_aero.diagnosis.accuracy import sizes
 from bayes_aero.diagnosis.result import UnexplainedStructure, Verdict
-from bayes_aero.diagnosis.screening.accuracy import sizes
-from bayes_aero.diagnosis.view.models import with_stalls
-from bayes_aero.inference.posterior.calibration import pit_of
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.diagnosis.view import with_stalls
+from bayes_aero.inference.calibration import pit_of
+from bayes_aero.inference.results import Posterior
 from bayes_aero.model.noise import Colour
-from bayes_aero.physics.coefficient_names import NAMES
+from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.figures import every_figure as figures
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all, write_figures

@@ -14,13 +14,10 @@ from report_samples import flight
 from rich.console import Console
 
 import bayes_aero as ba
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
-from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
+from bayes_aero.diagnosis.candidate_set import DEFAULT
+from bayes_aero.diagnosis.trajectory_result import Compared, GustHistory, HoldoutScores, ProcessNoise
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.posterior import Marginal, PosteriorStatus
+from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus
 from bayes_aero.inference.scores import Scores
 from bayes_aero.jobs.io.identification_json import results
 from bayes_aero.jobs.provenance import as_json

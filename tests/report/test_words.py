@@ -14,9 +14,8 @@ from linear_cards import SHORT_PERIOD
 from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.effects import CATALOGUE
-from bayes_aero.flight.card.card import parse_card, read_card
-from bayes_aero.inference.likelihood.mle_result import MleStatus
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
+from bayes_aero.flight.card import parse_card, read_card
+from bayes_aero.inference.results import MleStatus, PosteriorStatus
 from bayes_aero.jobs.io.diagnosis_json import change_results
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign

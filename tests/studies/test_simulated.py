@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.dynamics.simulated.trim import can_simulate
+from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
-from bayes_aero.flight.reading.checks import check_record
-from bayes_aero.inference.likelihood.mle import fit_mle
+from bayes_aero.flight.checks import check_record
+from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, marks, observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records
 from bayes_aero.simulate.synthetic_record import synthetic

@@ -15,8 +15,8 @@ import pytest
 from bayes_aero import atomic_write as durable
 from bayes_aero.atomic_write import beside, put_folder, sweep, write_whole
 from bayes_aero.errors import ERROR, InputError, no_space
-from bayes_aero.inference.compiled_programs import cores
 from bayes_aero.jobs.diagnose import in_background
+from bayes_aero.processes import cores
 from bayes_aero.report.html.page import put_page
 from bayes_aero.study import jit_cache as compiled
 from bayes_aero.study import worker
@@ -119,7 +119,7 @@ def test_a_folder_that_is_not_shared_is_told(driver):
 
 def test_what_is_compiled_is_forgotten_when_memory_runs_short(driver, monkeypatch):
     forgot = []
-    monkeypatch.setattr("bayes_aero.inference.compiled_programs.give_back_memory", lambda: forgot.append(True))
+    monkeypatch.setattr("bayes_aero.processes.give_back_memory", lambda: forgot.append(True))
     work({"name": "one"}, "", driver, 1 << 50)
     work({"name": "one"}, "", driver, None)
     assert not forgot

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.air import across, air_data, derivatives, in_flight, on_ground
 from bayes_aero.flight.health.channel import dropouts, frozen, held, idle, quantised, saturated, wrapped
 from bayes_aero.flight.health.controls import control_responses, feedback
-from bayes_aero.flight.health.finding import HealthFinding, decided, short
+from bayes_aero.flight.health.finding import HealthFinding, decided, different_rates, same_records, short
 from bayes_aero.flight.health.refuted import refuted
-from bayes_aero.flight.health.same_record import same_records
-from bayes_aero.flight.health.signals import different_rates
 from bayes_aero.flight.record import FlightRecord
 
 __all__ = ["HealthFinding", "channel_health"]

@@ -8,15 +8,23 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import binary_closing, median_filter, uniform_filter1d
 
-from bayes_aero.flight.aircraft import AIRCRAFT_UNITS
-from bayes_aero.flight.atmosphere import GAMMA, GAS, GRAVITY, standard_air
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.card.tables import ATMOSPHERE, RULES
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.card_tables import ATMOSPHERE, RULES
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Findings, HealthFinding, declared, found, other_units, shown
+from bayes_aero.flight.health.finding import (
+    Findings,
+    HealthFinding,
+    channels_of,
+    declared,
+    found,
+    noise_of,
+    other_units,
+    runs_of,
+    shown,
+)
 from bayes_aero.flight.health.readings import AGREES, DENSITY0, THIN, View, thinness
-from bayes_aero.flight.health.signals import channels_of, noise_of, runs_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import AIRCRAFT_UNITS, GAMMA, GAS, GRAVITY, standard_air
 from bayes_aero.units import instant, same_unit, to_si
 
 

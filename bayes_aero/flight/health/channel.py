@@ -5,11 +5,24 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.controls import TURNS, answers_no_input, answers_unmoved
-from bayes_aero.flight.health.finding import Findings, as_filed, declared, found, shown, span
+from bayes_aero.flight.health.finding import (
+    CONTROLS,
+    Findings,
+    as_filed,
+    declared,
+    found,
+    level_step,
+    noise_of,
+    quantum,
+    quantum_of,
+    runs_of,
+    shown,
+    span,
+    still_runs,
+)
 from bayes_aero.flight.health.readings import RELATIONS, dead_heading, view_of
-from bayes_aero.flight.health.signals import CONTROLS, level_step, noise_of, quantum, quantum_of, runs_of, still_runs
 from bayes_aero.flight.record import FlightRecord
 
 OFF = 8.0  # deviations of the noise, and sizes of the usual step, that a dropout is away from its neighbours

@@ -10,11 +10,10 @@ from jaxtyping import Float
 from scipy.linalg import solve_banded
 from scipy.optimize import fminbound
 
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import Axis
-from bayes_aero.flight.health.finding import Findings, declared, found
-from bayes_aero.flight.health.signals import CONTROLS, noise_alone, noise_of
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import CONTROLS, Findings, declared, found, noise_alone, noise_of
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import Axis
 
 SMOOTH = 0.3  # s of the mean that keeps noise out of the angular acceleration
 MOVED = np.deg2rad(0.1)  # rad that a surface must move, standard deviation of its fast part

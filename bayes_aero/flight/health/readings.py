@@ -8,11 +8,10 @@ from itertools import permutations, product
 
 import numpy as np
 
-from bayes_aero.flight.atmosphere import GRAVITY
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.health.finding import declared, other_units
-from bayes_aero.flight.health.signals import channels_of
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.health.finding import channels_of, declared, other_units
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import GRAVITY
 
 _ANGLE, _RATE, _FORCE = ("deg", "rad"), ("deg/s", "rad/s"), ("m/s^2", "g", "ft/s^2")
 UNITS: dict[str, tuple[str, ...]] = {

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import fminbound
 
-from bayes_aero.flight.atmosphere import GRAVITY
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import Axis
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.air import OFF
 from bayes_aero.flight.health.finding import Findings, HealthFinding, found
 from bayes_aero.flight.health.readings import (
@@ -37,6 +35,7 @@ from bayes_aero.flight.health.readings import (
     view_of,
 )
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import GRAVITY, Axis
 
 MENDED = 0.4  # of its misfit a relation may keep under the reading that is said to be right
 WORSE = 1.3  # times its misfit another relation may have there, if it is above the limit then

@@ -20,9 +20,14 @@ from scipy.special import ndtr
 from tqdm import tqdm
 
 from bayes_aero.errors import InputError
-from bayes_aero.inference.compiled_programs import blas_threads
-from bayes_aero.inference.gp.emulator import ReducedData, factorise
-from bayes_aero.inference.gp.kernel import Priors, Scaling, noise_to_signal, scaled_distance_kernel
+from bayes_aero.inference.gp.kernel import (
+    Priors,
+    ReducedData,
+    Scaling,
+    factorise,
+    noise_to_signal,
+    scaled_distance_kernel,
+)
 from bayes_aero.inference.gp.optimum import SAME_OPTIMUM, MapStatus, Optimum, distinct, find_map, maximise
 from bayes_aero.inference.gp.posterior import (
     Budget,
@@ -32,6 +37,7 @@ from bayes_aero.inference.gp.posterior import (
     sample_posterior,
     systematic_resample,
 )
+from bayes_aero.processes import blas_threads
 
 MAX_SAMPLES = 8000
 Matrix = Float[np.ndarray, "n d"] | Float[jax.Array, "n d"]

@@ -16,8 +16,16 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from bayes_aero.inference.gp.emulator import ExactPoint, ReducedData, ReducedStats, stats_and_gradient
-from bayes_aero.inference.gp.kernel import HyperPrior, Priors, length_slice, noise_to_signal
+from bayes_aero.inference.gp.kernel import (
+    ExactPoint,
+    HyperPrior,
+    Priors,
+    ReducedData,
+    ReducedStats,
+    length_slice,
+    noise_to_signal,
+    stats_and_gradient,
+)
 
 LENGTH_BOUNDS = (-4.6, 6.9)  # log of scaled length scales: 0.01 to 1000 sd of the input
 NOISE_BOUNDS = (-20.0, 16.0)  # log sn^2/sf^2; the lower end keeps R factorisable in double precision

@@ -17,16 +17,20 @@ from jaxtyping import Array, Float, Int
 from numpyro.infer.hmc import hmc
 from scipy.special import logsumexp
 
-from bayes_aero.inference.gp.emulator import (
+from bayes_aero.inference.gp.kernel import (
     Emulator,
     ExactPoint,
+    Priors,
     ReducedData,
     ReducedStats,
+    Scaling,
     fit_emulator,
+    hyper_names,
+    length_slice,
+    noise_to_signal,
     reduced_stats,
     stats_and_gradient,
 )
-from bayes_aero.inference.gp.kernel import Priors, Scaling, hyper_names, length_slice, noise_to_signal
 from bayes_aero.inference.gp.optimum import Optimum, ProfilePosterior, curvature
 
 # --- NUTS over all 2d + 3 hyperparameters, on the stand-in density.

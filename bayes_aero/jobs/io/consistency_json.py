@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bayes_aero.flight.agreement import Consistency, PathCheck
+from bayes_aero.flight.health.finding import Consistency, PathCheck
 from bayes_aero.jobs.provenance import named_pairs, picked
 
 

@@ -17,8 +17,8 @@ from bayes_aero import Effect, Parameter, Prior, Stage
 '''
 IMPORTED = {
     "xp.": "from bayes_aero.arrays import xp\n",
-    "reduced(": "from bayes_aero.physics.rates import reduced\n",
-    "reduced_lateral(": "from bayes_aero.physics.rates import reduced_lateral\n",
+    "reduced(": "from bayes_aero.physics.kinematics import reduced\n",
+    "reduced_lateral(": "from bayes_aero.physics.kinematics import reduced_lateral\n",
 }
 TERM = '''
 

@@ -10,12 +10,16 @@ from typing import Any
 import xarray as xr
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
-from bayes_aero.inference.frequency_result import FrequencyFit
-from bayes_aero.inference.identification import GPReport, Identification
-from bayes_aero.inference.likelihood.mle_result import Inseparable, MleResult
-from bayes_aero.inference.pooled_result import NextFlight
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.inference.results import (
+    FrequencyFit,
+    GPReport,
+    Identification,
+    Inseparable,
+    MleResult,
+    NextFlight,
+    Posterior,
+)
 from bayes_aero.inference.scores import Scores
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.diagnosis_json import path_results, record_results

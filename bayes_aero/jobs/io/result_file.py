@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.errors import ERROR, InputError
-from bayes_aero.flight.card.card import shipped_cards
-from bayes_aero.flight.card.toml_tables import is_file
+from bayes_aero.flight.card import shipped_cards
+from bayes_aero.flight.card_tables import is_file
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(10))}
 """Names that Windows keeps for devices, whatever follows their first full stop."""

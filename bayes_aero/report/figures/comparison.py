@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.results import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import MOST_MANOEUVRES, NotDrawn, grid_of, housed, panels
 from bayes_aero.report.tables.comparison import alone, bounds, methods, ordered, scatter, unit_of

@@ -10,12 +10,11 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import ProcessNoise
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.diagnosis.trajectory_result import ProcessNoise
+from bayes_aero.inference.results import Identification, Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour
-from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient

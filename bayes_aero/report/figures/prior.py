@@ -18,10 +18,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, MaxNLocator, NullLocator
 
-from bayes_aero.diagnosis.view.results import View
+from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.identification import Identification, Stall
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.results import Identification, Posterior, Stall
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS

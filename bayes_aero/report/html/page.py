@@ -21,12 +21,12 @@ from markupsafe import Markup, escape
 from bayes_aero import __version__
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import failure
-from bayes_aero.flight.agreement import Agreement, Consistency
-from bayes_aero.flight.card.card import Card, channel_units
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
-from bayes_aero.flight.health import HealthFinding
+from bayes_aero.flight.card import Card, channel_units
+from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.health.finding import Agreement, Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import LOW, MOST, TIME, Line, Over, Panel, linked
 from bayes_aero.report.tables.table import Table, cell_text

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import CheckReport
-from bayes_aero.flight.card.card import Card
+from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.effect import Stage
-from bayes_aero.flight.card.card import Card
-from bayes_aero.flight.channel import STANDARD_CHANNELS, Axis
+from bayes_aero.flight.card import Card
+from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import only_following
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.posterior.posterior import PosteriorStatus
-from bayes_aero.physics.coefficient_names import LATERAL
+from bayes_aero.inference.results import Identification, PosteriorStatus
+from bayes_aero.physics.aircraft import LATERAL, Axis
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.posterior import pit_words
 from bayes_aero.report.html import page as html

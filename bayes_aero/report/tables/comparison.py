@@ -10,9 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayes_aero.inference.identification import Identification
-from bayes_aero.inference.likelihood.mle_result import MleResult, MleStatus
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.results import Identification, MleResult, MleStatus, Posterior
 from bayes_aero.model.noise import Colour
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.tables.table import Estimate

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bayes_aero.diagnosis.trajectories.results import (
+from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
     START,
     Error,
@@ -17,7 +17,7 @@ from bayes_aero.diagnosis.trajectories.results import (
     TrajectoryFit,
 )
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.inference.posterior.posterior import Marginal, Posterior
+from bayes_aero.inference.results import Marginal, Posterior
 from bayes_aero.inference.scores import Calibration, OneStep
 from bayes_aero.parameter import Prior
 from bayes_aero.report.frequency import band_text, frequency_columns

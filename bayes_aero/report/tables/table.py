@@ -14,14 +14,14 @@ from rich.box import SIMPLE_HEAD
 from rich.text import Text
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.flight.reading.inspection import RecordReport
+from bayes_aero.flight.reading import RecordReport
 from bayes_aero.report.text.phrases import bracket, concise, plain_unit, plus_minus
 from bayes_aero.units import number
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayes_aero.inference.posterior.posterior import Marginal
+    from bayes_aero.inference.results import Marginal
 
 
 NONE = "–"

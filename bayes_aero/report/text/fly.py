@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
+from bayes_aero.diagnosis.trajectory_result import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
-from bayes_aero.inference.likelihood.output_error_result import OutputErrorStatus
-from bayes_aero.inference.posterior.posterior import Posterior
+from bayes_aero.inference.output_error_result import OutputErrorStatus
+from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep
 from bayes_aero.report.text import restraints
 from bayes_aero.report.text.phrases import amounts, nats_text, plus_minus, several, short, size_text, symbol

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_aero.flight.health.finding import only_following
-from bayes_aero.inference.identification import Identification
+from bayes_aero.inference.results import Identification
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.report.pooled import between_manoeuvres, left_out, next_flight_sentences

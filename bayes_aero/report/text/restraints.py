@@ -9,8 +9,14 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from bayes_aero.inference.likelihood.mle_result import SENSITIVITY_LIMIT, ActiveBound, Inseparable, PriorConflict
-from bayes_aero.inference.posterior.posterior import Posterior, PosteriorStatus
+from bayes_aero.inference.results import (
+    SENSITIVITY_LIMIT,
+    ActiveBound,
+    Inseparable,
+    Posterior,
+    PosteriorStatus,
+    PriorConflict,
+)
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.tables.comparison import engine_label
 from bayes_aero.report.text.phrases import plus_minus, several

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayes_aero.flight.card.card import parse_card
+from bayes_aero.flight.card import parse_card
 from bayes_aero.flight.record import FlightRecord
 
 G = 9.80665

@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
 
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import card, changed, flight, smooth
 from stranger import fly as flown
 from stranger import plane
 
-from bayes_aero.flight.atmosphere import standard_air
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.air import across, derivatives
 from bayes_aero.flight.health.channel import frozen
 from bayes_aero.flight.health.controls import answers_no_input, feedback
-from bayes_aero.flight.reading.read_record import read_record
+from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
+from bayes_aero.physics.aircraft import standard_air
 
 BOOK = Path(__file__).parents[3].parent / "shared" / "book"
 LBF, LB, FOOT, KNOT = 0.45359237 * 9.80665, 0.45359237, 0.3048, 1852.0 / 3600.0

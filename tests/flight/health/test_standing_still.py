@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_aero.flight.card.card import read_card
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health.channel import frozen, interpolated_period
 from bayes_aero.flight.record import FlightRecord
 

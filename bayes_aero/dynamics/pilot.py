@@ -1,0 +1,544 @@
+"""Simulation of a model: longitudinal equations of motion, with the effects of the coefficient fit.
+
+Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.optimize import brentq
+
+from bayes_aero.dynamics.aircraft import RigidBody
+from bayes_aero.dynamics.system import Row, System, advance, integrate, later, step
+from bayes_aero.dynamics.trim import (
+    CONTROLS,
+    SIDE_FORCE,
+    SIGNALS,
+    SURFACES,
+    Condition,
+    FlightState,
+    Plant,
+    RigidTrim,
+    Trim,
+    Values,
+    control_signs,
+    lead,
+    refuse_unsimulated,
+    rigid_trim,
+    trimmed,
+)
+from bayes_aero.effect import Stage
+from bayes_aero.errors import InputError
+from bayes_aero.model.model import Model
+from bayes_aero.physics.aircraft import DEFAULT_RANGES, GRAVITY, Aircraft, Axis, Envelope, air, excursion
+from bayes_aero.physics.filters import differentiate
+from bayes_aero.units import number
+
+
+class Pilot(NamedTuple):
+    """Commands of a simulated flight: alpha follows `alpha` (rad) by trim + gains x errors + `excitation` (rad).
+    `thrust` in N; `disturbance` (n, 3) times 1 + `buffet` (1 - X) is added to CL, CD, Cm. Bank `phi` and sideslip
+    `beta` (rad) are prescribed and must be smooth, because they are differentiated. `stabilizer`, `rudder`, `aileron`,
+    `spoiler`, `dlc`, `flap` (rad) act only through effects. `trim_gain` (1/s): feedback on the integral of alpha, as by
+    trimming. `uneven`: the left engine's thrust less the right one's over their sum; it acts only on a rigid body.
+    Arrays have one row per sample."""
+
+    alpha: Float[Any, " n"]
+    thrust: Float[Any, " n"]
+    excitation: Float[Any, " n"] | float = 0.0
+    disturbance: Float[Any, "n 3"] | float = 0.0
+    alpha_gain: Float[Any, ""] | float = 0.7
+    rate_gain: Float[Any, ""] | float = 0.2
+    phi: Float[Any, " n"] | float = 0.0
+    beta: Float[Any, " n"] | float = 0.0
+    stabilizer: Float[Any, " n"] | float = 0.0
+    rudder: Float[Any, " n"] | float = 0.0
+    spoiler: Float[Any, " n"] | float = 0.0
+    dlc: Float[Any, " n"] | float = 0.0
+    flap: Float[Any, " n"] | float = 0.0
+    buffet: Float[Any, ""] | float = 0.0
+    trim_gain: Float[Any, ""] | float = 0.0
+    aileron: Float[Any, " n"] | float = 0.0
+    uneven: Float[Any, " n"] | float = 0.0
+
+
+def fly(
+    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: float
+) -> dict[str, Float[Array, " n"]]:
+    """All signals of the flight by the names of recorded channels, and CL, CD, Cm, X; (n,), SI. Inputs are linear
+    between samples. Held inputs would lag their record by half a sample, which a diagnosis finds as a delay of the
+    elevator."""
+    numbers, pilot, start = jax.tree.map(lambda x: jnp.asarray(x, float), (dict(values), pilot, start))
+    return _fly_one(model, numbers, aircraft, pilot, start, jnp.asarray(dt))
+
+
+def fly_together(
+    model: Model, values: Values, aircraft: Aircraft, pilots: Sequence[Pilot], starts: Sequence[FlightState], dt: float
+) -> list[dict[str, np.ndarray]]:
+    """As `fly`, for several flights of one length."""
+    numbers = {name: jnp.asarray(x, float) for name, x in values.items()}
+    rows = [jax.tree.map(lambda *x: np.stack([np.asarray(y, float) for y in x]), *row) for row in (pilots, starts)]
+    flights = jax.tree.map(np.asarray, _fly_several(model, numbers, aircraft, *rows, jnp.asarray(dt)))
+    return [{name: x[k] for name, x in flights.items()} for k in range(len(pilots))]
+
+
+def _fly(model: Model, values: dict[str, Any], aircraft: Aircraft, pilot: Pilot, start: FlightState, dt: Any):
+    shares, command = lead(model, values, aircraft, pilot.alpha, start.airspeed, start.altitude)
+    gains = (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain)
+    plant = Plant(model, values, aircraft, gains, pilot.buffet, shares)  # type: ignore[arg-type]
+    inputs = _inputs(pilot, command, dt)
+    _, found = jax.lax.scan(lambda x, row: step(plant, x, *row, dt), jnp.stack(start), (inputs, later(inputs)))
+    turn = found["psi_dot"]
+    return found | {"psi": jnp.cumsum(jnp.pad(0.5 * dt * (turn[1:] + turn[:-1]), (1, 0)))}
+
+
+_fly_one = eqx.filter_jit(_fly)
+_fly_several = eqx.filter_jit(eqx.filter_vmap(_fly, in_axes=(None, None, None, 0, 0, None)))
+
+
+def outside(flight: Mapping[str, np.ndarray], envelope: Mapping[str, tuple[float, float]]) -> str | None:
+    """The first channel outside its range, in words; None where all are inside."""
+    for name, (lower, upper) in envelope.items():
+        x = flight[name]
+        if not (np.all(np.isfinite(x)) and x.min() >= lower and x.max() <= upper):
+            return f"{name} {number(x.min())} to {number(x.max())} (allowed {number(lower)} to {number(upper)})"
+    return None
+
+
+def _inputs(pilot: Pilot, command: Float[Array, " n"], dt: Any) -> dict[str, Float[Array, " n"]]:
+    """Inputs of `Plant`."""
+    n = pilot.alpha.shape[0]
+    disturbance = jnp.broadcast_to(pilot.disturbance, (n, 3)).T
+    pilot = Pilot(*(jnp.broadcast_to(x, n) if jnp.ndim(x) == 0 else x for x in pilot))
+    phi_rate, beta_dot = differentiate(pilot.phi, dt), differentiate(pilot.beta, dt)
+    angles = {"phi": pilot.phi, "phi_rate": phi_rate, "phi_acceleration": differentiate(phi_rate, dt)}
+    angles |= {"beta": pilot.beta, "beta_dot": beta_dot, "beta_acceleration": differentiate(beta_dot, dt)}
+    surfaces = {name: getattr(pilot, name) for name in ("stabilizer", "rudder", "flap")}
+    surfaces |= {f"{name}_{side}": getattr(pilot, name) for name in ("spoiler", "dlc") for side in ("left", "right")}
+    disturbed = dict(zip(("dCL", "dCD", "dCm"), disturbance, strict=True))
+    led = {"alpha_led": pilot.alpha, "command": command + pilot.excitation, "thrust": pilot.thrust}
+    return {"time": jnp.arange(n) * dt} | angles | surfaces | disturbed | led
+
+
+# --- Flights through random gusts: a system whose states include gusts, driven by their white noise.
+
+
+def through_gusts(
+    system: System,
+    start: Float[Array, " s"],
+    inputs: Mapping[str, Float[Array, " n"]],
+    dt: Any,
+    white: Float[Array, "n s"],
+    outputs: Sequence[str],
+    substeps: int = 1,
+) -> tuple[Float[Array, "n c"], Bool[Array, " n"]]:
+    """Outputs of one flight, and whether each sample was reached inside the envelope; `white`: normal numbers. A random
+    process of decay rate a and spectral density q gains the variance q (1 - exp(-2 a dt)) / (2 a) in a sample, so that
+    its own distribution is exact; within the sample the other states see its mean."""
+    bounds = [system.envelope.get(name, (-jnp.inf, jnp.inf)) for name in system.states]
+    lower, upper = (jnp.array([b[i] for b in bounds]) for i in (0, 1))
+
+    def one_sample(x, row):
+        now, then, noise = row
+        rate = 2.0 * system.decay(x, now)
+        gained = system.noise_density(x, now) * jnp.where(rate > 0.0, -jnp.expm1(-rate * dt) / rate, dt)
+        found = system.motion(x, now)[1]
+        found |= {name: x[i] for i, name in enumerate(system.states) if name in system.state_outputs}
+        sound = jnp.all(jnp.isfinite(x)) & jnp.all((x >= lower) & (x <= upper))
+        after = advance(system, x, now, then, dt, substeps) + jnp.sqrt(gained) * noise
+        return after, (jnp.stack([found[name] for name in outputs]), sound)
+
+    _, (made, sound) = jax.lax.scan(one_sample, start, (dict(inputs), later(inputs), white))
+    return made, jnp.cumsum(~sound) == 0
+
+
+# --- Simulation of a model in six degrees of freedom: controls about a trim, with a pilot who controls alpha, bank,
+# sideslip.
+# The same `Pilot` as in three degrees of freedom; bank and sideslip are commanded here, not prescribed. Flat earth,
+# no wind.
+
+BANK, ROLL, SLIP, YAW = 0.6, 0.5, 0.5, 0.7  # aileron per bank and roll rate, rudder per sideslip and yaw rate; s
+LATERAL_CONTROLS = ("aileron", "rudder")
+DISTURBED_COEFFICIENTS = ("CL", "CD", "Cm")
+MAX_SUBSTEPS = 16  # integration steps a sample, for a separation point with a short lag
+MAX_DEFLECTION = 0.5  # rad of any control
+REFERENCE_SIDESLIP = 0.05  # rad, of the steady sideslip that gives the controls per sideslip
+
+
+class PilotedBody(RigidBody):
+    """A rigid body with feedback of its state to the controls; the pilot's pitch trim, rad, is a further state. The
+    disturbance is multiplied by 1 + `buffet` (1 - X)."""
+
+    gains: Any = (0.0, 0.0, 0.0)  # of the elevator on alpha, q and the integral of alpha
+    buffet: Any = 0.0
+    pilots: tuple[tuple[str, str, float], ...] = eqx.field(static=True, default=())  # moment, its control, its sign
+
+    @property
+    def after(self) -> tuple[str, ...]:
+        """States after the flight states, the trim before the lagged separation points."""
+        names = super().after
+        points = len(names) - len(self.points)
+        return (*names[:points], "trim", *names[points:])
+
+    def separation_rates(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> list[Any]:
+        """Of the trim and the separation points."""
+        return [self.gains[2] * (state["alpha"] - s["led_alpha"]), *super().separation_rates(state, s)]
+
+    def flow_signals(self, x: Float[Array, " s"], u: Row) -> dict[str, Any]:
+        return super().flow_signals(x, dict(u) | self._controls(self.named(x), u))
+
+    def flow(self, state: Mapping[str, Any], s: Mapping[str, Any]) -> dict[str, Any]:
+        """Flow with the disturbances of the coefficients."""
+        known = super().flow(state, s)
+        growth = 1.0 + self.buffet * (1.0 - known["X"])
+        return known | {name: known[name] + growth * s[f"d{name}"] for name in DISTURBED_COEFFICIENTS}
+
+    def motion(self, x: Float[Array, " s"], u: Row) -> tuple[Float[Array, " s"], dict[str, Any]]:
+        rates, outputs = super().motion(x, u)
+        return rates, outputs | self._controls(self.named(x), u)
+
+    def _controls(self, state: Mapping[str, Any], u: Row) -> dict[str, Any]:
+        """Deflections, rad: command and feedback."""
+        errors = {name: state[name] - u[f"led_{name}"] for name in ("alpha", "beta", "phi")}
+        pitch = -self.gains[0] * errors["alpha"] - self.gains[1] * state["q"] - state["trim"]
+        roll = -BANK * errors["phi"] - ROLL * state["p"]
+        yaw = SLIP * errors["beta"] - YAW * (state["r"] - u["led_r"])
+        commands = {"Cm": pitch, "Cl": roll, "Cn": yaw}
+        deflections = {control: sign * commands[moment] for moment, control, sign in self.pilots}
+        names = (*CONTROLS, *LATERAL_CONTROLS)
+        return {
+            n: u[n] + jnp.clip(deflections[n], -MAX_DEFLECTION, MAX_DEFLECTION) if n in deflections else u[n]
+            for n in names
+        }
+
+
+def fly_rigid(
+    model: Model, values: Mapping[str, Any], aircraft: Aircraft, pilot: Pilot, trim: RigidTrim, dt: float
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """All signals of a flight from `trim` by the names of recorded channels, the coefficients and X; (n,), SI.
+    Commanded bank gives a coordinated turn."""
+    values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    lag = float(model.lag(values))
+    if lag == 0.0:  # a separation point without lag is no state
+        model = Model.of([e for e in model.effects if e.stage is not Stage.LAG], axes=model.axes)
+    chosen = control_signs(model, values, aircraft, trim.state["airspeed"])
+    pilots = tuple((moment, control, sign) for moment, (control, sign) in chosen.items())
+    gains = tuple(jnp.asarray(x, float) for x in (pilot.alpha_gain, pilot.rate_gain, pilot.trim_gain))
+    body = PilotedBody(model, values, aircraft, gains=gains, buffet=jnp.asarray(pilot.buffet, float), pilots=pilots)
+    inputs = _piloted_inputs(pilot, trim, chosen)
+    condition = Condition(trim.state["airspeed"], trim.state["altitude"], trim.state["beta"] + REFERENCE_SIDESLIP)
+    sideslipping = rigid_trim(model, values, aircraft, condition).controls if np.any(inputs["led_beta"]) else {}
+    for name in LATERAL_CONTROLS:
+        slope = (sideslipping.get(name, 0.0) - trim.controls.get(name, 0.0)) / REFERENCE_SIDESLIP
+        inputs[name] = inputs[name] + (slope * inputs["led_beta"] if sideslipping else 0.0)
+    first = {name: x[0] for name, x in inputs.items()}
+    start = jnp.array([trim.state.get(name, 0.0) for name in body.start])
+    fast = lag * float(aircraft.chord) / trim.state["airspeed"]
+    parts = int(np.clip(np.ceil(2.0 * dt / fast), 1, MAX_SUBSTEPS)) if lag > 0.0 else 1
+    found = _integrate(body, body.state_at_start(body.complete_start(start, first)), inputs, jnp.asarray(dt), parts)
+    flight = {name: np.asarray(x) for name, x in (inputs | found.outputs).items()}
+    flight |= {name: np.unwrap(flight[name]) for name in ("phi", "psi")}
+    density, sound = (np.asarray(x) for x in air(found.outputs["altitude"]))
+    flight |= {"density": density, "mach": flight["airspeed"] / sound}
+    return {name: np.where(found.inside, x, np.nan) for name, x in flight.items()}
+
+
+_integrate = eqx.filter_jit(integrate)
+
+
+def _piloted_inputs(
+    pilot: Pilot, trim: RigidTrim, chosen: Mapping[str, tuple[str, float]]
+) -> dict[str, Float[Array, " n"]]:
+    """Inputs of `PilotedBody`: commands about the trim, and thrust."""
+    n = np.asarray(pilot.alpha).shape[0]
+    whole = lambda x: jnp.broadcast_to(jnp.asarray(x, float), n)  # noqa: E731
+    disturbance = jnp.broadcast_to(jnp.asarray(pilot.disturbance, float), (n, 3)).T
+    u = {name: whole(trim.controls.get(name, 0.0)) for name in (*CONTROLS, *LATERAL_CONTROLS)}
+    pitch, sign = chosen.get("Cm", ("elevator", -1.0))
+    u[pitch] = u[pitch] - sign * whole(pilot.excitation)  # a positive command pitches down
+    u |= {name: u[name] + whole(getattr(pilot, name)) for name in ("stabilizer", *LATERAL_CONTROLS)}
+    surfaces = {name: whole(getattr(pilot, name.split("_")[0], 0.0)) for name in SURFACES if name != "time"}
+    speed, phi = trim.state["airspeed"], whole(pilot.phi)
+    led = {"led_alpha": whole(pilot.alpha), "led_beta": whole(pilot.beta), "led_phi": phi}
+    led["led_r"] = GRAVITY / speed * jnp.sin(phi)
+    thrust = whole(pilot.thrust)
+    more = thrust * whole(pilot.uneven)
+    engines = {"thrust_left": 0.5 * (thrust + more), "thrust_right": 0.5 * (thrust - more), "thrust": thrust}
+    noise = dict(zip((f"d{name}" for name in DISTURBED_COEFFICIENTS), disturbance, strict=True))
+    return u | surfaces | led | engines | noise
+
+
+# --- Flight-test inputs: their shapes, and the standard inputs, simulated from trimmed level flight.
+# Their excitation: Klein and Morelli, *Aircraft System Identification*, 2006, ch. 9; Jategaonkar, *Flight Vehicle
+# System Identification*, 2nd ed. 2015, ch. 2. Amplitudes are our choice: those of a transport in a flight test.
+
+SECONDS = 60.0  # s, of every manoeuvre, so that one compiled function serves all
+RUN_IN = 5.0  # s of simulation before the record starts
+TIGHT, LOOSE = (0.7, 0.2, 0.15), (0.05, 0.0, 0.0)  # elevator gains on alpha, q and the integral of alpha
+STALL_BEYOND, STALL_RISE = np.deg2rad(2.0), np.deg2rad(8.0)  # beyond alpha*, or beyond trim without separation
+SETTLE, WHOLE = 3.0, 10.0  # s recorded at least after the last input, and s of which a record is a multiple
+MULTISINE, MULTISINE_BAND = (5.0, 25.0, 2), (0.1, 1.4)  # begin and period, s, number of periods; Hz
+ANYWHERE = Envelope()
+EXCITED_CHANNELS = {"stabilizer_steps": "stabilizer", "sideslip": "beta", "bank_to_bank": "phi"}
+"""Channels that a manoeuvre excites in addition to elevator and thrust."""
+
+
+Series = Float[np.ndarray, " n"]
+Pulse = tuple[float, float, float]  # begin and end, s, and level
+
+
+def pulses(time: Series, parts: Iterable[Pulse]) -> Series:
+    """Levels held from begin to end, zero between; a later part replaces an earlier one."""
+    signal = np.zeros_like(time)
+    for begin, end, level in parts:
+        signal[(time >= begin) & (time < end)] = level
+    return signal
+
+
+def steps(*points: tuple[float, float]) -> list[Pulse]:
+    """Pulses of levels held from each time (s) on."""
+    return [(begin, np.inf, level) for begin, level in points]
+
+
+def three_two_one_one(begin: float, unit: float, size: float) -> list[Pulse]:
+    """Pulses of a 3-2-1-1 with `unit` s a step."""
+    edges = begin + np.round(unit * np.array([0.0, 3.0, 5.0, 6.0, 7.0]), 9)  # 3 x 0.8 is not 2.4, where a sample may be
+    return [(a, b, sign * size) for a, b, sign in zip(edges, edges[1:], (1.0, -1.0, 1.0, -1.0), strict=False)]
+
+
+def ramps(time: Series, points: Iterable[tuple[float, float]]) -> Series:
+    """Straight lines between (time s, level)."""
+    return np.interp(time, *np.array(list(points)).T)
+
+
+def rounded(signal: Series, seconds: float, dt: float) -> Series:
+    """Convolved with a Hann window of this length, as by an actuator; held constant beyond the ends."""
+    window = np.hanning(round(seconds / dt) | 1)
+    window = window if len(window) > 2 else np.ones(1)
+    padded = np.pad(signal, len(window) // 2, mode="edge")
+    return np.convolve(padded, window / window.sum(), mode="valid")
+
+
+def commands(
+    time: Series, trim: Trim, stall: float, bank_per_sideslip: float, amplitude: float = 1.0
+) -> dict[str, Pilot]:
+    """The standard inputs by name, from `trim`. `stall` (rad): rise of alpha of the slow sweep above trim;
+    `bank_per_sideslip`: bank that keeps the heading. `amplitude` multiplies all inputs."""
+    rest, dt, deg = np.zeros_like(time), float(time[1] - time[0]), np.pi / 180.0
+
+    def held(parts: list[Pulse], smooth: float) -> Series:
+        return rounded(amplitude * pulses(time, parts), smooth, dt)
+
+    def pilot(
+        gains: tuple[float, ...] = TIGHT, alpha: Series = rest, thrust: Series = rest, **signals: Series
+    ) -> Pilot:
+        """A pilot with changes from trim; thrust as a share of that in trim."""
+        power = trim.thrust * np.maximum(1.0 + thrust, 0.1)
+        feedback = dict(zip(("alpha_gain", "rate_gain", "trim_gain"), gains, strict=True))
+        zeros = dict.fromkeys(("excitation", "phi", "beta", "stabilizer"), rest)
+        return Pilot(trim.alpha + alpha, power, **zeros | feedback | signals)
+
+    doublets = [pulse for t in (5.0, 32.0) for pulse in steps((t, 2.5 * deg), (t + 1.5, -2.5 * deg), (t + 3.0, 0.0))]
+    multistep = [pulse for t in (5.0, 32.0) for pulse in three_two_one_one(t, 0.8, 2.0 * deg)]
+    sideslip = held(steps((5.0, 5.0 * deg), (20.0, -5.0 * deg), (35.0, 0.0)), 4.0)
+    bank = held(steps((5.0, 30 * deg), (20.0, -30 * deg), (35.0, 30 * deg), (50.0, 0.0)), 5.0)
+    power = held(steps((5.0, 0.6), (18.0, -0.6), (35.0, 0.6), (48.0, 0.0)), 1.5)
+    sweep = [(0.0, 0.0), (5.0, 0.0), (32.0, stall), (35.0, stall), (39.0, 0.3 * stall), (45.0, stall), (52.0, 0.0)]
+    idle = amplitude * ramps(time, [(0.0, 0.0), (5.0, 0.0), (7.0, -0.6)])
+    return {
+        "elevator_doublet": pilot(LOOSE, excitation=held(doublets, 0.4)),
+        "elevator_3211": pilot(LOOSE, excitation=held(multistep, 0.4)),
+        "multisine": pilot(LOOSE, excitation=amplitude * 2.0 * deg * multisine_inputs(time, 1)[0]),
+        "slow_stall": pilot(alpha=amplitude * ramps(time, sweep), thrust=idle),
+        "thrust_steps": pilot(thrust=power),
+        "sideslip": pilot(beta=sideslip, phi=bank_per_sideslip * sideslip),
+        "bank_to_bank": pilot(phi=bank),
+        "stabilizer_steps": pilot(stabilizer=held(steps((5.0, 1.0 * deg), (22.0, -1.0 * deg), (40.0, 0.0)), 2.0)),
+        "speed_change": pilot(LOOSE, excitation=held(steps((5.0, 1.0 * deg), (12.0, 0.0)), 1.0)),
+    }
+
+
+def multisine_inputs(time: Series, controls: int) -> Float[np.ndarray, "c n"]:
+    """Multisines with a peak of 1 on several controls: whole periods from `MULTISINE[0]` s on, zero elsewhere."""
+    begin, period, count = MULTISINE
+    inside = (time >= begin) & (time < begin + count * period)
+    return np.where(inside, multisines(time - begin, period, MULTISINE_BAND, controls), 0.0)
+
+
+def standard_pilots(
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    time: Series,
+    airspeed: float,
+    altitude: float,
+    amplitude: float = 1.0,
+) -> tuple[dict[str, Pilot], FlightState | RigidTrim]:
+    """The pilot of each manoeuvre with this model, and the level flight in which all start. `airspeed` in m/s,
+    `altitude` in m. A model of both axes flies in six degrees of freedom, and the manoeuvres of `LATERAL` as well.
+    Raises `InputError` where the model cannot be trimmed."""
+    start: FlightState | RigidTrim
+    if rigid := Axis.LATERAL in model.axes:
+        start = rigid_trim(model, values, aircraft, Condition(airspeed, altitude))
+        sideslipping = rigid_trim(model, values, aircraft, Condition(airspeed, altitude, sideslip=REFERENCE_SIDESLIP))
+        bank_per_sideslip = (sideslipping.state["phi"] - start.state["phi"]) / REFERENCE_SIDESLIP
+        trim = Trim(start.state["alpha"], start.thrust, 0.0)
+    else:
+        trim = trimmed(model, values, aircraft, airspeed, altitude)
+        pressure = 0.5 * float(air(jnp.asarray(altitude))[0]) * airspeed**2
+        bank_per_sideslip = -pressure * float(aircraft.wing_area) * SIDE_FORCE / (float(aircraft.mass) * GRAVITY)
+        start = FlightState(airspeed, trim.alpha, trim.alpha, 0.0, altitude, trim=trim.command)
+    stall = model.break_angle(values) + STALL_BEYOND
+    rise = stall - trim.alpha if stall < DEFAULT_RANGES["alpha"][1] else STALL_RISE  # of the slow sweep, above trim
+    pilots = commands(time, trim, rise, bank_per_sideslip, amplitude)
+    return pilots | (lateral_commands(time, trim, pilots["slow_stall"], amplitude) if rigid else {}), start
+
+
+@dataclass(frozen=True)
+class StandardFlights:
+    """Channels of every standard manoeuvre without noise, by name, and how many `seconds` of each are recorded;
+    `refused` says why the others cannot be flown. Beside the recorded channels: `X`."""
+
+    channels: Mapping[str, Mapping[str, np.ndarray]]
+    seconds: Mapping[str, float]
+    refused: Mapping[str, str]
+
+
+def fly_standard(
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    *,
+    airspeed: float,
+    altitude: float,
+    dt: float,
+    amplitude: float = 1.0,
+    envelope: Envelope = ANYWHERE,
+) -> StandardFlights:
+    """Fly all of `standard_pilots`, sampled every `dt` s; a manoeuvre that leaves the `envelope` is refused."""
+    values = {name: jnp.asarray(x, float) for name, x in values.items()}
+    n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
+    time = (np.arange(n + before) - before) * dt
+    rigid = Axis.LATERAL in model.axes
+    for effect in model.acting if rigid else ():
+        refuse_unsimulated(effect, SIGNALS | {"aileron", "thrust_left", "thrust_right"})
+    pilots, start = standard_pilots(model, values, aircraft, time, airspeed, altitude, amplitude)
+    if isinstance(start, RigidTrim):
+        flights = [fly_rigid(model, values, aircraft, pilot, start, dt) for pilot in pilots.values()]
+    else:
+        flights = fly_together(model, values, aircraft, list(pilots.values()), [start] * len(pilots), dt)
+    flown, refused = {}, {}
+    for name, flight in zip(pilots, flights, strict=True):
+        channels = {key: x[before:] for key, x in flight.items()}
+        if left := envelope.left_by(excursion(channels)):
+            refused[name] = f"it leaves its envelope: {left}"
+        elif rigid:
+            flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
+        else:
+            flown[name] = channels | {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
+    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)
+
+
+def until(pilot: Pilot, time: Series) -> float:
+    """Length of the record, s, after which a pilot gives no more input and the response has been recorded."""
+    signals = [np.asarray(x) for x in pilot if np.ndim(x) == 1]
+    moving = [np.flatnonzero(np.abs(np.diff(x)) > 1e-9 * np.max(np.abs(x) + 1e-30)) for x in signals]
+    last = max((int(at[-1]) for at in moving if len(at)), default=0)
+    return float(min(WHOLE * np.ceil((max(time[last], 0.0) + SETTLE) / WHOLE), SECONDS))
+
+
+# --- Orthogonal multisines on several controls at once, with a small peak for their power.
+# Source: Morelli, "Multiple input design for real-time parameter estimation in the frequency domain", IFAC SYSID
+# 2003; first phases: Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85; their improvement: Van der Ouderaa, Schoukens
+# and Renneboog, IEEE Trans. Instrum. Meas. 37 (1988) 145.
+
+CLIP, ROUNDS = 0.9, 300  # of the peak that a round leaves, and rounds of clipping
+GRID = 16  # points for each period of the highest frequency on which the peak is sought
+
+
+def multisines(
+    time: Float[np.ndarray, " n"], period: float, band: tuple[float, float], controls: int
+) -> Float[np.ndarray, "c n"]:
+    """Multisines (c, n) with a peak of 1, zero where `time` (s) is, that share no frequency; periodic in `period` (s).
+    The multiples of 1/`period` in `band` (Hz) are dealt to the `controls` in turn, so that each covers the band. Over a
+    whole period the inputs are uncorrelated, and so are their derivatives and integrals."""
+    k = np.arange(np.ceil(band[0] * period - 1e-9), np.floor(band[1] * period + 1e-9) + 1)
+    if len(k) < 2 * controls or k[0] < 1:
+        raise InputError(
+            f"the band {band[0]:g} to {band[1]:g} Hz has {len(k)} multiples of 1/{period:g} s, and {controls} "
+            f"multisines need {2 * controls} above zero; widen the band or lengthen the period"
+        )
+    signals = []
+    for harmonics in (k[first::controls] for first in range(controls)):
+        phase, at = _phases(harmonics), 2.0 * np.pi * time[:, None] / period
+        fine = np.linspace(0.0, 2.0 * np.pi, GRID * int(harmonics[-1]) * 4)
+        whole = np.sum(np.cos(fine[:, None] * harmonics + phase), axis=1)
+        crossing = int(np.argmax(np.diff(np.sign(whole)) != 0.0))
+        sum_at = lambda angle, k, phase: float(np.sum(np.cos(angle * k + phase)))  # noqa: E731
+        zero: Any = brentq(sum_at, *fine[crossing : crossing + 2], args=(harmonics, phase))
+        signals.append(np.sum(np.cos((at + zero) * harmonics + phase), axis=1) / np.max(np.abs(whole)))
+    return np.stack(signals)
+
+
+def _phases(k: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Phases with a small peak: Schroeder's, then the phases of the clipped signal, again and again."""
+    order = np.arange(len(k))
+    phase = -np.pi * order * (order + 1) / len(k)
+    angle = np.linspace(0.0, 2.0 * np.pi, GRID * int(k[-1]), endpoint=False)
+    basis = np.exp(1j * np.outer(k, angle))
+    best, least = phase, np.inf
+    for _ in range(ROUNDS):
+        signal = np.real(np.exp(1j * phase) @ basis)
+        peak = np.max(np.abs(signal))
+        if peak < least:
+            best, least = phase, peak
+        phase = np.angle(basis.conj() @ np.clip(signal, -CLIP * peak, CLIP * peak))
+    return best
+
+
+# --- The standard inputs of the lateral axis.
+
+LATERAL = ("aileron_doublet", "rudder_doublet", "stall_with_bank", "engine_steps")
+AILERON, RUDDER = np.deg2rad(5.0), np.deg2rad(3.0)  # amplitudes of a transport in a flight test; our choice
+STALL_BANK = np.deg2rad(15.0)
+UNEVEN = 0.3  # of the left engine's thrust less the right one's, over their sum
+LATERAL_EXCITED_CHANNELS = {  # channels that each manoeuvre excites, in addition to `manoeuvres.EXCITED_CHANNELS`
+    "aileron_doublet": "aileron", "rudder_doublet": "rudder", "engine_steps": "thrust_left", "multisine": "aileron",
+}  # fmt: skip
+
+
+def lateral_commands(time: Series, trim: Trim, stalling: Pilot, amplitude: float = 1.0) -> dict[str, Pilot]:
+    """Doublets of aileron and rudder, multisines of these and the elevator, a stall in banked flight, unequal
+    engines."""
+    dt = float(time[1] - time[0])
+
+    def doublets(size: float) -> Series:
+        parts = []
+        for begin, unit in ((5.0, 1.0), (20.0, 2.0), (40.0, 1.0)):
+            parts += steps((begin, size), (begin + unit, -size), (begin + 2.0 * unit, 0.0))
+        return rounded(amplitude * pulses(time, parts), 0.4, dt)
+
+    def held(smooth: float, *points: tuple[float, float]) -> Series:
+        return rounded(amplitude * pulses(time, steps(*points)), smooth, dt)
+
+    zeros, (elevator, aileron, rudder) = np.zeros_like(time), amplitude * multisine_inputs(time, 3)
+    level = Pilot(trim.alpha + zeros, trim.thrust + zeros, alpha_gain=0.05, rate_gain=0.0)
+    return {
+        "aileron_doublet": level._replace(aileron=doublets(AILERON)),
+        "rudder_doublet": level._replace(rudder=doublets(RUDDER)),
+        "multisine": level._replace(
+            excitation=np.deg2rad(2.0) * elevator, aileron=AILERON * aileron, rudder=RUDDER * rudder
+        ),
+        "stall_with_bank": stalling._replace(
+            phi=held(4.0, (10.0, STALL_BANK), (25.0, -STALL_BANK), (41.0, STALL_BANK), (52.0, 0.0))
+        ),
+        "engine_steps": level._replace(uneven=held(1.5, (5.0, UNEVEN), (20.0, -UNEVEN), (35.0, UNEVEN), (50.0, 0.0))),
+    }

@@ -1,1 +1,0 @@
-"""Aircraft that are flown to make records: trim, manoeuvres, pilot inputs, integration."""

@@ -1,1 +1,0 @@
-"""The card: an aircraft, its channels, its model."""

@@ -1,0 +1,359 @@
+"""Parsers that run in a process of their own. Run as a script, never imported by the package.
+
+On damaged bytes such parsers loop for ever, crash or take all memory, and nothing interrupts them from inside (the
+HDF5 library is C code; fuzzing soon found files on which it loops). The parent, `isolated.py`, gives this process a
+time limit instead.
+
+In: the file on stdin, the name of the parser in argv[1], a request as JSON in argv[2]. A parser in `ANSWERS` is called
+with the file and the request, and gives a reply for JSON and the arrays behind it; one in `GROUPS` is called with the
+file, and gives a list of groups and a list of remarks. A group is a name, (n,) seconds from the file's start, and
+columns: names, unit or None, and (n,) numbers; the request is the most bytes of all arrays, and the most columns. Each
+parser imports its library itself, which the others do not need.
+Out: one line of JSON, then the arrays in its order. Failures: {"error": ...} or {"refused": ...}.
+"""
+
+import io
+import json
+import os
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from contextlib import redirect_stdout, suppress
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+MEMORY = 8 << 30  # bytes of address space for this process; a damaged header may ask for any amount
+
+
+def _packed(values):
+    """An array in the byte order of this machine."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
+def _described(groups, remarks, most_bytes, most_columns):
+    """The reply on groups, and the arrays that follow it."""
+    listed, arrays = [], []
+    for name, time, columns in groups:
+        described = [[[str(n)[:200] for n in names], unit, _packed(v[:0]).dtype.str] for names, unit, v in columns]
+        listed.append({"name": str(name)[:200], "size": len(time), "columns": described})
+        arrays += [np.asarray(time, np.float64), *(values for _, _, values in columns)]
+    if sum(len(columns) for _, _, columns in groups) > most_columns:
+        return {"refused": f"it has more than {most_columns} columns; is it a flight record?"}, []
+    claimed = sum(array.nbytes for array in arrays)
+    if claimed > most_bytes:
+        return {"refused": f"it unpacks to {claimed} bytes, more than {most_bytes}; cut the record"}, []
+    return {"groups": listed, "remarks": [str(remark)[:500] for remark in remarks]}, arrays
+
+
+# --- ArduPilot DataFlash logs.
+
+HEAD = 3  # bytes before the fields of a message: two marks and its type
+SPOILT = 600  # bytes without a message that are no sign of damage: a logger writes whole pages
+DEGREES = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg"}  # ArduPilot tells kinds of degrees apart
+NOT_SAMPLED = ("FMT", "FMTU", "MULT", "PARM", "UNIT")  # what describes other messages, and the list of settings
+
+
+def dataflash(data):
+    """Every message type with TimeUS, each instance on its own."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT, DFReader_binary
+
+    class Log(DFReader_binary):
+        def init_clock(self):
+            """Nothing: the calendar time by GPS is not needed, and finding it reads the whole log."""
+
+    with tempfile.TemporaryFile() as file:  # the reader maps a file; this one has no name and goes with the process
+        file.write(data)
+        file.flush()
+        log = Log(file.fileno())
+        found, covered = [], 0
+        raw = np.frombuffer(data, np.uint8)
+        for kind, fmt in log.formats.items():
+            covered += len(log.offsets[kind]) * fmt.len
+            messages = _messages(raw, log.offsets[kind], fmt, FORMAT_TO_STRUCT)
+            if messages is not None and "TimeUS" in fmt.columns and fmt.name not in NOT_SAMPLED:
+                found += _instances(fmt, messages)
+    origin = min((int(time.min()) for _, time, _ in found if len(time)), default=0)
+    lost = len(data) - covered
+    remarks = [f"{lost} of its {len(data)} bytes belong to no message; the rest is used"] if lost > SPOILT else []
+    return [(name, (time - origin) / 1e6, columns) for name, time, columns in found], remarks
+
+
+def _messages(raw, offsets, fmt, types):
+    """A structured array of all messages of a type, a field for each character of its format; None where it is odd."""
+    if not len(offsets) or len(fmt.columns) != len(fmt.msg_fmts) or len(set(fmt.columns)) != len(fmt.columns):
+        return None
+    codes = [types[code][0] for code in fmt.msg_fmts]
+    codes = [f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
+    kinds = np.dtype([(f"f{k}", code) for k, code in enumerate(codes)])
+    if kinds.itemsize + HEAD != fmt.len or kinds.itemsize == 0:
+        return None
+    starts = np.asarray(offsets, np.int64) + HEAD
+    starts = starts[starts + kinds.itemsize <= len(raw)]
+    if not len(starts):
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(raw, kinds.itemsize)
+    return windows[starts].view(kinds).reshape(-1)
+
+
+def _instances(fmt, messages):
+    at = fmt.columns.index("TimeUS")
+    time = messages[f"f{at}"]
+    if time.dtype.kind not in "iu":
+        return []
+    chosen = {"": slice(None)}
+    if fmt.instance_field is not None:
+        numbers = messages[f"f{fmt.columns.index(fmt.instance_field)}"]
+        texts = {n: n.decode("latin-1") if isinstance(n, bytes) else n for n in np.unique(numbers)}
+        chosen = {f"[{text}]": numbers == number for number, text in texts.items()}
+    found = []
+    for label, rows in chosen.items():
+        names = (fmt.name + label, fmt.name) if len(chosen) == 1 and label else (fmt.name + label,)
+        columns = []
+        for k, field in enumerate(fmt.columns):
+            values = messages[f"f{k}"]
+            if k == at or field == fmt.instance_field or values.dtype.kind not in "iuf":
+                continue
+            unit, factor = fmt.units[k] if fmt.units else "", fmt.msg_mults[k]
+            # By the factor that the format itself has, as a divisor, which is more exact: 1e-7 is no double.
+            scaled = values[rows] if factor is None else values[rows] / round(1.0 / factor)
+            columns.append(([f"{name}.{field}" for name in names], DEGREES.get(unit, unit) or None, scaled))
+        found.append((names[0], time[rows].astype(np.int64), columns))
+    return found
+
+
+# --- HDF5: datasets, and the numbers in them.
+
+TOO_MUCH = "and the others claim more values than a record may have; is the file damaged? Otherwise cut the record"
+DEPTH, MOST_DATASETS = 3, 2100
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+"""What NetCDF names a dataset that holds a length and no numbers."""
+
+
+def hdf5(data, wanted, kept, most, room):
+    """What is there, where nothing is `wanted`; else the numbers as stored. wanted: path and, of a matrix, column of
+    each. kept: attributes that go with them. most: samples that a channel may have; room: that all may have."""
+    import h5py
+
+    found: list = []
+    reply: dict = {}
+    with h5py.File(io.BytesIO(data), "r") as file:
+        there = dict(islice(_datasets(file), MOST_DATASETS))
+        if not wanted:
+            reply["available"] = {path[:200]: _listed(dataset) for path, dataset in there.items()}
+        sizes = [there[path].size or 0 for path, _ in wanted]
+        whole = sum(sizes) if max(sizes, default=0) <= most else 0  # one that is too large is refused below
+        for place, (path, column) in enumerate(wanted):
+            problem = TOO_MUCH if whole > room else _problem(there[path], column, most)
+            if problem:
+                reply["problem"] = [place, problem]
+                break
+            values = np.asarray(there[path][()])
+            if column is not None:
+                values = values[column] if values.shape[0] <= values.shape[1] else values[:, column]
+            values = values.reshape(-1)
+            attributes = there[path].attrs
+            given = {key: _attribute(attributes[key]) for key in kept if key in attributes}
+            found.append((values.astype(values.dtype.newbyteorder("=")), given))
+    reply["vectors"] = [(x.dtype.str, x.size, given) for x, given in found]
+    return reply, [x for x, _ in found]
+
+
+def _text(value):
+    value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    return str(value)[:60]
+
+
+def _attribute(value):
+    """Type and values of an attribute, as JSON has them."""
+    array = np.asarray(value).reshape(-1)[:2100]
+    array = array.astype(array.dtype.newbyteorder("="))
+    if array.dtype.kind in "iufb":
+        return array.dtype.str, array.tolist()
+    return "U", [_text(x) for x in array.tolist()]
+
+
+def _datasets(group, path="", depth=0):
+    """Paths and datasets of a group and of the groups in it; no links out of the file, no library's own groups."""
+    import h5py
+
+    for name in group:
+        link = group.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink) or name.startswith("#"):
+            continue
+        item, where = group[name], f"{path}{name}"
+        if isinstance(item, h5py.Dataset):
+            if not _text(item.attrs.get("NAME", "")).startswith(NO_VARIABLE):
+                yield where, item
+        elif isinstance(item, h5py.Group) and depth < DEPTH:
+            yield from _datasets(item, f"{where}/", depth + 1)
+
+
+def _problem(dataset, column, most):
+    """Why a dataset, or a column of it, cannot be one channel."""
+    import h5py
+
+    if dataset.dtype.kind not in "fiub":
+        return f"holds {dataset.dtype} where numbers should be; store it as plain numbers"
+    if h5py.check_enum_dtype(dataset.dtype):
+        return "holds named states (an enumeration) where numbers should be; store it as plain numbers"
+    if dataset.size is None or dataset.size > most:
+        return f"claims {dataset.size} samples, more than {most}; is the file damaged?"
+    if column is None and dataset.ndim != 1 and dataset.size != max(dataset.shape, default=1):
+        return f"has shape {dataset.shape} where one value a sample should be; split it up"
+    if dataset.external or dataset.is_virtual:
+        return "is stored in another file; copy the data into this one"
+    return None
+
+
+def _listed(dataset):
+    attributes = dataset.attrs
+    return {
+        "shape": [int(extent) for extent in dataset.shape or ()],
+        "numbers": dataset.dtype.kind in "fiub" and "MATLAB_int_decode" not in attributes,
+        "unit": _text(attributes["units"]) if "units" in attributes else None,
+        "opaque": "MATLAB_object_decode" in attributes,
+    }
+
+
+# --- ASAM MDF, version 4.
+
+
+def mdf4(data):
+    """Every channel group that has a time channel."""
+    os.environ["NUMEXPR_SANITIZE"] = "1"  # formulas in the file are text that somebody else wrote
+    os.environ["NUMEXPR_MAX_THREADS"] = "1"
+    from asammdf import MDF
+    from asammdf.blocks import v4_blocks
+    from asammdf.blocks import v4_constants as v4
+
+    v4_blocks.lambdify = None  # asammdf hands a formula that numexpr refuses to sympy, which would run it as Python
+    found, remarks = [], []
+    mdf: Any
+    with MDF(io.BytesIO(data)) as mdf:
+        # A name for each group: what the file calls it, where that is a name and no other group has it.
+        said = [group.channel_group.acq_name or group.channel_group.comment or "" for group in mdf.groups]
+        named = [text if 0 < len(text) <= 60 and "<" not in text and "\n" not in text else "" for text in said]
+        labels = [t if t and named.count(t) == 1 else f"group {k}" for k, t in enumerate(named, 1)]
+        listed = {k: _signals(group, remarks) for k, group in enumerate(mdf.groups)}
+        counts = Counter(name for signals in listed.values() for _, name in signals)
+        for k, signals in listed.items():
+            if not signals or not mdf.groups[k].channel_group.cycles_nr:
+                continue
+            master = mdf.masters_db.get(k)
+            if master is None or mdf.groups[k].channels[master].sync_type != v4.SYNC_TYPE_TIME:
+                remarks.append(f"the group {labels[k]!r} has no time channel; its {len(signals)} signals are left out")
+                continue
+            read = mdf.select([(None, k, c) for c, _ in signals], ignore_value2text_conversions=True, copy_master=False)
+            time = np.asarray(read[0].timestamps, np.float64)
+            columns = []
+            for (_, name), signal in zip(signals, read, strict=True):
+                values, invalid = np.asarray(signal.samples), signal.invalidation_bits
+                if invalid is not None and np.any(invalid) and values.dtype.kind in "fiub":
+                    values = np.where(np.asarray(invalid, bool), np.nan, values)
+                if values.ndim == 1 and values.dtype.kind in "fiub" and len(values) == len(time):
+                    qualified = f"{labels[k]}/{name}"
+                    alone = counts[name] == 1 and name != "time"
+                    columns.append(([name, qualified] if alone else [qualified], signal.unit or None, values))
+            found.append((labels[k], time, columns))
+    return found, remarks
+
+
+def _signals(group, remarks):
+    """Index and name of the signals that hold one number a sample."""
+    from asammdf.blocks import v4_constants as v4
+
+    values = (v4.CHANNEL_TYPE_VALUE, v4.CHANNEL_TYPE_VIRTUAL)
+    numbers = range(v4.DATA_TYPE_UNSIGNED_INTEL, v4.DATA_TYPE_REAL_MOTOROLA + 1)
+    kept = []
+    for index, channel in enumerate(group.channels):
+        if channel.channel_type not in values or channel.data_type not in numbers or group.channel_dependencies[index]:
+            continue
+        if _formulas_work(channel.conversion):
+            kept.append((index, channel.name))
+        else:
+            remarks.append(f"the signal {channel.name!r} is left out: the formula of its conversion cannot be used")
+    return kept
+
+
+def _formulas_work(conversion):
+    """Whether numexpr takes each formula of X alone; asammdf would hand out raw values without a word."""
+    import numexpr
+    from asammdf.blocks import v4_blocks
+    from asammdf.blocks import v4_constants as v4
+
+    if not isinstance(conversion, v4_blocks.ChannelConversion):
+        return True
+    if conversion.conversion_type == v4.CONVERSION_TYPE_ALG:
+        try:
+            numexpr.evaluate(conversion.formula.replace("X1", "X"), {"X": np.ones(1)}, {})
+        except Exception:
+            return False
+    return all(_formulas_work(inner) for inner in (conversion.referenced_blocks or {}).values())
+
+
+# --- PX4 ULog.
+
+
+def ulog(data):
+    """Every topic and instance with its time stamps."""
+    from pyulog import ULog
+
+    log = ULog(io.BytesIO(data))
+    found, without = [], []
+    for topic in log.data_list:
+        label = topic.name if topic.multi_id == 0 else f"{topic.name}.{topic.multi_id}"
+        stamps = topic.data.get("timestamp")
+        if stamps is None or stamps.dtype != np.uint64:
+            without.append(label)
+            continue
+        time = (stamps - np.uint64(log.start_timestamp)).view(np.int64) / 1e6  # those before the start are negative
+        kinds = {field.field_name: field.type_str for field in topic.field_data}
+        columns = [
+            ((f"{label}.{name}",), None, values)
+            for name, values in topic.data.items()
+            if name != "timestamp" and kinds[name] != "char" and "_padding" not in name
+        ]
+        found.append((label, time, columns))
+    remarks = []
+    if log.file_corruption:
+        remarks.append("the file is damaged in places; the samples that could be read are used")
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) / 1000.0
+        remarks.append(f"the logger lost samples {len(log.dropouts)} times, for {lost:g} s in all")
+    if without:
+        remarks.append(f"{len(without)} topics have no time stamps and are left out: {', '.join(without[:5])}")
+    return found, remarks
+
+
+ANSWERS = {"hdf5": hdf5}
+GROUPS = {"dataflash": dataflash, "mdf": mdf4, "ulog": ulog}
+
+
+def main():
+    with suppress(ImportError, ValueError, OSError):  # not every platform can
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    warnings.simplefilter("ignore")
+    arrays: list = []
+    out = sys.stdout.buffer
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):  # some of them print what they think of the file
+        try:
+            kind, data, request = sys.argv[1], sys.stdin.buffer.read(), json.loads(sys.argv[2])
+            if kind in ANSWERS:
+                reply, arrays = ANSWERS[kind](data, *request)
+            else:
+                reply, arrays = _described(*GROUPS[kind](data), *request)
+        except Exception as reason:
+            reply = {"error": " ".join(str(reason).split())[:120] or type(reason).__name__}
+    out.write(json.dumps(reply).encode() + b"\n")
+    for array in arrays:
+        out.write(_packed(array).tobytes())
+    out.flush()
+
+
+if __name__ == "__main__":
+    main()

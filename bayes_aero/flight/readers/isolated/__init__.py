@@ -1,1 +1,0 @@
-"""Readers whose libraries run in a process of their own."""

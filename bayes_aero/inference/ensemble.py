@@ -1,0 +1,442 @@
+"""The posterior mode and its curvature: where samplers start and the scale on which they work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from enum import Enum
+from types import MappingProxyType
+from typing import NamedTuple
+
+import arviz_base as azb
+import arviz_stats as azs
+import emcee
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import optimize
+
+from bayes_aero.inference.results import Marginal, MleResult, Posterior, PosteriorStatus
+from bayes_aero.model.noise import Density, LogDensity
+from bayes_aero.processes import cores
+from bayes_aero.progress import Progress
+
+PRIOR_DRAWS, MIN_DRAWS = 8, 2  # of the prior, from which other modes are sought
+MAX_SAMPLES_TIMES_DRAWS = 48_000  # fewer draws are used for longer records
+MIN_OTHER_SHARE = 0.01  # of the probability, from which other modes are reported
+SAME_LOG_DENSITY = 0.05  # difference of log-densities below which two modes are one; searches stop no nearer
+MIN_RELATIVE_CURVATURE = 1e-8  # curvatures below this share of the largest count as this
+
+
+class ModeStatus(Enum):
+    """How the search for the mode ended; the value is the text for the user."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "the posterior mode was not reached; the samplers start from the best point found"
+    FLAT = "the posterior is flat or saddle-shaped at its mode; some combination of parameters is not identified"
+
+
+@dataclass(frozen=True)
+class PosteriorMode:
+    """`u` is the mode on the unbounded scale, `factor` the lower Cholesky factor of the inverse curvature there."""
+
+    u: Float[np.ndarray, " k"]
+    factor: Float[np.ndarray, "k k"]
+    log_density: float
+    status: ModeStatus
+    other_share: float = 0.0  # of the probability, in other modes that `search_modes` found
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the probability around the mode by its Laplace approximation, without a constant."""
+        return self.log_density + float(np.sum(np.log(np.diag(self.factor))))
+
+    def unwhiten(self, v: Float[np.ndarray, "*m k"]) -> Float[np.ndarray, "*m k"]:
+        """u of whitened coordinates v, in which the posterior is close to a standard normal."""
+        return self.u + v @ self.factor.T
+
+
+@eqx.filter_jit
+def _value_and_gradient(density: LogDensity, u: Float[Array, " k"]):
+    return jax.value_and_grad(type(density).__call__, argnums=1)(density, u)
+
+
+@dataclass
+class _Point:
+    """A point of a density, with the log-density and its gradient there."""
+
+    density: LogDensity
+    u: np.ndarray
+
+    def __post_init__(self) -> None:
+        value, slope = _value_and_gradient(self.density, jnp.asarray(self.u))
+        self.value, self.slope = float(value), np.asarray(slope)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the density is finite here, and its gradient."""
+        return bool(np.isfinite(self.value) and np.isfinite(self.slope).all())
+
+    def factor(self, step: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Lower Cholesky factor of |H|^-1 with the negative Hessian H; true if H is positive definite."""
+        # Away from the mode H may have negative eigenvalues. Their size is still the right scale of a step (saddle-free
+        # Newton), so absolute values are taken; a lower limit keeps flat directions finite.
+        rows = []  # central differences of the exact gradient
+        for move, size in zip(np.diag(step), step, strict=True):
+            forward, backward = (_Point(self.density, self.u + sign * move).slope for sign in (1.0, -1.0))
+            rows.append((backward - forward) / (2.0 * size))
+        H = (np.array(rows) + np.array(rows).T) / 2.0
+        known = np.isfinite(H).all(axis=1)
+        if not known.all():  # no density nearby in that direction: the largest curvature is taken
+            largest = np.abs(np.diag(H)[known]).max(initial=1.0)
+            H = np.where(np.outer(known, known), H, np.diag(np.where(known, 0.0, largest)))
+        own = np.abs(np.diag(H))
+        scale = np.sqrt(np.maximum(own, MIN_RELATIVE_CURVATURE**2 * own.max()))
+        eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+        floor = MIN_RELATIVE_CURVATURE * np.abs(eigenvalues).max()
+        covariance = (vectors / np.maximum(np.abs(eigenvalues), floor)) @ vectors.T / np.outer(scale, scale)
+        return np.linalg.cholesky((covariance + covariance.T) / 2.0), bool(known.all() and eigenvalues[0] > floor)
+
+    def climb(self, factor: np.ndarray) -> _Point:
+        """Where L-BFGS leads on coordinates scaled by `factor`."""
+
+        def negative(v: np.ndarray) -> tuple[float, np.ndarray]:
+            at = _Point(self.density, self.u + factor @ v)
+            return (-at.value, -factor.T @ at.slope) if at.usable else (1e300, np.zeros(len(v)))
+
+        begin = np.zeros(len(self.u))
+        found = optimize.minimize(negative, begin, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+        return _Point(self.density, self.u + factor @ found.x)
+
+
+def density_start(density: LogDensity, mle: MleResult) -> np.ndarray:
+    """Start of the search for the posterior mode: the maximum-likelihood estimate and the noise of its residuals."""
+    # Estimate and prior are weighted by their precisions, because estimates with little information may be anywhere.
+    deviation = dict(zip(mle.fit, np.sqrt(mle.R), strict=True))
+    estimate, bound = (dict(zip(mle.names, x, strict=True)) for x in (mle.estimate, mle.crb))
+    start = []
+    for p in density.parameters:
+        kind, _, coefficient = p.name.partition("_")
+        value = p.start
+        if p.name in estimate:  # the prior mean where the standard error is infinite
+            mean, wide = p.prior.normal
+            share = 1.0 / (1.0 + (bound[p.name] / wide) ** 2) if np.isfinite(bound[p.name]) else 0.0
+            value = mean + share * (estimate[p.name] - mean)
+        if kind == "sigma" and coefficient in deviation:
+            value = deviation[coefficient]
+        elif kind == "rho" and coefficient in mle.lag1:
+            value = np.clip(mle.lag1[coefficient], -0.9, 0.9)
+        start.append(inside(value, p.bounds))
+    return np.array(start)
+
+
+def inside(value: float, bounds: tuple[float, float]) -> float:
+    """The value moved strictly inside the bounds, where the unbounded scale is finite."""
+    lower, upper = bounds
+    margin = 1e-3 * min(upper - lower, 1.0 + abs(value))
+    return float(np.clip(value, lower + margin, upper - margin))
+
+
+def find_mode(density: LogDensity, start: Float[np.ndarray, " k"], *, rounds: int = 12) -> PosteriorMode:
+    """Maximise the log-density from `start` (x, bounded scale, strictly inside its bounds)."""
+    # Each round computes the curvature and takes a Newton step if that increases the density, else steps of L-BFGS.
+    at = _Point(density, np.asarray(density.unconstrain(jnp.asarray(start, float))))
+    step = np.full(len(at.u), 1e-4)
+    for _ in range(rounds):
+        factor, positive_definite = at.factor(step)
+        step = np.minimum(1e-3 * np.sqrt(np.sum(factor**2, axis=1)), 1e-2)
+        move = factor @ (factor.T @ at.slope)
+        gain = 0.5 * float(at.slope @ move)
+        if positive_definite and gain < 1e-7:
+            return PosteriorMode(at.u, factor, at.value, ModeStatus.CONVERGED)
+        trial = _Point(density, at.u + move)
+        if not (trial.usable and trial.value > at.value + 0.5 * gain):
+            trial = at.climb(factor)
+        if not (trial.usable and trial.value > at.value):
+            break
+        at = trial
+    factor, positive_definite = at.factor(step)
+    near = 0.5 * float(at.slope @ factor @ (factor.T @ at.slope)) < 1e-3
+    status = ModeStatus.FLAT if not positive_definite else ModeStatus.CONVERGED if near else ModeStatus.NOT_CONVERGED
+    return PosteriorMode(at.u, factor, at.value, status)
+
+
+def search_modes(
+    density: LogDensity, start: Float[np.ndarray, " k"], samples: int, *, seed: int = 0, draws: int = PRIOR_DRAWS
+) -> PosteriorMode:
+    """The mode with most of the probability, of the modes reached from `start` and from prior draws."""
+    # A sampler that starts in one mode does not find the others and still reports convergence. They are therefore
+    # sought before. Fewer draws are used where there are many `samples`.
+    count = max(MIN_DRAWS, min(draws, MAX_SAMPLES_TIMES_DRAWS // max(samples, 1)))
+    others = density.sample_prior(np.random.default_rng([seed, 9]), count)
+    found = [find_mode(density, x) for x in (start, *others)]
+    positive_definite = [mode for mode in found if mode.status is ModeStatus.CONVERGED]
+    if not positive_definite:
+        return max(found, key=lambda mode: mode.log_density)
+    distinct: list[PosteriorMode] = []
+    for mode in sorted(positive_definite, key=lambda mode: -mode.log_mass):
+        if all(abs(mode.log_density - known.log_density) > SAME_LOG_DENSITY for known in distinct):
+            distinct.append(mode)
+    mass = np.exp([mode.log_mass - distinct[0].log_mass for mode in distinct])
+    difference = abs(found[0].log_density - distinct[0].log_density)
+    same = found[0].status is ModeStatus.CONVERGED and difference <= SAME_LOG_DENSITY
+    return replace(found[0] if same else distinct[0], other_share=float(1.0 - 1.0 / mass.sum()))
+
+
+def other_modes(mode: PosteriorMode, where: str) -> tuple[str, ...]:
+    """A sentence where other modes have more than `MIN_OTHER_SHARE` of the probability."""
+    if mode.other_share < MIN_OTHER_SHARE:
+        return ()
+    return (
+        f"{where}: the posterior has more than one mode; about {mode.other_share:.0%} of the probability lies outside "
+        "the sampled one (by the modes' curvature), so the intervals may exclude other values of the parameters.",
+    )
+
+
+# --- The posterior by emcee: several independent ensembles on the one density.
+
+DEGREES_OF_FREEDOM = 5.0  # of freedom of the independence proposal: tails heavier than the posterior's
+INDEPENDENT = 0.7  # share of independence moves; the rest is differential evolution, which needs no good proposal
+BURN_IN = 150  # steps of one round
+ROUNDS = 4
+MIN_ACCEPTANCE_GAIN = 1.1  # another round follows while the acceptance rises by this factor
+STEPS_PER_CALL = 100
+AUTOCORRELATION_TIMES = 30  # length of a run from which the estimate of its autocorrelation time is used
+
+
+@eqx.filter_jit
+def _log_density(density: LogDensity, u: Float[Array, " k"], factor: Float[Array, "k k"], v: Float[Array, "m k"]):
+    """Log-density of whitened coordinates, one row a walker."""
+    return jax.vmap(lambda row: density(u + factor @ row))(v)
+
+
+class _IndependenceProposal:
+    """Metropolis-Hastings proposal from one multivariate Student t, the same for every walker."""
+
+    def __init__(self, centre: np.ndarray, factor: np.ndarray) -> None:
+        self.centre, self.factor, self.inverse = centre, factor, np.linalg.inv(factor)
+
+    def _log_density(self, v: np.ndarray) -> np.ndarray:
+        squared = np.sum(((v - self.centre) @ self.inverse.T) ** 2, axis=1)
+        return -0.5 * (DEGREES_OF_FREEDOM + v.shape[1]) * np.log1p(squared / DEGREES_OF_FREEDOM)
+
+    def __call__(self, coords: np.ndarray, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        normal = random.standard_normal(coords.shape)
+        spread = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=(len(coords), 1)))
+        proposed = self.centre + (normal * spread) @ self.factor.T
+        return proposed, self._log_density(coords) - self._log_density(proposed)
+
+
+class _Target:
+    """The density as emcee calls it; non-finite values are counted, not hidden."""
+
+    def __init__(self, density: LogDensity, mode: PosteriorMode) -> None:
+        self.density, self.rejected = density, 0
+        self.frame = jnp.asarray(mode.u), jnp.asarray(mode.factor)
+
+    def __call__(self, v: np.ndarray) -> np.ndarray:
+        value = np.asarray(_log_density(self.density, *self.frame, jnp.asarray(v)))
+        bad = ~np.isfinite(value)
+        self.rejected += int(bad.sum())
+        return np.where(bad, -np.inf, value)
+
+
+class EnsembleLength(NamedTuple):
+    """Number of independent ensembles, largest number of steps of each, and walkers of each; default: two for each
+    parameter and four more. On a graphics processor many walkers cost hardly more than one."""
+
+    ensembles: int = 4
+    max_steps: int = 4000
+    walkers: int | None = None
+
+
+def _sampler(target: _Target, walkers: int, proposal: _IndependenceProposal, seed: int) -> emcee.EnsembleSampler:
+    """A sampler that has not moved yet."""
+    moves = [(emcee.moves.MHMove(proposal), INDEPENDENT), (emcee.moves.DEMove(), 1.0 - INDEPENDENT)]
+    sampler = emcee.EnsembleSampler(walkers, target.density.size, target, moves=moves, vectorize=True)
+    random = np.random.RandomState(seed % 2**32)  # emcee takes this generator only
+    sampler.random_state = random.get_state()
+    return sampler
+
+
+def _advance(samplers: list[emcee.EnsembleSampler], steps: int, begin: np.ndarray | None = None) -> None:
+    """Advance every ensemble by `steps`, one thread a core; the density runs outside Python's lock."""
+    starts = [None] * len(samplers) if begin is None else list(begin)
+    with ThreadPoolExecutor(min(len(samplers), cores())) as pool:
+        list(pool.map(lambda sampler, start: sampler.run_mcmc(start, steps), samplers, starts))
+
+
+class _Ensembles:
+    """Independent ensembles after their burn-in and their first steps."""
+
+    def __init__(self, density: LogDensity, mode: PosteriorMode, seed: int, length: EnsembleLength) -> None:
+        self.target, self.walkers, size = _Target(density, mode), length.walkers or 2 * (density.size + 2), density.size
+        begin = np.random.default_rng(seed).standard_normal((length.ensembles, self.walkers, size)) * 0.5
+        proposal, before = _IndependenceProposal(np.zeros(size), np.eye(size)), 0.0
+        seeds = [1000 * seed + 10 * i for i in range(length.ensembles)]
+        for number in range(ROUNDS):  # a skewed posterior takes several to fit the proposal to the draws
+            self.samplers = [_sampler(self.target, self.walkers, proposal, s + number) for s in seeds]
+            _advance(self.samplers, BURN_IN, begin)
+            begin = np.stack([np.asarray(s.get_chain())[-1] for s in self.samplers])
+            found = np.concatenate([np.asarray(s.get_chain(discard=BURN_IN // 3, flat=True)) for s in self.samplers])
+            accepted = float(np.mean([s.acceptance_fraction for s in self.samplers]))
+            proposal = _IndependenceProposal(found.mean(axis=0), np.linalg.cholesky(np.cov(found.T)))
+            if accepted < MIN_ACCEPTANCE_GAIN * before:
+                break
+            before = accepted
+        self.samplers = [_sampler(self.target, self.walkers, proposal, s + ROUNDS) for s in seeds]
+        _advance(self.samplers, STEPS_PER_CALL, begin)
+
+    @property
+    def autocorrelation_time(self) -> float:
+        """Of the slowest parameter in steps; infinite where it is not defined, as when a walker has never moved."""
+        chain = np.concatenate([np.asarray(s.get_chain()) for s in self.samplers], axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slowest = float(np.max(emcee.autocorr.integrated_time(chain, tol=0, quiet=True)))
+        return slowest if np.isfinite(slowest) else np.inf
+
+    def draws(self, thin: int) -> tuple[Float[np.ndarray, "chain draw k"], dict[str, np.ndarray]]:
+        """One chain per ensemble, its walkers end to end, so that R-hat compares ensembles and ESS accounts for the
+        autocorrelation of each walker; log-density and walker of every draw."""
+        chains = np.stack([np.asarray(s.get_chain(thin=thin)) for s in self.samplers])  # ensemble draw walker k
+        lp = np.stack([np.asarray(s.get_log_prob(thin=thin)).T for s in self.samplers])
+        ensembles, walkers, draws = lp.shape
+        stats = {
+            "lp": lp.reshape(ensembles, -1),
+            "walker": np.tile(np.repeat(np.arange(walkers), draws), (ensembles, 1)),
+        }
+        return np.swapaxes(chains, 1, 2).reshape(ensembles, -1, chains.shape[3]), stats
+
+
+def sample_ensemble(
+    density: LogDensity,
+    mode: PosteriorMode,
+    *,
+    seed: int = 0,
+    length: EnsembleLength = EnsembleLength(),
+    progress: Progress | None = None,
+    predictive: bool = True,
+) -> Posterior:
+    """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
+
+    Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
+    mixed with differential evolution. The proposal is fixed before the stored draws start. `progress(text, share)` is
+    called after every `STEPS_PER_CALL` steps.
+    """
+    began = time.perf_counter()
+    ensembles = _Ensembles(density, mode, seed, length)
+    while True:
+        tau, steps = ensembles.autocorrelation_time, ensembles.samplers[0].iteration
+        if progress:
+            progress(f"emcee: {steps} steps", min(1.0, steps / (AUTOCORRELATION_TIMES * tau)))
+        if steps >= AUTOCORRELATION_TIMES * tau or steps >= length.max_steps:
+            thin = max(1, int(tau / 2)) if np.isfinite(tau) else 1  # draws closer than that are nearly equal
+            v, stats = ensembles.draws(thin)
+            x = np.asarray(constrain_draws(density, jnp.asarray(mode.unwhiten(v))))
+            marginals = diagnose(x, density.names)
+            if converged(marginals) or steps >= length.max_steps:
+                break
+        _advance(ensembles.samplers, STEPS_PER_CALL)
+    drawn = Drawn("emcee", x, stats, marginals)
+    posterior = assemble(density, drawn, seed=seed, seconds=time.perf_counter() - began, predictive=predictive)
+    posterior.tree.attrs |= {
+        "steps": steps,
+        "thinned_by": thin,
+        "autocorrelation_time": tau,
+        "acceptance": float(np.mean([s.acceptance_fraction.mean() for s in ensembles.samplers])),
+        "non_finite_densities": ensembles.target.rejected,
+        "walkers": ensembles.walkers,
+    }
+    return posterior
+
+
+# --- A posterior from the draws of a sampler: marginals with diagnostics, and predictions.
+
+TARGET_ESS = 400.0
+TARGET_RHAT = 1.01
+PREDICTIVE_DRAWS = 50  # per chain, for the groups with one value per sample
+PREDICTIVE_VALUES = 20_000_000  # of each of these groups; a record of 200,000 samples keeps fewer draws
+
+
+class Drawn(NamedTuple):
+    """Draws x (chain, draw, k) of a sampler, its statistics and, if known, the marginals."""
+
+    engine: str
+    x: Float[np.ndarray, "chain draw k"]
+    stats: Mapping[str, np.ndarray] = MappingProxyType({})
+    marginals: dict[str, Marginal] | None = None
+    divergent: bool = False
+
+
+def diagnose(draws: Float[np.ndarray, "chain draw k"], names: tuple[str, ...]) -> dict[str, Marginal]:
+    """Marginal summaries with ArviZ's rank-normalised R-hat and bulk effective sample size."""
+    dataset = azb.from_dict({"posterior": {name: draws[..., i] for i, name in enumerate(names)}})["posterior"].dataset
+    ess, tail, rhat = azs.ess(dataset), azs.ess(dataset, method="tail"), azs.rhat(dataset)
+    found = {}
+    for i, name in enumerate(names):
+        flat = draws[..., i].ravel()
+        low, high = np.quantile(flat, [0.025, 0.975])
+        own = float(flat.mean()), float(flat.std(ddof=1)), (float(low), float(high))
+        found[name] = Marginal(*own, *(float(x[name]) for x in (ess, tail, rhat)))
+    return found
+
+
+def converged(marginals: dict[str, Marginal]) -> bool:
+    """Every parameter reaches the targets of effective sample size (bulk and tail) and R-hat."""
+    return all(m.ess >= TARGET_ESS and m.rhat <= TARGET_RHAT for m in marginals.values())
+
+
+@eqx.filter_jit
+def constrain_draws(density: LogDensity, u: Float[Array, "chain draw k"]) -> Float[Array, "chain draw k"]:
+    """x of every u."""
+    return jax.vmap(jax.vmap(density.constrain))(u)
+
+
+@eqx.filter_jit
+def _predictive(density: Density, x: Float[Array, "m k"], white: Float[Array, "m n c"]):
+    """Log-likelihood per sample and replicated coefficients for each row of x; both (m, n, c)."""
+    return jax.lax.map(lambda pair: (density.pointwise(pair[0]), density.replicate(*pair)), (x, white))
+
+
+def assemble(density: LogDensity, drawn: Drawn, *, seed: int, seconds: float, predictive: bool = True) -> Posterior:
+    """Turn draws of x into a `Posterior`."""
+    # The groups with one value per sample (log_likelihood, posterior_predictive, prior_predictive) hold an evenly
+    # thinned share of the draws, in single precision, to keep the file small. `log_likelihood` is conditional on the
+    # samples before: under coloured noise LOO on it measures one-step prediction, not interpolation.
+    names, draws = density.names, drawn.x
+    groups: dict[str, dict[str, np.ndarray]] = {"posterior": {name: draws[..., i] for i, name in enumerate(names)}}
+    if drawn.stats:
+        groups["sample_stats"] = dict(drawn.stats)
+    rng = np.random.default_rng(seed)
+    prior = density.sample_prior(rng, 1000)
+    groups["prior"] = {name: prior[None, :, i] for i, name in enumerate(names)}
+    dims: dict[str, list[str]] = {}
+    if predictive and isinstance(density, Density):
+        (chains, length, size), outputs, n = draws.shape, density.model.coefficients, density.observations.n
+        most = PREDICTIVE_VALUES // (len(outputs) * chains * n)
+        kept = min(PREDICTIVE_DRAWS, length, max(2, most))
+        thin = np.linspace(0, length - 1, kept).astype(int)
+        white = jnp.asarray(rng.standard_normal((chains * kept, n, len(outputs))))
+        loglik, replicated = _predictive(density, jnp.asarray(draws[:, thin].reshape(-1, size)), white)
+        _, before = _predictive(density, jnp.asarray(prior[: chains * kept]), white)
+        parts = {"log_likelihood": loglik, "posterior_predictive": replicated, "prior_predictive": before}
+        for group, values in parts.items():
+            leading = (1, chains * kept) if group == "prior_predictive" else (chains, kept)
+            array = np.asarray(values, np.float32).reshape(*leading, n, len(outputs))
+            groups[group] = {name: array[..., i] for i, name in enumerate(outputs)}
+        measured = np.asarray(density.observations.measured)
+        groups["observed_data"] = {name: measured[:, i] for i, name in enumerate(outputs)}
+        dims = {name: ["instant"] for name in outputs}
+    tree = azb.from_dict(groups, dims=dims)
+    tree.attrs |= {"engine": drawn.engine, "noise": density.noise_label, "seed": seed}
+    for parameter in density.parameters:
+        for group in ("posterior", "prior"):
+            tree[group][parameter.name].attrs["units"] = parameter.unit
+    marginals = drawn.marginals or diagnose(draws, names)
+    status = PosteriorStatus.CONVERGED if converged(marginals) else PosteriorStatus.NOT_CONVERGED
+    status = PosteriorStatus.DIVERGENT if drawn.divergent else status
+    return Posterior(drawn.engine, density.noise_label, names, tree, marginals, status, seconds)

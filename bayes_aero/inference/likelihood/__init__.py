@@ -1,1 +1,0 @@
-"""Maximum likelihood: equation error and output error."""

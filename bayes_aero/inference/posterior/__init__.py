@@ -1,1 +1,0 @@
-"""Posterior: samplers, diagnostics, dependence on priors."""

@@ -1,0 +1,416 @@
+"""Prediction error: parameters, process noise and measurement noise, jointly, by the likelihood of the innovations.
+
+The extended Kalman filter's gain varies with time, so that the initial state, missing samples and several sensor rates
+are counted for what they are. Fisher scoring on 1/2 sum (log S + e^2 / S) and the priors, with exact sensitivities of
+innovations and variances. Source: Åström 1980, Automatica 16, 551 (prediction-error likelihood); Mehra 1971,
+AIAA J. 9, 28 (in flight test).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.optimize import lsq_linear
+
+from bayes_aero.dynamics.innovations import (
+    disturbances_along,
+    filter_segments,
+    linear_innovations,
+    linearise,
+    noise_derivatives,
+)
+from bayes_aero.dynamics.kalman import Filtered, log_likelihood
+from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.flight.health.finding import quantum
+from bayes_aero.inference.mle import solve
+from bayes_aero.inference.output_error_result import initial_state_sd
+
+TOLERANCE, HELD_GAINS_TOLERANCE = 1e-3, 0.3  # of the log likelihood, with exact gradients and with the gains held
+MIN_NOISE = 1e-12  # of F and R
+LOG_STEP_LIMIT = 2.0  # of log F and log R, in one step
+ROUNDING_DIVISOR = 12.0  # the variance of rounding is the squared resolution over this
+
+
+class PredictionErrorStatus(Enum):
+    """How a fit ended."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "not converged"
+    DIVERGED = "the filter diverged"
+
+
+@dataclass(frozen=True)
+class PredictionErrorResult:
+    """Estimates with standard errors: parameters (k,), process noise F (s,) and standard deviations of the measurement
+    noise (c,); `covariance` (k + s + c) is of parameters, log F and log R, R the variances. `cost` is minus the log
+    posterior density, but for a constant."""
+
+    names: tuple[str, ...]
+    states: tuple[str, ...]
+    outputs: tuple[str, ...]
+    estimate: Float[np.ndarray, " k"]
+    F: Float[np.ndarray, " s"]
+    R: Float[np.ndarray, " c"]
+    covariance: Float[np.ndarray, "j j"]
+    log_likelihood: float
+    cost: float
+    found: Filtered
+    status: PredictionErrorStatus
+    iterations: int
+
+    @property
+    def sd(self) -> Float[np.ndarray, " k"]:
+        """Standard errors of the parameters."""
+        return np.sqrt(np.diag(self.covariance))[: len(self.names)]
+
+
+def _filter(flown, point, start_deviation, k, s):
+    return filter_segments(flown, point[:k], start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :]))
+
+
+@eqx.filter_jit
+def _filter_segments(flown, point, start_deviation, k, s):
+    """Minus the log likelihood, and the filtered segments."""
+    found = _filter(flown, point, start_deviation, k, s)
+    return -jnp.sum(jax.vmap(log_likelihood)(found)), found
+
+
+@eqx.filter_jit
+def _evaluate(flown, point, start_deviation, k, s):
+    """Cost, gradient and expected information."""
+
+    def at(point):
+        found = _filter(flown, point, start_deviation, k, s)
+        return (found.innovation, found.variance), found
+
+    directions = jnp.eye(len(point))
+    (e, S), (de, dS), found = jax.vmap(lambda t: jax.jvp(at, (point,), (t,), has_aux=True), out_axes=(None, -1, None))(
+        directions
+    )
+    return _scores(e, S, de, dS, found.used)
+
+
+@eqx.filter_jit
+def _evaluate_held_gains(flown, path, point, start_deviation, k, s, means):
+    """Cost, approximate gradient and information along a filtered `path`, for a fraction of the time."""
+    # The gains are held while the parameters `means` (indices) vary. The parameters of disturbances and noise vary in
+    # the filter linearised along the path.
+    unit = jnp.eye(len(point))
+    means, others = np.array(means, int), np.setdiff1d(np.arange(len(point)), means)
+    lin = linearise(flown, point[:k], path.predicted, path.state, unit[means, :k])
+
+    def noise_at(point):
+        return disturbances_along(
+            flown, point[:k], path.state, start_deviation, jnp.exp(point[k : k + s]), jnp.exp(point[k + s :])
+        )
+
+    noise, slopes = jax.vmap(lambda t: jax.jvp(noise_at, (point,), (t,)), out_axes=(None, -1))(unit[others])
+    dt = jnp.asarray(flown.dt)
+    both, S = linear_innovations(lin, noise, dt)
+    de_others, dS_others = noise_derivatives(lin, noise, slopes, dt)
+    de = jnp.zeros((*S.shape, len(point))).at[..., means].set(both[..., 1:]).at[..., others].set(de_others)
+    dS = jnp.zeros_like(de).at[..., others].set(dS_others)
+    return _scores(both[..., 0], S, de, dS, path.used)
+
+
+def _scores(e, S, de, dS, used):
+    """Cost, gradient and expected information from innovations, their variances, and the derivatives of both."""
+    weight = jnp.where(used, 1.0 / S, 0.0)
+    cost = 0.5 * jnp.sum(jnp.where(used, jnp.log(2.0 * jnp.pi * S) + e**2 / S, 0.0))
+    gradient = jnp.einsum("wncj,wnc->j", de, e * weight)
+    gradient += 0.5 * jnp.einsum("wncj,wnc->j", dS, weight * (1.0 - e**2 * weight))
+    information = jnp.einsum("wnci,wnc,wncj->ij", de, weight, de)
+    information += 0.5 * jnp.einsum("wnci,wnc,wncj->ij", dS, weight**2, dS)
+    return cost, gradient, information
+
+
+def fit_prediction_error(
+    flown: SegmentTrajectories,
+    F: Float[np.ndarray, " s"],
+    R: Float[np.ndarray, " c"],
+    *,
+    start: Float[np.ndarray, " k"] | None = None,
+    start_deviation: Float[np.ndarray, " s"] | None = None,
+    held: Mapping[str, float] | None = None,
+    priors: bool = True,
+    exact: bool = True,
+    F_held: bool = False,
+) -> PredictionErrorResult:
+    """Fit all segments together.
+
+    The first steps hold the filter's gains while the parameters of the motion vary; the last steps are exact. The
+    measurement noise of a channel is at least that of its resolution: a smoothed record would have no noise.
+
+    Args:
+        flown: segments of flights.
+        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
+        R: variances of the measurement noise to start from, (c,), SI.
+        start: parameters, (k,); default: the starting values of the model.
+        start_deviation: of the measured initial state, (s,), SI; default: of flight-test sensors, 0 of a fixed state.
+        held: parameters that are not estimated, and their values.
+        priors: whether the parameters' priors count.
+        exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
+        F_held: whether the process noise is held.
+    """
+    F = np.asarray(F, float)
+    problem = _Problem.of(flown.nameless, start_deviation, held or {}, (F > 0.0) & (not F_held), priors)
+    free = flown.dynamics.free
+    theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
+    theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
+    point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
+    point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
+    point, current, converged, first_steps = minimise(
+        problem, point, problem.evaluate_held_gains, HELD_GAINS_TOLERANCE, approximate=True
+    )
+    steps = 0
+    if exact:
+        point, current, converged, steps = minimise(problem, point, problem.evaluate, TOLERANCE)
+    status = PredictionErrorStatus.CONVERGED if converged else PredictionErrorStatus.NOT_CONVERGED
+    if not math.isfinite(current.cost):
+        status = PredictionErrorStatus.DIVERGED
+    k, s = problem.k, problem.s
+    return PredictionErrorResult(
+        tuple(p.name for p in free),
+        flown.dynamics.states,
+        flown.outputs,
+        point[:k],
+        np.where(F > 0.0, np.exp(point[k : k + s]), 0.0),
+        np.exp(point[k + s :]),
+        covariance_of(current.information, problem.moving),
+        problem.prior_cost(point) - current.cost,
+        current.cost,
+        problem.path(point)[1],
+        status,
+        first_steps + steps,
+    )
+
+
+@runtime_checkable
+class Problem(Protocol):
+    """A cost to be minimised over j variables."""
+
+    # `moving` ones are estimated, within `bounds`; in one step each changes by its `step_limit` at most.
+    @property
+    def moving(self) -> Bool[np.ndarray, " j"]: ...
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "j 2"]: ...
+
+    @property
+    def step_limit(self) -> Float[np.ndarray, " j"]: ...
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """The cost at a point."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Minus the log posterior density of j = k + s + c variables: parameters (k), log F (s), log R (c)."""
+
+    flown: SegmentTrajectories
+    deviation: Float[Array, " s"]
+    moving: Bool[np.ndarray, " j"]
+    mean: Float[np.ndarray, " j"]
+    precision: Float[np.ndarray, " j"]
+    bounds: Float[np.ndarray, "j 2"]
+    step_limit: Float[np.ndarray, " j"]
+    _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        flown: SegmentTrajectories,
+        deviation: Float[np.ndarray, " s"] | None,
+        held: Mapping[str, float],
+        disturbed: Bool[np.ndarray, " s"],
+        priors: bool,
+    ) -> _Problem:
+        """Estimate all parameters but those `held`, the process noise of the `disturbed` states, and R."""
+        free, k = flown.dynamics.free, len(flown.dynamics.free)
+        if deviation is None:
+            deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
+        moving = np.array([*(p.name not in held for p in free), *disturbed, *([True] * len(flown.outputs))])
+        mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
+        if priors:
+            normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
+            mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
+        channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
+        own = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
+        steps = [min(quantum(np.asarray(channels[name])[rows]) for rows in own) for name in flown.outputs]  # the finest
+        smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
+        bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
+        limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)
+        return cls(flown, jnp.asarray(deviation), moving, mean, precision, bounds, limit)
+
+    @property
+    def k(self) -> int:
+        """Number of parameters."""
+        return len(self.flown.dynamics.free)
+
+    @property
+    def s(self) -> int:
+        """Number of states."""
+        return len(self.flown.dynamics.states)
+
+    def prior_cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """Minus the log of the priors, but for a constant."""
+        return 0.5 * float(self.precision @ (point - self.mean) ** 2)
+
+    def cost(self, point: Float[np.ndarray, " j"]) -> float:
+        """Minus the log posterior density."""
+        return self.path(point)[0] + self.prior_cost(point)
+
+    def path(self, point: Float[np.ndarray, " j"]) -> tuple[float, Filtered]:
+        """Minus the log likelihood, and the filtered segments; those of the last point are stored."""
+        key = point.tobytes()
+        if key not in self._last:
+            cost, found = _filter_segments(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+            self._last.clear()
+            self._last[key] = float(cost), found
+        return self._last[key]
+
+    def evaluate(self, point: Float[np.ndarray, " j"], held: tuple[Array, ...] | None = None) -> Evaluation:
+        """Cost, gradient and expected information; `held`: those of the likelihood, where they are known."""
+        likelihood = held or _evaluate(self.flown, jnp.asarray(point), self.deviation, self.k, self.s)
+        cost, gradient, information = (np.asarray(x) for x in likelihood)
+        gradient, information = gradient + self.precision * (point - self.mean), information + np.diag(self.precision)
+        return Evaluation(float(cost) + self.prior_cost(point), gradient, information)
+
+    def evaluate_held_gains(self, point: Float[np.ndarray, " j"]) -> Evaluation:
+        """Cost, gradient and information without the derivatives of the gains by the parameters of the motion."""
+        dynamics = self.flown.dynamics
+        names = dynamics.disturbance_parameters
+        means = tuple(i for i, p in enumerate(dynamics.free) if p.name not in names)
+        path = self.path(point)[1]
+        likelihood = _evaluate_held_gains(self.flown, path, jnp.asarray(point), self.deviation, self.k, self.s, means)
+        return self.evaluate(point, likelihood)
+
+
+# --- Fisher scoring with Levenberg-Marquardt damping, step limits and bounds.
+# Where the noise model is wrong, the expected information is not the curvature of the cost, and its steps may be too
+# long again and again. Two remedies: the damping follows the ratio of actual to expected gain, and BFGS updates
+# correct the curvature with the change of the gradient. Source: Nocedal and Wright, *Numerical Optimization*, 2nd
+# ed. 2006, ch. 4, 16 and 18.
+
+MAX_ITERATIONS, MAX_TRIALS = 60, 12  # steps; dampings tried in one step
+FIRST_DAMPING, MIN_DAMPING = 1e-3, 1e-8
+POOR_RATIO, POOR_DAMPING = 0.25, 0.1  # ratio of actual to expected gain below which a step was too long; damping then
+POWELL_RATIO = 0.2  # least curvature along a step after an update, relative to that before
+SINGULAR = 1e-14  # of the largest eigenvalue
+
+
+class Evaluation(NamedTuple):
+    """Cost, gradient (j,) and expected information (j, j) at a point."""
+
+    cost: float
+    gradient: Float[np.ndarray, " j"]
+    information: Float[np.ndarray, "j j"]
+
+
+def minimise(
+    problem: Problem,
+    point: Float[np.ndarray, " j"],
+    evaluate: Callable[[np.ndarray], Evaluation],
+    tolerance: float,
+    *,
+    approximate: bool = False,
+) -> tuple[Float[np.ndarray, " j"], Evaluation, bool, int]:
+    """Minimise the cost until the expected gain of a step is below `tolerance`."""
+    # An approximate gradient (of `evaluate`) cannot correct the curvature, and a step with an actual gain below
+    # `tolerance` ends the search. Its Newton steps are truncated at their limits: a noise variance that falls together
+    # with all other variables, far from the minimum, may end at zero, where the cost is flat. Returns the last point,
+    # its evaluation, whether the search converged, and the number of steps.
+    current, cost, damping, steps = evaluate(point), problem.cost(point), FIRST_DAMPING, 0
+    moving, converged, curvature = problem.moving, False, current.information
+    while steps < MAX_ITERATIONS and math.isfinite(current.cost) and np.all(np.isfinite(curvature)):
+        steps += 1
+        A, g = curvature[np.ix_(moving, moving)], -current.gradient[moving]
+        limits = np.clip((problem.bounds - point[:, None]).T, -problem.step_limit, problem.step_limit).T[moving]
+        if expected_gain(A, g, bounded_step(A, g, limits, 0.0)) < tolerance:
+            converged = True
+            break
+        for _ in range(MAX_TRIALS):
+            step = (truncated_step if approximate else bounded_step)(A, g, limits, damping)
+            trial = point.copy()
+            trial[moving] = np.clip(point[moving] + step, *problem.bounds[moving].T)
+            trial_cost = problem.cost(trial)  # that of an approximate evaluation is off by some nats
+            if math.isfinite(trial_cost) and trial_cost < cost:
+                break
+            damping *= 10.0
+        else:
+            break
+        gain, change, gradient, point, cost = cost - trial_cost, trial - point, current.gradient, trial, trial_cost
+        too_long = gain < POOR_RATIO * expected_gain(A, g, step)
+        damping = max(10.0 * damping, POOR_DAMPING) if too_long else max(MIN_DAMPING, 0.1 * damping)
+        current = evaluate(point)
+        if approximate and gain < tolerance:
+            converged = True
+            break
+        curvature = current.information if approximate else bfgs_update(curvature, change, current.gradient - gradient)
+    return point, current._replace(cost=cost if math.isfinite(current.cost) else current.cost), converged, steps
+
+
+def bfgs_update(
+    A: Float[np.ndarray, "j j"], step: Float[np.ndarray, " j"], change: Float[np.ndarray, " j"]
+) -> Float[np.ndarray, "j j"]:
+    """The curvature A updated with the `change` of the gradient along a step; Powell's damping keeps it positive."""
+    product = A @ step
+    expected, actual = float(step @ product), float(step @ change)
+    if not (expected > 0.0 and np.all(np.isfinite(change))):
+        return A
+    if actual < POWELL_RATIO * expected:
+        share = (1.0 - POWELL_RATIO) * expected / (expected - actual)
+        change = share * change + (1.0 - share) * product
+        actual = float(step @ change)
+    return A - np.outer(product, product) / expected + np.outer(change, change) / actual
+
+
+def bounded_step(
+    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
+) -> Float[np.ndarray, " j"]:
+    """The step d that minimises 1/2 d (A + damping diag A) d - g d within `limits`; Newton's if that is inside."""
+    # Newton's step truncated at the limits is another one: a variable without information (a noise that is zero) would
+    # change all the others.
+    scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
+    values, vectors = np.linalg.eigh(A / np.outer(scale, scale) + damping * np.eye(len(g)))
+    determined = values > SINGULAR * np.max(values, initial=0.0)
+    root = np.sqrt(values[determined])
+    left, right = root[:, None] * vectors[:, determined].T, vectors[:, determined].T @ (g / scale) / root
+    return lsq_linear(left, right, (limits * scale[:, None]).T, method="bvls", tol=1e-12).x / scale
+
+
+def truncated_step(
+    A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], limits: Float[np.ndarray, "j 2"], damping: float
+) -> Float[np.ndarray, " j"]:
+    """Newton's damped step truncated at `limits`; variables at a bound that they would cross are held."""
+    inner = ~((limits[:, 0] >= 0.0) & (g < 0.0) | (limits[:, 1] <= 0.0) & (g > 0.0))
+    step = np.zeros(len(g))
+    step[inner] = solve(A[np.ix_(inner, inner)], g[inner], damping)
+    return np.clip(step, *limits.T)
+
+
+def covariance_of(information: Float[np.ndarray, "j j"], moving: Bool[np.ndarray, " j"]) -> Float[np.ndarray, "j j"]:
+    """Inverse of the information of the estimated variables; zero for held ones and those without information."""
+    # The pseudo-inverse is taken of the matrix scaled to unit diagonal. In SI units it would drop a length in metres
+    # beside angles in radians.
+    known = moving & (np.diag(information) > 0.0)
+    block = information[np.ix_(known, known)]
+    scale = np.sqrt(np.outer(np.diag(block), np.diag(block)))
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(known, known)] = np.linalg.pinv(block / scale, hermitian=True) / scale
+    return covariance
+
+
+def expected_gain(A: Float[np.ndarray, "j j"], g: Float[np.ndarray, " j"], step: Float[np.ndarray, " j"]) -> float:
+    """Decrease of a cost with gradient -g and curvature A along a step."""
+    return float(g @ step - 0.5 * step @ A @ step)
