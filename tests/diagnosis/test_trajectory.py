@@ -26,7 +26,6 @@ from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested, as_white
 from bayes_aero.diagnosis.screening import NoiseReport
 from bayes_aero.diagnosis.search import in_windows
-from bayes_aero.diagnosis.selection import Extension
 from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
 from bayes_aero.diagnosis.trajectories import (
     beyond_noise,
@@ -280,11 +279,26 @@ def asked(card, hidden, seed):
     return hold_out.confirmed(lag, without, within), lagged
 
 
-@pytest.mark.parametrize("broken", [lambda _: np.float64(1e300) * 1e300, lambda _: np.linalg.inv(np.zeros((2, 2)))])
+@pytest.mark.parametrize("broken", [lambda *_: np.float64(1e300) * 1e300, lambda *_: np.linalg.inv(np.zeros((2, 2)))])
 def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, broken):
-    monkeypatch.setattr(searches, "lag_of", broken)
-    lagged, failures = searches._asked_of_a_lag(Mock(spec=CandidateModel), Mock(spec=Extension), 0, None)
-    assert lagged is None
+    fit = Mock(names=(), estimate=(), status=OutputErrorStatus.CONVERGED)
+    for name, given in {
+        "join": None, "despiked": (None, {}), "aircraft_dynamics": None, "in_windows": fit, "candidate_model": None,
+        "without_lags": None, "_first_state": None, "plausible_selection": "without a lag", "lacking": (),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(searches, name, lambda *_, given=given, **__: given)
+
+    def ended(_, found, *rest):
+        raise SearchedError(found, rest[-1])
+
+    monkeypatch.setattr(searches, "_with_lag", broken)
+    monkeypatch.setattr(searches.Search, "_inside", lambda _, fit: fit)
+    monkeypatch.setattr(searches.Search, "_with_terms", ended)
+    search = part(searches.Search, records=(), card=None, model=None, extra=(), settings=None, seed=0, progress=None)
+    with pytest.raises(SearchedError) as ending:
+        search.trajectories()
+    found, failures = ending.value.args
+    assert found == "without a lag"
     assert [told.split(":")[0] for told in failures] == ["Whether the separation point lags was not tested"]
 
 
