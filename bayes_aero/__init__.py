@@ -26,8 +26,8 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "api": "Diagnosed Fit diagnose fit gpr next_flight plot read sample", "effect": "Effect Stage",
-    "effects": "CATALOGUE", "errors": "InputError", "flight.card.card": "Card read_card",
-    "flight.record": "FlightRecord", "flight.writers": "write_record", "jobs.fly": "flight_path fly",
+    "effects": "CATALOGUE", "errors": "InputError", "flight.card": "Card read_card",
+    "flight.record": "FlightRecord write_record", "jobs.fly": "flight_path fly",
     "model.model": "Model", "parameter": "Parameter Prior",
 }  # fmt: skip
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names.split()}
