@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 52816,
+    "bayes_aero: lines": 52819,
     "bayes_aero: files": 271,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
