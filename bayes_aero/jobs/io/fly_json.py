@@ -32,6 +32,7 @@ from bayes_aero.report.tables.fly import parameter_rows
 
 SCHEMA = "bayes_aero/trajectories/5"
 RESULTS = "trajectories.json"
+SAMPLERS = ("nuts", "emcee")  # the file is written when the first has ended, too
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,9 @@ def fly_results(
         inseparable=inseparable_parts(fit.inseparable),
         disagreement=found.apart,
         process_noise=UNSET if found.process_noise is None else found.process_noise,
-        posterior=FlownPosterior(**posterior_parts(found.posteriors)) if found.posteriors else UNSET,
+        posterior=FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
+        if found.posteriors
+        else UNSET,
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
         motion=UNSET if found.motion is None else motion_part(found.motion),
         initial_states={

@@ -17,12 +17,13 @@ from bayes_aero.inference.results import Identification, PosteriorStatus
 from bayes_aero.physics.aircraft import LATERAL, Axis
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.posterior import pit_words
+from bayes_aero.report.figures.time_histories import Curve
 from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
-from bayes_aero.report.pages.fly import Curve, over_measured, sources
+from bayes_aero.report.pages.fly import over_measured, sources
 from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables import run_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
