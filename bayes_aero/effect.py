@@ -233,3 +233,22 @@ def effect(
         tuple(n for n in example.signals if n not in MARKS) if channels is None else channels, increments, example,
         source, uses=tuple(n for n in example.parameters if n not in own), sizes=own, formula=formula, **fields,
     )  # fmt: skip
+
+
+class Untestable(str):
+    """Why an effect is not testable, as `text` says of `names` (channels or parameters)."""
+
+    NOT_RECORDED = "channel {} was not recorded"
+    STILL = "channel {} does not move in this record"
+    NOISE_ALONE = "channel {} shows nothing but noise in this record"
+    LACKING = "the model has no {}"
+
+    text: str
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, text: str, names: Iterable[str]) -> Untestable:
+        """The sentence."""
+        found = cls(text.format(", ".join(names)))
+        found.text, found.names = text, tuple(names)
+        return found

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, sized
+from bayes_aero.diagnosis.candidate_set import DEFAULT, DiagnosisSettings
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, Untestable, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -210,17 +211,17 @@ def candidate_model(
         if effect.kind is Kind.NOISE or not (proposed or effect in absent):
             continue
         if missing:
-            not_testable[effect.name] = f"channel {', '.join(missing)} was not recorded"
+            not_testable[effect.name] = Untestable.of(Untestable.NOT_RECORDED, missing)
         elif still and effect.stage > Stage.AIRCRAFT:
             label = any(_moves(np.asarray(flights.channels[c])) for c in still)
-            why = "differs only between manoeuvres, as an offset does" if label else "does not move in this record"
-            not_testable[effect.name] = f"channel {', '.join(still)} {why}"
+            why = "channel {} differs only between manoeuvres, as an offset does" if label else Untestable.STILL
+            not_testable[effect.name] = Untestable.of(why, still)
             waiting = True
         elif noisy := _rests_on(noise, effect, flights):
-            not_testable[effect.name] = f"channel {', '.join(noisy)} shows nothing but noise in this record"
+            not_testable[effect.name] = Untestable.of(Untestable.NOISE_ALONE, noisy)
             waiting = True
         elif lacking:
-            not_testable[effect.name] = f"the model has no {', '.join(lacking)}"
+            not_testable[effect.name] = Untestable.of(Untestable.LACKING, lacking)
         elif {p.name for p in effect.parameters} & owned:
             not_testable[effect.name] = "the model already has its parameters"
         elif effect.parameters:

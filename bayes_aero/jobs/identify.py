@@ -35,7 +35,7 @@ from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Forming, despiked, join, observe
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.progress import Progress
-from bayes_aero.report.figures.every_figure import write_figures
+from bayes_aero.report.figures.every_figure import FIGURES, draw_all
 from bayes_aero.report.frequency import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
@@ -235,7 +235,7 @@ class _Job:
                 left_out = "The probability integral transform was left out"
                 pit, failed = self.attempt(left_out, partial(pit_of, self.run), None)
                 self.add((), failed, pit=pit)
-                drawn, failed = write_figures(self.run, out / "figures", progress=self.progress)
+                drawn, failed = draw_all(FIGURES, self.run, out / "figures", self.progress)
             self.add((), failed)
         self.files.stage(self.run)
         if options.page and out is not None:

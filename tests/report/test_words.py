@@ -11,6 +11,7 @@ from linear_cards import SHORT_PERIOD
 
 from bayes_aero.diagnosis.result import ParameterChange, Verdict, verdict_of
 from bayes_aero.dynamics.linear import linear_dynamics
+from bayes_aero.effect import Untestable
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import parse_card, read_card
 from bayes_aero.inference.results import MleStatus, PosteriorStatus
@@ -149,16 +150,13 @@ CHANGE = ParameterChange(
         ({}, ("62%", "trim or flaps", "centre of gravity")), ({"at": 0.0}, ("from run2 on",)),
         ({"at": 0.0, "lasts": False}, ("in run2",)), ({"lasts": False}, ("the value before in later records",)),
         ({"ambiguous_with": ("Cma", "CmX")}, ("Cma and CmX",)),
+        ({"parameter": "tau2", "unit": "c/V"}, ("tau2",)),  # has no usual reasons
     ],
 )  # fmt: skip
 def test_a_change_is_told_with_its_time_values_possible_reasons_and_rivals(changed, said):
     (text,) = change_sentences([replace(CHANGE, **changed)])
     assert [part for part in said if part not in text] == [], text
-
-
-def test_a_parameter_without_usual_reasons_gets_none():
-    (said,) = change_sentences([replace(CHANGE, parameter="tau2", unit="c/V")])
-    assert "reasons" not in said
+    assert ("reasons" in text) == (changed.get("parameter") != "tau2")
 
 
 def test_the_verdict_names_the_parameter_and_the_record_and_a_change_is_no_cause(diagnosed):
@@ -243,9 +241,10 @@ def test_linear_derivatives_have_the_signs_of_their_counterparts():
 
 
 REASONS = {
-    "canard_drag": "channel canard was not recorded", "canard_lift": "channel canard was not recorded",
-    "dlc_lift": "channel dlc_left, dlc_right was not recorded",
-    "sideslip_drag": "channel beta does not move in this record", "drag_offset": "the model has no e",
+    "canard_drag": Untestable.of(Untestable.NOT_RECORDED, ["canard"]),
+    "canard_lift": Untestable.of(Untestable.NOT_RECORDED, ["canard"]),
+    "dlc_lift": Untestable.of(Untestable.NOT_RECORDED, ["dlc_left", "dlc_right"]),
+    "sideslip_drag": Untestable.of(Untestable.STILL, ["beta"]), "drag_offset": Untestable.of(Untestable.LACKING, ["e"]),
     "separation_lag": "a lag is a state of its own, {tried} later",
 }  # fmt: skip
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,14 +57,8 @@ def coefficient_panels(view: View, number: int) -> list[Panel]:
 @style.housed
 def measured_simulated(view: View) -> Figure:
     """Coefficients measured and simulated by both models; a column per manoeuvre."""
-    columns = {name: (view.time[view.manoeuvre == k], coefficient_panels(view, k)) for k, name in enumerate(view.names)}
+    columns = [(name, view.time[view.manoeuvre == k], coefficient_panels(view, k)) for k, name in enumerate(view.names)]
     return drawn(columns, "Measured and simulated coefficients, the error of the last model shaded")
-
-
-def _error_shaded(ax: Axes, time: np.ndarray, measured: np.ndarray, simulated: np.ndarray, colour: str) -> None:
-    ax.fill_between(time, measured, simulated, color=colour, alpha=0.35, lw=0.0)
-    ax.plot(time, measured, color=COLOURS["measured"], lw=0.6)
-    ax.plot(time, simulated, color=colour, lw=1.0)
 
 
 @style.housed
@@ -82,7 +75,8 @@ def ranking(view: View) -> Figure:
         widest = max(*scores, one.threshold) if np.isfinite(one.threshold) else max(*scores, 1e-9)
         ax.barh(range(len(scores)), scores, color=colours, height=0.75)
         for y, x in enumerate(scores):
-            ax.text(x + 0.01 * widest, y, f"{x:.1f}", va="center", fontsize=7.0, bbox=TIGHT, zorder=5)
+            crossed = TIGHT if -0.06 * widest < x - one.threshold <= 0.0 else None  # by the line of the level
+            ax.text(x + 0.01 * widest, y, f"{x:.1f}", va="center", fontsize=7.0, bbox=crossed, zorder=5)
         if np.isfinite(one.threshold):
             ax.axvline(one.threshold, color=COLOURS["measured"], ls="--", lw=1.0)
             label = f"noise alone exceeds\n{one.threshold:.1f} in {100.0 * one.level:g} % of replicates"
@@ -276,7 +270,8 @@ class Telling:
     simulated: Sequence[tuple[str, str, np.ndarray, str]]  # model, colour, values, note
 
 
-def _found(narrow: bool, view: View) -> Figure:
+@style.housed
+def found(view: View) -> Figure:
     """The quantity with the largest gain, its error by each model shaded, and the deciding screening."""
     shown, causes = telling(view), view.diagnosis.causes
     ranking = view.rankings[-1] if view.rankings else None  # the last stage's, or of that which named the first cause
@@ -286,15 +281,13 @@ def _found(narrow: bool, view: View) -> Figure:
     options: dict[str, Any] = {"width_ratios": [1.7] if ranking is None else [1.7, 1.0]}
     size, below = (11.0, 1.9 * len(rows) + 1.0), [] if ranking is None else ["R"]
     places: list[Any] = [[row, *below] for row in rows]
-    if narrow:
-        places = [[row] for row in (*rows, *below)]
-        options = {"height_ratios": [3.2 if row == "R" else 1.7 for (row,) in places]}
-        size = style.PHONE, sum(options["height_ratios"]) + 0.9
     figure = Figure(figsize=size, layout=style.MeasuredOnce())
     axes = figure.subplot_mosaic(places, **options)
     for row, (label, colour, simulated, note) in zip(rows, shown.simulated, strict=True):
         ax = axes[row]
-        _error_shaded(ax, shown.time, shown.measured, simulated, colour)
+        ax.fill_between(shown.time, shown.measured, simulated, color=colour, alpha=0.35, lw=0.0)
+        ax.plot(shown.time, shown.measured, color=COLOURS["measured"], lw=0.6)
+        ax.plot(shown.time, simulated, color=colour, lw=1.0)
         ax.margins(x=0.01, y=0.2)
         ax.text(0.01, 0.97, f"{label}: {note}", transform=ax.transAxes, va="top", **style.NOTE)
         ax.set_ylabel(shown.label)
@@ -395,7 +388,5 @@ DIAGNOSIS_FIGURES = {
     "moves": moves,
     "residual_profiles": residual_profiles,
     "residual_colour": residual_colour,
-    "found": style.housed(partial(_found, False)),
-    "found_narrow": style.housed(partial(_found, True)),
+    "found": found,
 }
-AFTER_TRAJECTORIES = ("found", "found_narrow")

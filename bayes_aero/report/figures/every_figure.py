@@ -1,52 +1,33 @@
-"""Every figure of a report by the stem of its file, and one function that writes them all.
-
-A module of this folder declares its figures as `FIGURES` (of an identification) or `DIAGNOSIS_FIGURES`; no list exists.
-"""
+"""Every figure of a report by the stem of its file, and one function that writes them all."""
 
 from __future__ import annotations
 
-import pkgutil
-from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
+import gc
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from matplotlib.figure import Figure
 
 from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.errors import failure
-from bayes_aero.inference.results import Identification
 from bayes_aero.progress import Progress
-from bayes_aero.report import figures
+from bayes_aero.report.figures import comparison, diagnosis, posterior, prior, time_histories
 from bayes_aero.report.style import Drawing, NotDrawn, save
 
 ViewFigures = Mapping[str, Callable[[View], Figure]]
-
-
-def _declared(name: str) -> Iterator[Any]:
-    """What every module beside this one declares under `name`."""
-    for module in pkgutil.iter_modules(figures.__path__, f"{figures.__name__}."):
-        if module.name != __name__:
-            declared = getattr(import_module(module.name), name, None)
-            if declared is not None:
-                yield declared
-
-
-FIGURES: dict[str, Drawing] = dict(sorted(item for found in _declared("FIGURES") for item in found.items()))
+FIGURES: dict[str, Drawing] = dict(
+    sorted((comparison.FIGURES | posterior.FIGURES | prior.FIGURES | time_histories.FIGURES).items())
+)
 """What an identification shows: the seed paper's nine under its numbers, then what Bayesian identification adds."""
-DIAGNOSIS_FIGURES: ViewFigures = dict(item for found in _declared("DIAGNOSIS_FIGURES") for item in found.items())
+DIAGNOSIS_FIGURES: ViewFigures = (
+    diagnosis.DIAGNOSIS_FIGURES | prior.DIAGNOSIS_FIGURES | {"trajectories_hold_out": time_histories.hold_out}
+)
 """What a diagnosis shows."""
-AFTER_TRAJECTORIES = tuple(stem for found in _declared("AFTER_TRAJECTORIES") for stem in found)
+AFTER_TRAJECTORIES = ("found", "trajectories_hold_out")
 """Those of a diagnosis that need trajectories, or show them if they are there."""
 
 Shown = TypeVar("Shown")
-
-
-def write_figures(
-    identification: Identification, folder: Path, progress: Progress | None = None
-) -> tuple[list[Path], tuple[str, ...]]:
-    """Draw every figure for which an identification holds something; see `draw_all`."""
-    return draw_all(FIGURES, identification, folder, progress)
 
 
 def draw_all(
@@ -65,11 +46,14 @@ def draw_all(
             progress(f"figure {stem}", number / len(drawings))
         try:
             (folder / f"{stem}.png").unlink(missing_ok=True)  # of an earlier run
+            gc.disable()  # a figure has so many objects that all that JAX holds would be searched for cycles each time
             written.append(save(draw(shown), folder / f"{stem}.png"))
         except NotDrawn:
             continue
         except Exception as reason:  # whatever it is, the other figures and the results stand; it is reported by name
             failed.append(failure(f"Figure {stem} was not drawn", reason, folder.parent))
+        finally:
+            gc.enable()
     if progress:
         progress("figures", 1.0)
     return written, tuple(failed)

@@ -24,7 +24,7 @@ from bayes_aero.inference.results import Identification, Posterior, Stall
 from bayes_aero.model.noise import Noise
 from bayes_aero.parameter import Parameter
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.style import PHONE, Drawing, NotDrawn, grid_of, housed, legend_below, panels
+from bayes_aero.report.style import Drawing, NotDrawn, grid_of, housed, legend_below, panels
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered
 from bayes_aero.report.text.phrases import bracket
 
@@ -95,12 +95,11 @@ def gp_prior_posterior(identification: Identification) -> Figure:
             _log_density(ax, prior[hyper], "prior")
             _log_density(ax, posterior[hyper], "gpr")
             ax.set(xscale="log", ylim=(0.0, 1.08), yticks=[0.0, 0.5, 1.0])
-            # a length scale has its input's unit, a slope its inverse
-            kind, _, channel = hyper.rstrip("]").partition("[")
+            kind, channel = hyper  # a length scale has its input's unit, a slope its inverse
             si = STANDARD_CHANNELS[channel].unit if channel in STANDARD_CHANNELS else "SI unit" if channel else "1"
             inverse = f"1/({si})" if "/" in si else f"1/{si}"
-            unit = si if kind.startswith("length") or si == "1" else inverse
-            ax.set_xlabel(f"{hyper} {bracket(unit)}", labelpad=1)
+            name_of = f"{kind}[{channel}]" if channel else kind
+            ax.set_xlabel(f"{name_of} {bracket(si if kind == 'length_scale' or si == '1' else inverse)}", labelpad=1)
         column[0].set_title(f"{name}: k-hat = {float(trees[name].attrs.get('k_hat', np.nan)):.2f}")
     for ax in axes[:, 0]:
         ax.set_ylabel("density / peak [-]")
@@ -111,16 +110,16 @@ def gp_prior_posterior(identification: Identification) -> Figure:
     return figure
 
 
-def _flat(tree: xr.DataTree, group: str) -> dict[str, np.ndarray]:
-    """Draws by hyperparameter; one with an `input` dimension becomes one per input, as length_scale[alpha]."""
-    found: dict[str, np.ndarray] = {}
+def _flat(tree: xr.DataTree, group: str) -> dict[tuple[str, str], np.ndarray]:
+    """Draws by hyperparameter and input, which is empty for one without."""
+    found: dict[tuple[str, str], np.ndarray] = {}
     for name, values in tree[group].to_dataset().data_vars.items():
         extra = [dim for dim in values.dims if dim not in ("chain", "draw")]
         if not extra:
-            found[str(name)] = np.asarray(values).ravel()
+            found[str(name), ""] = np.asarray(values).ravel()
         elif extra == ["input"]:
             for label in values.coords["input"].values:
-                found[f"{name}[{label}]"] = np.asarray(values.sel(input=label)).ravel()
+                found[str(name), str(label)] = np.asarray(values.sel(input=label)).ravel()
     return found
 
 
@@ -232,27 +231,12 @@ def _stall(models: list[StallData]) -> Figure:
         (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
         spare.remove()
         _fill(lift, time, polar, flown)
-    _keys(figure, list(axes[::2, 0]), 3)
-    return figure
-
-
-@housed
-def stall_narrow(identification: Identification) -> Figure:
-    """The stall for a phone: one panel below the other."""
-    figure, axes = panels(3, 1, (PHONE, 8.4), height_ratios=(4, 1, 3))
-    lift, time, polar = axes[:, 0]
-    _fill(lift, time, polar, of_identification(identification)[0])
-    _keys(figure, [lift], 2)
-    return figure
-
-
-def _keys(figure: Figure, axes: list[Axes], columns: int) -> None:
-    """One legend for all models."""
-    entries: dict[str, Artist] = {}
-    for ax in axes:
+    entries: dict[str, Artist] = {}  # one legend for all models
+    for ax in axes[::2, 0]:
         handles, labels = ax.get_legend_handles_labels()
         entries = dict(zip(labels, handles, strict=True)) | entries
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
+    return figure
 
 
 def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
@@ -319,7 +303,6 @@ FIGURES: dict[str, Drawing] = {
     "prior_posterior": prior_posterior,
     "gp_prior_posterior": gp_prior_posterior,
     "stall": housed(lambda run: _stall(of_identification(run))),
-    "stall_narrow": stall_narrow,
     "separation": housed(lambda run: _separation(of_identification(run))),
 }
 DIAGNOSIS_FIGURES: dict[str, Callable[[View], Figure]] = {

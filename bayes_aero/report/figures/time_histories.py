@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.diagnosis.trajectory_result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Identification
 from bayes_aero.inference.scores import score
 from bayes_aero.model.records import with_sums
@@ -39,35 +39,17 @@ LONG_NAMES = {
 @style.housed
 def time_history(identification: Identification) -> Figure:
     """Recorded channels: one column per manoeuvre, one row per channel, angles in degrees."""
-    records, card = identification.records, identification.card
-    style.refuse_many(len(records))
+    card, columns = identification.card, []
     formed = {*card.sums, *card.tables, *card.derived}  # by the card, of recorded ones
-
-    def values_of(record: FlightRecord, name: str) -> np.ndarray | None:
-        if record.has(name) or name not in formed:
-            return record[name] if record.has(name) else None
-        return with_sums(record, card).get(name)
-
-    values = {name: [values_of(record, name) for record in records] for name in HISTORY}
-    rows = [name for name, columns in values.items() if any(c is not None for c in columns)]
-    width = style.column_width(len(records))
-    figure, axes = style.panels(len(rows), len(records), (width * len(records), 1.25 * len(rows) + 0.9), sharex="col")
-    for row, name in zip(axes, rows, strict=True):
-        shown, unit, factor = channel_axis(name)
-        for ax, record, column in zip(row, records, values[name], strict=True):
-            ax.margins(x=0.01)
-            if column is None:
-                ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", color="#777777")
-                continue
-            ax.plot(record.time - record.time[0], factor * column, color=COLOURS["measured"], lw=0.8)
-        drawn = [ax for ax, c in zip(row, values[name], strict=True) if c is not None]
-        low, high = zip(*(ax.get_ylim() for ax in drawn), strict=True)
-        for ax in drawn:  # one vertical scale for a row, so that manoeuvres are comparable
-            ax.set_ylim(min(low), max(high))
-        row[0].set_ylabel(f"{shown} {bracket(unit)}")
-    style.name_panels(axes, [f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)" for record in records])
-    figure.suptitle(f"Manoeuvres flown: {card.title}")
-    return figure
+    for record in identification.records:
+        made, panels = with_sums(record, card) if formed & set(HISTORY) else {}, []
+        for name in HISTORY:
+            values = record[name] if record.has(name) else made.get(name) if name in formed else None
+            if values is not None:
+                shown, unit, factor = channel_axis(name)
+                panels.append(Panel(shown, unit, (Line("measured", COLOURS["measured"], factor * values),)))
+        columns.append((f"{record.name} ({record.n} samples, {1.0 / record.dt:.0f} Hz)", record.time, panels))
+    return drawn(columns, f"Manoeuvres flown: {card.title}")
 
 
 @style.housed
@@ -194,15 +176,15 @@ def output_panels(curves: Sequence[Curve], units: Mapping[str, str]) -> list[Pan
     return panels
 
 
-def drawn(columns: Mapping[str, tuple[np.ndarray, Sequence[Panel]]], title: str) -> Figure:
-    """The panels of a page for paper: a column for each manoeuvre, whose time starts at zero."""
+def drawn(columns: Sequence[tuple[str, np.ndarray, Sequence[Panel]]], title: str) -> Figure:
+    """The panels of a page for paper: a column for each manoeuvre (name, time, panels), whose time starts at zero."""
     style.refuse_many(len(columns))
-    labels = list(dict.fromkeys(panel.label for _, panels in columns.values() for panel in panels))
+    labels = list(dict.fromkeys(panel.label for _, _, panels in columns for panel in panels))
     tall = float(np.clip(8.0 / len(labels), 1.35, 2.6))
     size = (style.column_width(len(columns)) * len(columns), tall * len(labels) + 1.3)
     figure, axes = style.panels(len(labels), len(columns), size, sharex="col", sharey="row")
     reach: dict[int, list[tuple[float, float]]] = {}
-    for column, (time, panels) in zip(axes.T, columns.values(), strict=True):
+    for column, (_, time, panels) in zip(axes.T, columns, strict=True):
         for panel in panels:
             row = labels.index(panel.label)
             _draw(column[row], time - time[0], panel)
@@ -211,7 +193,9 @@ def drawn(columns: Mapping[str, tuple[np.ndarray, Sequence[Panel]]], title: str)
         low, high = zip(*reach[row], strict=True)  # the panels of a row share their scale
         axes[row, 0].set_ylim(min(low), max(high))
         axes[row, 0].set_ylabel(label)
-    style.name_panels(axes, columns)
+    for ax in (ax for ax in axes.ravel() if not ax.has_data()):
+        ax.text(0.5, 0.5, "not recorded", transform=ax.transAxes, ha="center", va="center", color="#777777")
+    style.name_panels(axes, [name for name, _, _ in columns])
     style.legend_below(figure, axes[0, 0])
     figure.suptitle(title)
     return figure
@@ -228,32 +212,23 @@ def _draw(ax: Axes, time: np.ndarray, panel: Panel) -> None:
     for line, y in zip(panel.lines, values, strict=True):
         ax.plot(t, y, color=line.colour, ls=line.style, lw=0.75 * line.width, label=line.label)
     ax.margins(x=0.01)
+    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
     ax.text(0.01, 0.95, panel.note, transform=ax.transAxes, va="top", **style.NOTE)
 
 
-def _shown(split: str, title: str, view: View) -> Figure:
-    """Every manoeuvre of a split: simulated with the fit to the others, or with the joint fit."""
+@style.housed
+def hold_out(view: View) -> Figure:
+    """Every manoeuvre, simulated with the fit to the others."""
     flown = view.trajectories
     if flown is None:
         raise style.NotDrawn("nothing was simulated")
-    names = list(dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == split))
-    if not names:
-        raise style.NotDrawn(f"no manoeuvre is {split}")
-    units, columns = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, {}
-    for name in names:
-        curves = [Curve(p, *how) for model, *how in MODELS if (p := flown.path(name, model, split))]
-        columns[name] = curves[0].path.time, output_panels(curves, units)
-    return drawn(columns, title)
-
-
-DIAGNOSIS_FIGURES = {
-    f"trajectories_{split}": style.housed(partial(_shown, split, title))
-    for split, title in (
-        ("hold_out", "Simulated from the measured initial state, with parameters fitted without this flight"),
-        ("fitted", "Simulated with parameters fitted to all of it"),
-    )
-}
-AFTER_TRAJECTORIES = tuple(DIAGNOSIS_FIGURES)
+    units, columns = {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}, []
+    for name in dict.fromkeys(p.manoeuvre for p in flown.paths if p.split == "hold_out"):
+        curves = [Curve(p, *how) for model, *how in MODELS if (p := flown.path(name, model, "hold_out"))]
+        columns.append((name, curves[0].path.time, output_panels(curves, units)))
+    if not columns:
+        raise style.NotDrawn("no manoeuvre is held out")
+    return drawn(columns, "Simulated from the measured initial state, with parameters fitted without this flight")
 
 
 def fly_figures(flown: TrajectoryFit) -> dict[str, Callable[[TrajectoryFit], Figure]]:
@@ -267,16 +242,21 @@ def stem_of(output: str) -> str:
 
 
 def _simulated(output: str, flown: TrajectoryFit) -> Figure:
-    columns, unit = {}, {output: flown.units[output]}
+    columns, unit = [], {output: flown.units[output]}
     for name in flown.manoeuvres:
         curves = [Curve(flown.path(name, model), *how) for model, *how in FLOWN]
-        columns[name] = curves[0].path.time, output_panels(curves, unit)
+        columns.append((name, curves[0].path.time, output_panels(curves, unit)))
     return drawn(columns, "Measured and simulated: with the first values, and with parameters and initial state fitted")
 
 
 # --- Estimated gusts with their bands.
 
-MET = {"gust_w": "vertical gust [m/s]", "gust_u": "longitudinal gust [m/s]", "buffet": "buffet [CL of separated flow]"}
+MET = {
+    "gust_w": ("vertical gust", "m/s"),
+    "gust_u": ("longitudinal gust", "m/s"),
+    "buffet": ("buffet", "CL of separated flow"),
+}
+"""Gusts by name: as people call them, and their unit."""
 BAND = 1.96  # standard deviations
 
 
@@ -286,7 +266,8 @@ def gusts(found: ProcessNoise) -> Figure:
     if not found.histories:
         raise style.NotDrawn("no gust has an intensity")
     style.refuse_many(len(found.histories))
-    labels = {name: MET.get(name, name) for name in found.histories[0].gusts}
+    known = {name: MET.get(name, (name, "1")) for name in found.histories[0].gusts}
+    labels = {name: f"{words} {bracket(unit)}" for name, (words, unit) in known.items()}
     rows = len(found.histories)
     figure, axes = style.panels(rows, len(labels), (4.2 * len(labels) + 1.2, 1.9 * rows + 0.9), sharey="col")
     for row, h in zip(axes, found.histories, strict=True):

@@ -126,7 +126,6 @@ class Picture:
     width: int  # pixels of the picture
     height: int
     natural: int  # its width on a screen at which its text has nominal size
-    narrow: str = ""  # the same figure drawn for a phone, a data URI; empty where there is none
     kind: str = field(default="picture", init=False)
 
 

@@ -15,7 +15,6 @@ from bayes_aero.report.style import DPI
 WIDEST = 1600  # pixels; a figure for paper is drawn wider than a screen
 FOLDED = 1100  # the same for one that stands behind a fold
 COLOURS = 48  # of the palette: lines and text need few
-PHONE = 840  # a figure for a phone, whose pixels are finer than those of a desk
 CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
 
 
@@ -29,20 +28,13 @@ class Gallery:
         """The pictures of these stems that were drawn."""
         pictures = []
         for stem in (stem for stem in stems if stem in self.paths):
-            (caption, alt), twin = self.texts[stem], self.paths.get(narrow(stem))
-            source, size, natural = embedded(self.paths[stem], widest)
-            small = embedded(twin, PHONE)[0] if twin else ""
-            pictures.append(Picture(source, alt, caption, *size, natural, small))
+            (caption, alt), (source, size, natural) = self.texts[stem], embedded(self.paths[stem], widest)
+            pictures.append(Picture(source, alt, caption, *size, natural))
         return tuple(pictures)
 
     def folded(self, *stems: str) -> tuple[Picture, ...]:
         """The pictures at a smaller size."""
         return self(*stems, widest=FOLDED)
-
-
-def narrow(stem: str) -> str:
-    """The stem of a figure's version for a phone."""
-    return f"{stem}_narrow"
 
 
 def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:

@@ -22,7 +22,7 @@ from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import FLOWN, MODELS, Curve, output_panels, stem_of
+from bayes_aero.report.figures.time_histories import FLOWN, MET, MODELS, Curve, output_panels, stem_of
 from bayes_aero.report.frequency import frequency_blocks
 from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
@@ -161,7 +161,8 @@ def _parameters(flown: TrajectoryFit, context: FlyContext) -> tuple[Block, ...]:
     if found is not None and "gusts" in context.figures:
         pairs = [(name, mean) for h in found.histories for name, (mean, _) in h.gusts.items()]
         most = {name: float(np.max(np.abs(mean))) for name, mean in pairs}
-        sizes = several([f"{name} {x:.2g}{' m/s' if name.startswith('gust') else ''}" for name, x in most.items()])
+        known = {name: MET.get(name, (name, "")) for name in most}
+        sizes = several(f"{word} {most[name]:.2g} {unit}".rstrip() for name, (word, unit) in known.items())
         caption = (
             "Estimated gusts of each manoeuvre: mean and 95 % band, from all samples (Rauch-Tung-Striebel smoother)."
         )

@@ -123,10 +123,6 @@ def _fit(e: Estimate) -> str:
     return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
 
 
-def _with_sd(e: Estimate) -> str:
-    return in_brackets(e) if math.isfinite(e.sd) else NONE
-
-
 def _departure(x: float) -> str:
     return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 

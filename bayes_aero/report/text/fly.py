@@ -23,6 +23,7 @@ ADVICE = (
     " Gusts or errors of the model cause this, and bias output error: the option --process-noise fits the same model "
     "in disturbed air."
 )
+GUSTS = {"vertical_gust": "vertical", "longitudinal_gust": "longitudinal", "lateral_gust": "lateral"}
 MIN_GROWTH = 2.0  # noise growth in fully separated flow from which a sentence is written; our choice
 
 
@@ -375,9 +376,8 @@ def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
 def _estimated_gusts(found: ProcessNoise) -> list[str]:
     """Intensities of the gusts and of buffet, and scale lengths of those with an intensity."""
     estimated, undetected = [], []
-    for name in (n for n in found.gusts if n.endswith("_gust")):
+    for name, word in ((n, word) for n, word in GUSTS.items() if n in found.gusts):
         (intensity, sd), (length, length_sd) = found.gusts[name], found.gusts[f"{name}_length"]
-        word = name.removesuffix("_gust").replace("_", " ")
         if intensity > MIN_INTENSITY * sd:
             estimated.append(f"{word} {plus_minus(intensity, sd)} m/s (scale length {length:z.0f} ± {length_sd:.0f} m)")
         else:

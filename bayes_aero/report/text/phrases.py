@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import Cause, Diagnosis, Tested, Verdict
+from bayes_aero.effect import Untestable
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.units import number
 
@@ -36,12 +36,12 @@ FOR_PEOPLE = {
 }
 
 KINDS = {
-    re.compile(r"channel (.+) was not recorded"): "because a channel was not recorded ({})",
-    re.compile(r"channel (.+) does not move in this record"): "because a channel does not move ({})",
-    re.compile("channel (.+) shows nothing but noise in this record"): "because a channel shows nothing but noise ({})",
-    re.compile(r"the model has no (.+)"): "because the model lacks a parameter ({})",
+    Untestable.NOT_RECORDED: "because a channel was not recorded ({})",
+    Untestable.STILL: "because a channel does not move ({})",
+    Untestable.NOISE_ALONE: "because a channel shows nothing but noise ({})",
+    Untestable.LACKING: "because the model lacks a parameter ({})",
 }
-"""Reasons that name something, as the screening states them, and the words under which they are counted."""
+"""The words under which effects that are not testable are counted, by the reason."""
 
 
 def for_people(unit: str) -> tuple[str, float]:
@@ -143,9 +143,9 @@ def not_testable_sentences(reasons: Mapping[str, str]) -> list[str]:
         return []
     kinds: dict[str, tuple[int, set[str]]] = {}  # count, and the channels or parameters that are named
     for reason in reasons.values():
-        matches = ((words, pattern.fullmatch(reason)) for pattern, words in KINDS.items())
-        known = next(((words, match[1].split(", ")) for words, match in matches if match), None)
-        kind, things = known or (f"because {reason}".replace("{", "{{").replace("}", "}}"), [])
+        kind, things = f"because {reason}".replace("{", "{{").replace("}", "}}"), ()
+        if isinstance(reason, Untestable) and reason.text in KINDS:
+            kind, things = KINDS[reason.text], reason.names
         count, named = kinds.get(kind, (0, set()))
         kinds[kind] = count + 1, named | set(things)
     listed = [f"{n} {kind.format(several(sorted(named)))}" for kind, (n, named) in kinds.items()]
