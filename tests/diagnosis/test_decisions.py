@@ -13,7 +13,7 @@ from scipy.special import erfc
 from scipy.stats import norm
 from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis import accuracy, consistency, result
+from bayes_aero.diagnosis import accuracy, consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis import selection as selecting
 from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size, backward_elimination, implausible
@@ -27,7 +27,6 @@ from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import Extension, cancelling
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
 from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
-from bayes_aero.diagnosis.unexplained import unexplained
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
