@@ -43,7 +43,6 @@ from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unex
 from bayes_aero.diagnosis.terms.forms import Forms, described, flown_forms, forms_of
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
@@ -57,7 +56,7 @@ from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.aircraft import required_of
+from bayes_aero.physics.aircraft import FLIGHT, required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.base import WINDOW, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError

@@ -22,7 +22,6 @@ from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, fi
 from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.path import path_dynamics
-from bayes_aero.dynamics.system import FLIGHT, OF_AXIS
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import is_file
@@ -43,6 +42,7 @@ from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all

@@ -13,7 +13,6 @@ from typing import Any
 from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
 from bayes_aero.diagnosis.trajectories.histories import fly_given
 from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
@@ -37,6 +36,7 @@ from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Noise
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
 from bayes_aero.report.frequency import frequency_sentences

@@ -15,7 +15,6 @@ from bayes_aero.diagnosis.trajectories.histories import posterior_draws
 from bayes_aero.diagnosis.trajectories.holdout import FlightNoise, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -39,6 +38,7 @@ from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import (
     OpenTest,

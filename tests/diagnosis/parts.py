@@ -11,11 +11,10 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState, linea
 from bayes_aero.diagnosis.trajectories.holdout import FlightNoise
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.physics.aircraft import NAMES
+from bayes_aero.physics.aircraft import FLIGHT, NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records

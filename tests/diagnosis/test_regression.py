@@ -24,13 +24,12 @@ from bayes_aero.diagnosis.screening.selection_state import SelectionState
 from bayes_aero.diagnosis.selection.holdout import LeftOut
 from bayes_aero.diagnosis.view.models import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.covariance import MAX_ROOT, ORDER, standard_error_of_sum
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.physics.aircraft import NAMES
+from bayes_aero.physics.aircraft import FLIGHT, NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError
 from bayes_aero.simulate.demo import TRUTH

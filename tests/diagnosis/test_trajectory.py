@@ -29,7 +29,6 @@ from bayes_aero.diagnosis.trajectories.results import LagTest, SimulatedManoeuvr
 from bayes_aero.diagnosis.trajectories.trajectories import beyond_noise, compare_trajectories
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -38,6 +37,7 @@ from bayes_aero.jobs.io import diagnosis_json
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.report.figures.diagnosis import autocorrelation, spectrum
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import Beyond, hidden_records

@@ -14,7 +14,6 @@ from calling import called
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.explore.opened import open_result
 from bayes_aero.explore.page import page_of
 from bayes_aero.explore.server import PageServer
@@ -22,6 +21,7 @@ from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import write_record
 from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.simulate.demo import simulate_stall
 
 

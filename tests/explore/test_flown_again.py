@@ -8,7 +8,6 @@ import pytest
 import xarray as xr
 
 from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, addable, open_result, shown_effects
 from bayes_aero.explore.simulator import Simulator
@@ -17,6 +16,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.model.joined_channels import despiked, join
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.physics.aircraft import FLIGHT
 
 
 def agree(found, expected):

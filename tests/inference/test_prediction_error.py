@@ -17,7 +17,7 @@ from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.kalman import NoisePoint, innovations_density, log_likelihood
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
-from bayes_aero.dynamics.system import FLIGHT, System, advance
+from bayes_aero.dynamics.system import System, advance
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
@@ -45,6 +45,7 @@ from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.aircraft import FLIGHT
 
 # Parameters, process noise and measurement noise of a simulated disturbed flight, jointly, against the truth
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"

@@ -7,10 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from bayes_aero.diagnosis.design import Information
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.model.joined_channels import join
-from bayes_aero.physics.aircraft import Envelope
+from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.qualification.flights import OpenTest, _Linear, _precision, _shrunk, further_flights
 from bayes_aero.qualification.result import FlightKind
 from bayes_aero.report.qualification import further_sentences
