@@ -23,17 +23,16 @@ from typing import Literal, TypeVar, get_args
 import pandas as pd
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.diagnose import diagnose as run_diagnosis
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.view.models import holdout_scores, view_of
-from bayes_aero.diagnosis.view.results import DiagnosisView, View
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, View
+from bayes_aero.diagnosis.view import holdout_scores, view_of
 from bayes_aero.effect import Effect
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.checks import check_arrays, without_bad_options
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.calibration import pit_of
@@ -47,12 +46,11 @@ from bayes_aero.inference.validation import SplitKind, Training, validate
 from bayes_aero.jobs.identify import pooled_manoeuvres
 from bayes_aero.jobs.options import FormingName, NoiseName
 from bayes_aero.jobs.steps.record_checks import RecordChecks, record_checks, repaired
-from bayes_aero.model.density import Density
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import DEFAULT as DEFAULT_NOISE
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
 from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.style import NotDrawn

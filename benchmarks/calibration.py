@@ -36,9 +36,8 @@ from bayes_aero.inference.gp.posterior import Budget, SampleStatus, Settings, sa
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.results import Posterior
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import grid_of, housed, save

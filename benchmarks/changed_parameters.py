@@ -14,7 +14,7 @@ import numpy as np
 from studies import parser_of, seeds_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from changing_parameters import AT, changed
+from out_of_catalogue import AT, changed
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card import read_card

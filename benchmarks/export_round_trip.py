@@ -23,9 +23,9 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.gp import Priors, gaussian_parts
-from bayes_aero.inference.gp.kernel import ReducedData, Scaling
+from bayes_aero.inference.gp import gaussian_parts
+from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
 from bayes_aero.inference.gp.optimum import curvature, find_map, maximise
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.scores import score

@@ -27,9 +27,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.coefficients import condition_joined
 from bayes_aero.simulate.synthetic_record import misrecorded
 

@@ -40,9 +40,8 @@ from bayes_aero.inference.ensemble import EnsembleLength, density_start, find_mo
 from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.jobs.fly import fly
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import DEFAULT, Colour, Noise
+from bayes_aero.model.noise import DEFAULT, Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save

@@ -3,7 +3,7 @@
     python benchmarks/other_aircraft.py 29 [--first 0] [--gusts 0.5] [--poor] [--single] [--silent] [--no-process-noise]
         [--out strangers]
 
-Every 29th (with --silent all) has nothing hidden, the others one effect each (`tests/stranger_records.py`): two stalls
+Every 29th (with --silent all) has nothing hidden, the others one effect each (`tests/stranger.py`): two stalls
 (or one) at 20, 25 or 50 Hz with white noise, in knots, degrees, feet and g; in gusts of that deviation, m/s; by poor
 recorders that colour the noise, filter and round. One line of OUT/strangers.jsonl each; goes on where it stopped.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from studies import alone, parser_of, print_silent, print_sizes, run_seeds, standard_scores, told
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from stranger_records import HIDDEN, Recorder, flown
+from stranger import HIDDEN, Recorder, flown
 
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.flight.card import read_card

@@ -21,14 +21,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import FlightNoise
+from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.flight.card import Card, parse_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.model.joined_channels import join
+from bayes_aero.model.observations import join
 from bayes_aero.qualification.flights import alone_fits, errors, fits_without, hold_out, next_parameters
 from bayes_aero.qualification.qualify import Uncertain, qualify
 from bayes_aero.qualification.result import FlightKind

@@ -46,9 +46,8 @@ def samples(n: int) -> dict[str, float]:
     from bayes_aero.inference import ensemble
     from bayes_aero.inference.ensemble import density_start, find_mode
     from bayes_aero.inference.mle import fit_mle
-    from bayes_aero.model.density import Density
     from bayes_aero.model.model import Model
-    from bayes_aero.model.noise import Colour, Noise
+    from bayes_aero.model.noise import Colour, Density, Noise
     from bayes_aero.model.observations import observe
 
     card = read_card("attas")

@@ -32,14 +32,13 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import least_squares
 from studies import resumed
 
+from bayes_aero.diagnosis.accuracy import measured_blocks, truncated
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.parameter_fit import optimum
-from bayes_aero.diagnosis.screening.selection_state import moved
-from bayes_aero.diagnosis.selection.holdout import measured_blocks, truncated
+from bayes_aero.diagnosis.selection_state import moved, optimum
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_records
-from bayes_aero.inference.gp import Priors, fit_gp
-from bayes_aero.inference.gp.kernel import ReducedData, Scaling
+from bayes_aero.inference.gp import fit_gp
+from bayes_aero.inference.gp.kernel import Priors, ReducedData, Scaling
 from bayes_aero.inference.gp.optimum import maximise, starting_points
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.scores import log_density, score

@@ -27,11 +27,10 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.calibration import prior_sensitivity
 from bayes_aero.inference.ensemble import density_start, find_mode, sample_ensemble
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.density import Density
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations, observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.coefficients import SMOOTHED, coefficients
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.kinematics import RATES

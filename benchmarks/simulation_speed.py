@@ -31,9 +31,8 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import join, observe
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
 from bayes_aero.simulate.synthetic_record import synthetic
 

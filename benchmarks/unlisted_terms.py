@@ -29,11 +29,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from gusty_flight import CHORD, TRUTH, V0, gusty_flight
 from gusty_flight import Beyond as Added
 
+from bayes_aero.diagnosis.components import columns_of
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.autocorrelation import autocorrelation_of
-from bayes_aero.diagnosis.screening.screening import block_jackknife_covariance, uncertainty
-from bayes_aero.diagnosis.structure.components import columns_of
+from bayes_aero.diagnosis.screening import autocorrelation_of, block_jackknife_covariance, uncertainty
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord

@@ -18,10 +18,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from bayes_aero.diagnosis.consistency import screen_sensor_errors
-from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
-from bayes_aero.diagnosis.selection.forward_selection import removed
+from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.selection import removed
+from bayes_aero.diagnosis.selection_state import SelectionState, refitted
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.covariance import ORDER

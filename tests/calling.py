@@ -12,7 +12,7 @@ from unittest.mock import patch
 import jsonschema
 import pytest
 
-from bayes_aero.cli import main
+from bayes_aero.cli.app import main
 from bayes_aero.flight.record import write_record
 
 

@@ -18,8 +18,8 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.kinematics import Rotation, lever_arm

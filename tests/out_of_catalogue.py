@@ -1,4 +1,4 @@
-"""Effects that are in no catalogue, to be hidden in simulated flights."""
+"""Effects that are in no catalogue, to be hidden in simulated flights, and parameters that change during one."""
 
 from __future__ import annotations
 
@@ -9,16 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.parameter import Parameter, Prior
-from bayes_aero.simulate.injection import Beyond
+from bayes_aero.simulate.demo import DT, MARGIN
+from bayes_aero.simulate.injection import Beyond, hidden_records
 
 
-def _effect(name: str, channels: tuple[str, ...], parameters: tuple[tuple[str, float], ...], increments: Any) -> Effect:
+def _effect(
+    name: str, channels: tuple[str, ...], neutral: dict[str, float], increments: Any, stage: Stage = Stage.TOTAL
+) -> Effect:
     own = tuple(
-        Parameter(key, "-", neutral, neutral, "of an effect of no catalogue", Prior("normal", 0.0, 1.0))
-        for key, neutral in parameters
+        Parameter(key, "-", x, x, "of an effect of no catalogue", Prior("normal", 0.0, 1.0))
+        for key, x in neutral.items()
     )
-    return Effect(name, Kind.AERODYNAMICS, Stage.TOTAL, name, own, channels, increments, Example({}, {}, {}, ""), "")
+    return Effect(name, Kind.AERODYNAMICS, stage, name, own, channels, increments, Example({}, {}, {}, ""), "")
+
+
+def _bank(v, s, *_):
+    return {"Cm": v["unknown_bank"] * jnp.sin(s["phi"])}
 
 
 def _periodic(v, s, *_):
@@ -26,27 +34,17 @@ def _periodic(v, s, *_):
     return {"CL": v["unknown_CL_wave"] * wave, "Cm": v["unknown_Cm_wave"] * wave}
 
 
+def _bump(v, s, *_):
+    away = (s["altitude"] - v["unknown_height"]) / v["unknown_width"]
+    return {"CL": v["unknown_bump"] * jnp.exp(-0.5 * away**2)}
+
+
+WAVE = {"unknown_CL_wave": 0.0, "unknown_Cm_wave": 0.0, "unknown_period": 5.0, "unknown_phase": 0.0}
+BUMP = {"unknown_bump": 0.0, "unknown_height": 5000.0, "unknown_width": 100.0}
 UNKNOWN: tuple[Effect, ...] = (
-    _effect(
-        "bank_moment",
-        ("phi",),
-        (("unknown_bank", 0.0),),
-        lambda v, s, *_: {"Cm": v["unknown_bank"] * jnp.sin(s["phi"])},
-    ),
-    _effect(
-        "periodic",
-        ("time",),
-        (("unknown_CL_wave", 0.0), ("unknown_Cm_wave", 0.0), ("unknown_period", 5.0), ("unknown_phase", 0.0)),
-        _periodic,
-    ),
-    _effect(
-        "altitude_bump",
-        ("altitude",),
-        (("unknown_bump", 0.0), ("unknown_height", 5000.0), ("unknown_width", 100.0)),
-        lambda v, s, *_: {
-            "CL": v["unknown_bump"] * jnp.exp(-0.5 * ((s["altitude"] - v["unknown_height"]) / v["unknown_width"]) ** 2)
-        },
-    ),
+    _effect("bank_moment", ("phi",), {"unknown_bank": 0.0}, _bank),
+    _effect("periodic", ("time",), WAVE, _periodic),
+    _effect("altitude_bump", ("altitude",), BUMP, _bump),
 )
 """Effects by name: a moment from bank angle, a wave in time, a bump of lift at one altitude."""
 
@@ -70,3 +68,35 @@ def _draw(name: str, rng: np.random.Generator) -> dict[str, float]:
         "unknown_height": rng.uniform(4700.0, 5000.0),
         "unknown_width": rng.uniform(60.0, 120.0),
     }
+
+
+# A parameter of the aircraft takes another value halfway through the second of two manoeuvres
+AT = 43.0  # s from the begin of the record
+
+
+def _late(s: Any) -> Any:
+    return jnp.where(s["time"] >= AT + MARGIN * DT, 1.0, 0.0)
+
+
+def _lift(v, s, *_):
+    return {"CL_attached": v["change_CLaM"] * s["mach"] * s["alpha"] * _late(s)}
+
+
+CHANGES = (
+    _effect("Cm0", ("time",), {"change_Cm0": 0.0}, lambda v, s, *_: {"Cm": v["change_Cm0"] * _late(s)}),
+    _effect("CLaM", ("time", "alpha", "mach"), {"change_CLaM": 0.0}, _lift, Stage.ATTACHED),
+)
+"""One program for all changes; where none is hidden it is the same."""
+
+
+def changed(parameter: str | None, size: float, *, seed: int, **options: Any) -> list[FlightRecord]:
+    """Two records of one aircraft, whose `parameter` (Cm0, CLaM; None: none) grows by `size` after `AT` s of the second
+    one. Options as of `hidden_flights`."""
+
+    def flown(values: dict[str, float]) -> list[FlightRecord]:
+        return hidden_records({}, seed=seed, beyond=Beyond(CHANGES, lambda _: values), **options)
+
+    before = flown({})
+    if parameter is None:
+        return before
+    return [before[0], flown({f"change_{parameter}": size})[1]]

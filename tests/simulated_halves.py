@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
+from bayes_aero.diagnosis.trajectory_result import (
     Error,
     SimulatedManoeuvre,
     Trajectories,

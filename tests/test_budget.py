@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51669,
-    "bayes_aero: files": 230,
-    "bayes_aero: private helpers used once": 292,
+    "bayes_aero: lines": 51505,
+    "bayes_aero: files": 203,
+    "bayes_aero: private helpers used once": 291,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 28556,
-    "tests: files": 131,
-    "benchmarks: lines": 5923,
+    "tests: lines": 25976,
+    "tests: files": 97,
+    "benchmarks: lines": 5911,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
-    "CHANGELOG.md: lines": 161,
-    "docs: words": 27782,
+    "CHANGELOG.md: lines": 149,
+    "docs: words": 25111,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

@@ -1,15 +1,25 @@
-"""Every effect of the catalogue, without naming one: what the contract promises; and signs of lateral effects."""
+"""Every effect of the catalogue, without naming one: what the contract promises; and the signs of those of the record,
+the aircraft and the lateral axis."""
+
+from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage
+from bayes_aero.effect import NEUTRAL_FLOW, Effect, Stage
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import marks, observe, response_scales
+from bayes_aero.model.records import marks_of
 from bayes_aero.physics.aircraft import Aircraft, Axis
+from bayes_aero.physics.coefficients import coefficients
+from bayes_aero.physics.kinematics import path_rates
 from bayes_aero.report.text.restraints import sign_sentences
 
 AIRCRAFT = Aircraft(
@@ -22,9 +32,10 @@ WITH_MEMORY = (Stage.CHANNEL, Stage.LAG)
 effects = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
 
 
-def signals(n=64, seed=0):
+@cache
+def signals():
     """Two manoeuvres of 32 samples, every channel that the program knows and their marks."""
-    rng = np.random.default_rng(seed)
+    rng, n = np.random.default_rng(0), 64
     s = {
         "alpha": rng.uniform(-0.1, 0.5, n), "alpha_dot": rng.normal(0, 0.05, n), "airspeed": rng.uniform(55, 100, n),
         "q": rng.normal(0, 0.05, n), "elevator": rng.normal(0, 0.1, n), "mach": rng.uniform(0.15, 0.4, n),
@@ -41,8 +52,8 @@ def signals(n=64, seed=0):
     }  # fmt: skip
 
 
-def known(s, seed=1):
-    rng = np.random.default_rng(seed)
+def known(s):
+    rng = np.random.default_rng(1)
     n = s["alpha"].shape[0]
     X = jnp.asarray(rng.uniform(0.01, 0.99, n))
     return {key: jnp.full(n, value) for key, value in NEUTRAL_FLOW.items()} | {
@@ -70,7 +81,7 @@ def test_neutral_values_give_exactly_nothing(effect):
     if effect.name == "flow_separation":
         state |= {"X": jnp.ones_like(s["alpha"])}
     if effect.disturbance is not None:  # a process of no intensity stays at zero
-        s |= {effect.disturbance.state: jnp.zeros_like(s["alpha"])}
+        s = s | {effect.disturbance.state: jnp.zeros_like(s["alpha"])}
     assert np.all(np.asarray(flat(effect.increments(values(effect, "neutral"), s, AIRCRAFT, state))) == 0.0)
 
 
@@ -128,22 +139,17 @@ def test_worked_example_comes_out(effect):
 
 @effects
 def test_it_says_what_it_is_and_where_it_comes_from(effect):
-    assert isinstance(effect.kind, Kind)
     assert effect.claim.endswith(".")
     assert effect.formula.endswith(".")
     assert effect.source
+    assert set(effect.sizes) == {p.name for p in effect.parameters}
     for p in effect.parameters:
         assert p.unit
         assert p.description
         assert p.prior.source
         assert p.bounds[0] <= p.start <= p.bounds[1]
         assert np.isfinite(float(p.prior.log_density(jnp.asarray(p.start))))
-
-
-@effects
-def test_every_parameter_has_a_least_and_a_largest_size(effect):
-    assert set(effect.sizes) == {p.name for p in effect.parameters}
-    for least, largest in effect.sizes.values():
+        least, largest = effect.sizes[p.name]
         assert 0.0 < least < largest < np.inf
     bounds = {p.name: p.bounds for p in effect.parameters}
     for name, scanned in effect.scan.items():
@@ -151,10 +157,42 @@ def test_every_parameter_has_a_least_and_a_largest_size(effect):
         assert all(bounds[name][0] < value < bounds[name][1] for value in scanned)
 
 
+class Watched(dict):
+    """Signals that remember which of them were asked for, whether or not they are there."""
+
+    def __init__(self, given):
+        super().__init__(given)
+        self.read = set()
+
+    def __getitem__(self, name):
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def __contains__(self, name):
+        self.read.add(name)
+        return super().__contains__(name)
+
+    def get(self, name, default=None):
+        self.read.add(name)
+        return super().get(name, default)
+
+
+IF_RECORDED = {  # channels that an effect can do without
+    "airspeed_bias": {"mach", "mach_follows"},
+    "airspeed_scale": {"mach", "mach_follows"},
+    "pitot_pressure_bias": {"mach", "mach_follows"},
+    "pitot_position": {"beta", "r"},
+    "vane_position": {"beta", "r"},
+    "thrust_scale": {"thrust_left", "thrust_right"},
+    "thrust_lag": {"thrust_left", "thrust_right"},
+}
+
+
 @effects
 def test_it_reads_only_the_channels_it_names(effect):
-    s = {name: value for name, value in signals().items() if name in (*effect.channels, *MARKS)}
-    effect.increments(values(effect, "start"), s, AIRCRAFT, known(signals()))  # a channel not named is a KeyError
+    s = Watched(signals())
+    effect.increments(values(effect, "start"), s, AIRCRAFT, known(signals()))
+    assert s.read - {*effect.channels, *MARKS} == IF_RECORDED.get(effect.name, set())
 
 
 @effects
@@ -251,3 +289,248 @@ def test_spoilers_of_one_side_roll_and_yaw_to_it_and_alike_ones_do_nothing(card)
     known = model.flow(values, {name: np.array(x) for name, x in deflected.items()}, card.aircraft)
     assert np.asarray(known["Cl"]) == pytest.approx([0.015, 0.0], abs=1e-15)
     assert np.asarray(known["Cn"]) == pytest.approx([0.003, 0.0], abs=1e-15)
+
+
+# What was recorded becomes what was true: the sign convention of effects on the record and on the aircraft
+N, DT = 400, 0.04
+
+
+def wave(t):
+    """A smooth channel that changes sign."""
+    return 0.3 * np.sin(0.9 * t) + 0.1 * np.cos(2.3 * t)
+
+
+MADE_WRONG = {  # by the last word of an effect's name
+    "bias": lambda t, size: wave(t) + size,
+    "scale": lambda t, size: (1.0 + size) * wave(t),
+    "delay": lambda t, size: wave(t - size),
+    "wind": lambda t, size: wave(t) + size * t,
+}
+RECORDED = [
+    ("alpha_bias", "alpha", 0.02), ("airspeed_bias", "airspeed", -1.5), ("pitch_rate_bias", "q", 0.004),
+    ("accel_x_bias", "ax", 0.1), ("accel_z_bias", "az", -0.2), ("pitch_attitude_bias", "theta", 0.01),
+    ("alpha_scale", "alpha", 0.08), ("airspeed_scale", "airspeed", 0.03), ("pitch_rate_scale", "q", -0.05),
+    ("elevator_scale", "elevator", 0.1), ("altitude_scale", "altitude", 0.02), ("density_scale", "density", -0.04),
+    ("alpha_delay", "alpha", 0.13), ("alpha_delay", "alpha", -0.07), ("sideslip_delay", "beta", 0.06),
+    ("heading_delay", "psi", 0.09), ("elevator_delay", "elevator", 0.08), ("vertical_wind", "altitude", 2.0),
+    ("accel_y_bias", "ay", 0.1), ("sideslip_bias", "beta", 0.02), ("bank_angle_bias", "phi", -0.01),
+    ("roll_rate_bias", "p", 0.003), ("yaw_rate_bias", "r", -0.002), ("accel_y_scale", "ay", 0.1),
+    ("sideslip_scale", "beta", -0.05), ("bank_angle_scale", "phi", 0.04), ("roll_rate_scale", "p", 0.08),
+    ("yaw_rate_scale", "r", -0.03), ("aileron_scale", "aileron", 0.1), ("rudder_scale", "rudder", -0.1),
+    ("aileron_delay", "aileron", 0.08), ("rudder_delay", "rudder", -0.06),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "channel", "size"), RECORDED)
+def test_what_was_recorded_becomes_what_was_true(card, name, channel, size):
+    beside, error = marks(N, DT), name.split("_")[-1]
+    t = np.asarray(beside["elapsed"])
+    channels = beside | {channel: jnp.asarray(MADE_WRONG[error](t, size))}
+    (parameter,) = CATALOGUE[name].parameters
+    model = Model.of([name], axes=BOTH)
+    true = model.corrected({parameter.name: jnp.asarray(size)}, channels, card.aircraft)[channel]
+    inner = slice(5, -5)  # a delay cannot look beyond the ends
+    np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4 if error == "delay" else 1e-12)
+
+
+@pytest.mark.parametrize("channel", ["elevator", "aileron", "rudder", "alpha", "sideslip"])
+def test_a_late_channel_of_another_scale_is_scaled_as_it_was(card, channel):
+    """Recorded(t) = (1 + scale) true(t - delay); a scale of the late channel would be a second tap of a filter."""
+    beside, late, size = marks(N, DT), 0.13, -0.2
+    t = np.asarray(beside["elapsed"])
+    name = {"sideslip": "beta"}.get(channel, channel)
+    model = Model.of([f"{channel}_scale", f"{channel}_delay"], axes=BOTH)
+    given = {p.name: jnp.asarray(late if p.unit == "s" else size) for p in model.parameters}
+    recorded = beside | {name: jnp.asarray((1.0 + size) * wave(t - late))}
+    inner = slice(5, -5)
+    true = model.corrected(given, recorded, card.aircraft)[name]
+    np.testing.assert_allclose(true[inner], wave(t)[inner], atol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "size"), [("airspeed_bias", 5.0), ("airspeed_scale", 0.05)])
+def test_a_mach_number_with_a_source_of_its_own_is_left_as_it_is(card, name, size):
+    """True speeds and a = 320 m/s, by hand; the airspeed is recorded wrong, and the Mach number right."""
+    true = np.array([60.0, 70.0, 80.0, 90.0])
+    wrong = true + size if name == "airspeed_bias" else true * (1.0 + size)
+    air = {"static_temperature": np.full(4, 320.0**2 / (1.4 * 287.05287))}
+    model, t = Model.of([name]), np.arange(4) * DT
+    for mach, follows in ((true / 320.0, 0.0), (wrong / 320.0, 1.0)):
+        record = FlightRecord.from_arrays("by_hand", t, air | {"airspeed": wrong, "mach": mach})
+        given = {"airspeed": jnp.asarray(wrong), "mach": jnp.asarray(mach)} | marks_of(record, 0)
+        assert np.all(given["mach_follows"] == follows)
+        found = model.corrected({name: jnp.asarray(size)}, given, card.aircraft)
+        np.testing.assert_allclose(found["mach"], true / 320.0, rtol=1e-12)
+
+
+def test_every_effect_on_the_record_has_its_sign_tested():
+    shown = [e for e in CATALOGUE.values() if e.disturbance is None]
+    measured = {e.name for e in shown if e.kind in ("measurement", "environment")}
+    places = {
+        "vane_position", "pitot_position", "sideslip_vane_position", "sideslip_vane_height",
+        "accel_y_position", "accel_y_height", "accelerometer_position", "accelerometer_height",
+    }  # fmt: skip
+    assert measured == {row[0] for row in RECORDED} | places | {"pitot_pressure_bias"}
+
+
+@pytest.mark.parametrize("size", [300.0, -150.0])
+def test_an_airspeed_from_an_impact_pressure_that_is_off_becomes_the_true_one(card, size):
+    t = np.arange(N) * DT
+    V, density = 80.0 + 20.0 * wave(t), 0.75 + 0.1 * wave(t + 1.0)
+    recorded = np.sqrt(V**2 + 2.0 * size / density)
+    given = marks(N, DT) | {"airspeed": jnp.asarray(recorded), "density": jnp.asarray(density)}
+    model = Model.of(["pitot_pressure_bias"])
+    true = model.corrected({"pitot_pressure_bias": jnp.asarray(size)}, given, card.aircraft)["airspeed"]
+    np.testing.assert_allclose(true, V, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "x", "up", "shown", "least", "left"), [
+    ("vane_position", 13.08, 0.0, ("alpha", "beta", "airspeed"), 0.003, 0.03),
+    ("vane_position", -4.0, 0.0, ("alpha", "beta", "airspeed"), 0.003, 0.03),
+    ("sideslip_vane_position", 13.08, 0.0, ("beta",), 0.001, 0.02),
+    ("sideslip_vane_position", -4.0, 0.0, ("beta",), 0.001, 0.02),
+    ("sideslip_vane_height", 0.0, 3.0, ("beta",), 0.001, 0.02),
+    ("sideslip_vane_height", 0.0, -1.5, ("beta",), 0.001, 0.02),
+    ("pitot_position", 13.08, 0.0, ("alpha", "beta", "airspeed"), 0.2, 1e-10),
+])  # fmt: skip
+def test_away_from_the_cg_the_flow_of_its_own_place_is_read(card, name, x, up, shown, least, left):
+    """Velocities of a rigid body: (u, v + x r + up p, w - x q) ahead of and above (u, v, w). Vanes take the airspeed,
+    in which this shows a little, as that of the CG: a share `left` of what moved them is not taken out."""
+    t = np.arange(N) * DT
+    true = {"alpha": 0.2 + wave(t) / 3.0, "beta": wave(t + 1.0) / 4.0, "airspeed": 80.0 + 5.0 * wave(t + 4.0)}
+    rates = {"p": 0.3 * wave(t + 2.0), "q": 0.2 * wave(t + 2.0), "r": 0.2 * wave(t + 3.0)}
+    alpha, beta, V = true.values()
+    u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+    across, down = v + x * rates["r"] + up * rates["p"], w - x * rates["q"]
+    there = {"alpha": np.arctan2(down, u), "airspeed": np.sqrt(u**2 + across**2 + down**2)}
+    there["beta"] = np.arcsin(across / there["airspeed"])
+    given = marks(N, DT) | true | rates | {channel: there[channel] for channel in shown}
+    given = {channel: jnp.asarray(series) for channel, series in given.items()}
+    model = Model.of([name], axes=BOTH)
+    found = model.corrected({name: jnp.asarray(x or up)}, given, card.aircraft)
+    corrected = {"vane_position": {"alpha": 0.01, "beta": left}, "pitot_position": {"airspeed": left}}
+    moved = {channel: np.abs(there[channel] - true[channel]).max() for channel in shown}
+    for channel, share in corrected.get(name, {"beta": left}).items():
+        of = max(moved["alpha"], moved["beta"]) if name == "vane_position" else moved[channel]
+        assert of > least
+        np.testing.assert_allclose(found[channel], true[channel], rtol=0.0, atol=share * of)
+
+
+@pytest.mark.parametrize(("name", "place", "all_three"), [
+    ("accel_y_position", (3.0, 0.0, 0.0), False), ("accel_y_height", (0.0, 0.0, -1.5), False),
+    ("accelerometer_position", (-2.0, 0.0, 0.0), True), ("accelerometer_height", (0.0, 0.0, 1.0), True),
+])  # fmt: skip
+def test_accelerometers_elsewhere_read_the_acceleration_of_their_own_place(card, name, place, all_three):
+    """That of a rigid body: omega_dot x d + omega x (omega x d) more; the flight path is then that of the centre."""
+    t, axes = np.arange(N) * DT, ("ax", "ay", "az")
+    rates = np.stack([0.3 * np.sin(0.8 * t), 0.2 * np.sin(0.5 * t), 0.1 * np.cos(0.7 * t)], axis=1)
+    turning = np.stack([0.24 * np.cos(0.8 * t), 0.1 * np.cos(0.5 * t), -0.07 * np.sin(0.7 * t)], axis=1)
+    more = np.cross(turning, place) + np.cross(rates, np.cross(rates, place))
+    true = {n: wave(t + k) for k, n in enumerate(axes)} | {"airspeed": 80.0 + wave(t)}
+    true |= {n: wave(t + 5.0 + k) / 5.0 for k, n in enumerate(("alpha", "beta", "phi", "theta"))}
+    true |= dict(zip("pqr", rates.T, strict=True))
+    recorded = true | {n: true[n] + more[:, k] for k, n in enumerate(axes) if all_three or n == "ay"}
+    size = place[0] - place[2]  # ahead, or up
+    model = Model.of([name], axes=BOTH)
+    corrected = model.corrected({name: size}, marks(N, DT) | recorded, card.aircraft)
+    aircraft = model.actual_aircraft({name: size}, card.aircraft)
+    slopes = dict(zip(("p_dot", "q_dot", "r_dot"), turning.T, strict=True))
+    found, expected = (path_rates(s | slopes, a) for s, a in ((corrected, aircraft), (true, card.aircraft)))
+    moved = path_rates(recorded | slopes, card.aircraft)["beta"] - expected["beta"]
+    assert np.abs(moved).max() > 1e-3
+    for state, rate in expected.items():
+        np.testing.assert_allclose(found[state][5:-5], rate[5:-5], atol=1e-6)
+
+
+def test_a_vane_for_the_angle_of_attack_alone_is_corrected(card):
+    """Without sideslip and yaw rate, as nearly as with them."""
+    t = np.arange(N) * DT
+    given = {"alpha": 0.2 + wave(t) / 3.0, "q": 0.2 * wave(t + 2.0), "airspeed": 80.0 + 5.0 * wave(t + 4.0)}
+    more = {"beta": wave(t + 1.0) / 4.0, "r": 0.2 * wave(t + 3.0)}
+    model = Model.of(["vane_position"])
+    both = (marks(N, DT) | given, marks(N, DT) | given | more)
+    alone, whole = (model.corrected({"vane_position": 13.08}, s, card.aircraft) for s in both)
+    assert "beta" not in alone
+    np.testing.assert_allclose(alone["alpha"] - given["alpha"], whole["alpha"] - given["alpha"], rtol=0.02, atol=1e-12)
+
+
+def test_pitch_rate_in_the_vanes_angle_does_not_change_its_unit(card):
+    """A delay and a place away from the CG leave a degree a degree; a scale does not."""
+    t = np.arange(N) * DT
+    names = ("alpha", "q", "airspeed")
+    channels = marks(N, DT) | dict(zip(names, (wave(t), wave(t + 1.0), jnp.full(N, 80.0)), strict=True))
+    for effect, value, unit in (("vane_position", 13.0, 1.0), ("alpha_delay", 0.1, 1.0), ("alpha_scale", 0.25, 0.8)):
+        scale = response_scales(Model.of([effect]), {effect: jnp.asarray(value)}, channels, card.aircraft, names)
+        np.testing.assert_allclose(scale["alpha"][5:-5], unit, rtol=0.02)
+        np.testing.assert_allclose(scale["q"], 1.0)
+
+
+def test_corrections_see_the_record_and_not_each_other_and_count_for_either_engine(card):
+    channels = marks(N, DT) | {"alpha": jnp.linspace(0.1, 0.3, N)}
+    model = Model.of(["alpha_bias", "alpha_scale"])
+    both = model.corrected({"alpha_bias": 0.01, "alpha_scale": 0.25}, channels, card.aircraft)["alpha"]
+    np.testing.assert_allclose(both, channels["alpha"] / 1.25 - 0.01, rtol=1e-12)
+    channels = marks(1, DT) | {"thrust": [3e4], "thrust_left": [1e4], "thrust_right": [2e4]}
+    channels = {name: jnp.asarray(x) for name, x in channels.items()}
+    true = Model.of(["thrust_scale"]).corrected({"thrust_scale": 0.1}, channels, card.aircraft)
+    found = [float(true[name][0]) for name in ("thrust", "thrust_left", "thrust_right")]
+    assert found == pytest.approx([3.3e4, 1.1e4, 2.2e4])
+
+
+@pytest.mark.parametrize(("values", "moved", "changed"), [
+    ({"mass_scale": 0.1, "cg_shift": 0.2, "inertia_scale": -0.1}, (0.2, 0.0, 0.0),
+     lambda a: {"mass": 1.1 * a.mass, "Iy": 0.9 * a.Iy, "tail_arm": a.tail_arm + 0.2}),
+    ({"lateral_cg_shift": 0.2, "roll_inertia_scale": 0.1, "yaw_inertia_scale": -0.1, "inertia_product": 0.02},
+     (0.0, 0.2, 0.0), lambda a: {"Ix": 1.1 * a.Ix, "Iz": 0.9 * a.Iz, "Ixz": a.Ixz + 0.02 * a.Iz}),
+])  # fmt: skip
+def test_the_aircraft_is_moved_and_weighed_and_nothing_else_changes(card, values, moved, changed):
+    a = card.aircraft
+    true = Model.of(list(values), axes=BOTH).actual_aircraft(values, a)
+    places = {key: tuple(np.subtract(getattr(a, key), moved)) for key in ("reference_point", "accelerometer", "engine")}
+    for key, expected in vars(replace(a, **changed(a), **places)).items():
+        assert expected is None or getattr(true, key) == pytest.approx(expected), key
+
+
+def steady(card, **changes):
+    """Cl and Cn of straight flight without rotation, 1 g, as the record gives them."""
+    signals = dict.fromkeys(("ax", "ay", "p", "q", "r", "p_dot", "q_dot", "r_dot", "alpha", "beta"), 0.0)
+    signals |= {"az": -9.81, "airspeed": 80.0, "density": 1.0, "thrust": 2e4, "thrust_left": 1e4, "thrust_right": 1e4}
+    forward = dict.fromkeys(("reference_point", "accelerometer", "engine"), (0.5, 0.0, 0.2))
+    aircraft = replace(card.aircraft, engine_arm=2.0, engine_inclination=0.0, **forward)
+    model = Model.of(list(changes), axes=BOTH)
+    channels = {name: jnp.asarray([x]) for name, x in signals.items()}
+    found = coefficients(model.corrected(changes, channels, aircraft), model.actual_aircraft(changes, aircraft))
+    pressure_area = 0.5 * 80.0**2 * aircraft.wing_area * 2.0 * aircraft.half_span
+    return float(found.Cl[0]) * pressure_area, float(found.Cn[0]) * pressure_area
+
+
+def test_uneven_engines_and_a_centre_of_gravity_aside_ask_for_moments(card):
+    """5 % of 10 kN more left and less right, 2 m out: 2000 N m to the right, which aerodynamics must balance."""
+    (roll, yaw), (_, without) = steady(card, thrust_asymmetry=0.05), steady(card)
+    assert (roll, yaw, without) == pytest.approx((0.0, -2000.0, 0.0), abs=1e-9)
+    # About the card's reference point, left of the CG, a lift of m g through the CG rolls to the left: -m g dy.
+    roll, yaw = steady(card, lateral_cg_shift=0.1)
+    assert steady(card) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert roll == pytest.approx(-0.1 * card.aircraft.mass * 9.81, rel=1e-9)
+    assert yaw == pytest.approx(0.0, abs=1e-6)  # thrust left of the CG, and the drag that it holds, on one line
+
+
+def test_fixed_errors_of_sensor_and_mass_are_taken_out(card, model, clean_records):
+    clean = clean_records[0]
+    wrong = {**clean.channels, "q": clean["q"] * 1.1, "alpha": clean["alpha"] + 0.01}
+    record = FlightRecord.from_arrays(clean.name, clean.time, wrong)
+    errors = {"pitch_rate_scale": 0.1, "alpha_bias": 0.01}
+    extended = Model.of([*card.effects, *errors], {**card.fixed, **errors})
+    expected, found = observe([clean], card, model), observe([record], card, extended)
+    np.testing.assert_allclose(found.measured, expected.measured, atol=1e-10)
+    assert set(found.signals) == set(expected.signals)
+    extended = Model.of([*card.effects, "mass_scale"], {**card.fixed, "mass_scale": 0.05})
+    light, heavy = (observe(clean_records[:1], card, m) for m in (model, extended))
+    assert heavy.aircraft.mass == pytest.approx(1.05 * card.aircraft.mass)
+    ratio = np.asarray(heavy.measured[:, 0] / light.measured[:, 0])
+    assert 1.04 < np.median(ratio) < 1.06
+
+
+@pytest.mark.parametrize("name", ["alpha_bias", "mass_scale"])
+def test_a_free_error_of_the_record_is_refused(card, clean_records, name):
+    with pytest.raises(InputError, match=f"effect {name} .*fix it on the card, or use bayes-aero diagnose"):
+        observe(clean_records, card, Model.of([*card.effects, name]))

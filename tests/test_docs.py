@@ -1,4 +1,4 @@
-"""The documentation: it builds strictly, what is generated is complete, nothing is fetched, its examples run."""
+"""Documentation and notebooks: they build strictly, are complete, fetch nothing, and their examples run."""
 
 import ast
 import json
@@ -9,6 +9,7 @@ import sys
 from html import unescape
 from pathlib import Path
 
+import nbformat
 import pytest
 from browsing import needed
 
@@ -66,48 +67,41 @@ def test_pages_opened_from_a_folder_can_be_searched(site, browser):
     assert all(url.startswith("file:") for url in asked)
 
 
-def test_reference_lists_every_public_name_effect_and_option(site):
-    reference = text_of(site / "reference" / "api.html")
-    for name in set(ba.__all__) - {"__version__"}:
-        assert name in reference, name
-    catalogue = text_of(site / "reference" / "effects.html")
-    for effect in ba.CATALOGUE.values():
-        assert f'id="{effect.name}"' in catalogue
-        assert effect.claim in catalogue
-        assert all(p.name in catalogue for p in effect.parameters)
-    commands = text_of(site / "reference" / "cli.html")
-    assert all(word in commands for word in ("bayes-aero identify", "bayes-aero diagnose", "--max-effects", "--noise"))
+def keys_of(part):
+    """Every key that a schema names."""
+    if isinstance(part, dict):
+        own = part.get("properties", {})
+        return {*(own if isinstance(own, dict) else ())}.union(*map(keys_of, part.values()))
+    return set().union(*map(keys_of, part)) if isinstance(part, list) else set()
 
 
-def test_reference_explains_every_key_of_a_card(site):
-    card = text_of(site / "reference" / "card.html")
-    keys = {*AIRCRAFT_KEYS, *STANDARD_CHANNELS, *PARAMETER_KEYS, *FAMILIES}
-    keys |= {"column", "label", "unit", "required", "effects", "effect_files", "fixed", "states", "rates", "outputs"}
-    for key in keys:
-        assert f"<code>{key}</code>" in card or f"<code>{key}." in card, key
-    for section in set(SECTIONS) - {"title", "source"}:
-        assert f"<code>[{section}]</code>" in card or f"<code>[{section}.NAME]</code>" in card, section
+def schema_of(name: str) -> dict:
+    folder = ROOT / "bayes_aero" / "jobs" / "io" / "schemas"
+    return json.loads((folder / f"{name}.schema.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("name", ["results", "diagnosis", "trajectories", "qualification"])
-def test_reference_lists_every_key_of_the_schemas(site, name):
-    page = text_of(site / "reference" / "schemas.html")
+EFFECTS = [rf'id="{e.name}"' for e in ba.CATALOGUE.values()]
+EFFECTS += [re.escape(e.claim) for e in ba.CATALOGUE.values()]
+EFFECTS += [p.name for e in ba.CATALOGUE.values() for p in e.parameters]
+CARD = {*AIRCRAFT_KEYS, *STANDARD_CHANNELS, *PARAMETER_KEYS, *FAMILIES, "column", "label", "unit", "required"}
+CARD |= {"effects", "effect_files", "fixed", "states", "rates", "outputs"}
+REFERENCE = {
+    "api": set(ba.__all__) - {"__version__"},
+    "effects": EFFECTS,
+    "cli": ("bayes-aero identify", "bayes-aero diagnose", "--max-effects", "--noise"),
+    "card": [rf"<code>{key}(</code>|\.)" for key in CARD]
+    + [rf"<code>\[{section}(\.NAME)?\]</code>" for section in set(SECTIONS) - {"title", "source"}],
+} | {
+    f"schemas: {name}": [rf"<code>[^<]*\b{re.escape(key)}</code>" for key in keys_of(schema_of(name))]
+    for name in ("results", "diagnosis", "trajectories", "qualification")
+}
 
-    def keys(part):
-        if isinstance(part, dict):
-            yield from part.get("properties", {}) if isinstance(part.get("properties"), dict) else ()
-            for below in part.values():
-                yield from keys(below)
-        elif isinstance(part, list):
-            for below in part:
-                yield from keys(below)
 
-    schema = json.loads(
-        (ROOT / "bayes_aero" / "jobs" / "io" / "schemas" / f"{name}.schema.json").read_text(encoding="utf-8")
-    )
-    found = set(keys(schema))
-    assert len(found) > 10
-    assert {key for key in found if not re.search(rf"<code>[^<]*\b{re.escape(key)}</code>", page)} == set()
+@pytest.mark.parametrize("page", REFERENCE)
+def test_reference_lists_every_name_effect_option_and_key(site, page):
+    text = text_of(site / "reference" / f"{page.split(':')[0]}.html")
+    assert len(REFERENCE[page]) > (3 if page == "cli" else 10)
+    assert [wanted for wanted in REFERENCE[page] if not re.search(wanted, text)] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -146,3 +140,83 @@ def test_no_part_of_a_sentence_stands_outside_its_parentheses():
         texts = [x for x in alone if isinstance(x, ast.JoinedStr) or isinstance(getattr(x, "value", None), str)]
         lost = [x.lineno for x in texts if not (ast.get_source_segment(source, x) or "").startswith(('"""', 'r"""'))]
         assert not lost, f"{path}: {lost}"
+
+
+# Notebooks as they are committed, and executed anew on reduced settings: one of them, by `make verify` all
+FOLDER = ROOT / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+RECORDS = ROOT.parent / "shared" / "attas"
+REAL = ("06", "07")  # need the real records
+MACHINE = re.compile(r"(?<![\w.])/(?:home|root|tmp|work|usr|opt|var|Users)/|[A-Z]:\\")
+MEGABYTE = 2**20
+
+each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+ALWAYS = "05"  # the quickest; `make verify` executes all
+EXECUTED = [p if p.name.startswith(ALWAYS) else pytest.param(p, marks=pytest.mark.verify) for p in NOTEBOOKS]
+
+
+def outputs(path: Path):
+    """Every output of a notebook."""
+    return [o for cell in nbformat.read(path, as_version=4).cells for o in cell.get("outputs", [])]
+
+
+def texts(output) -> list[str]:
+    """What an output says in words or markup; pictures are left out."""
+    said = [value for key, value in output.get("data", {}).items() if not key.startswith("image/")]
+    return [str(part) for part in (*said, output.get("text", ""))]
+
+
+def assert_clean(path: Path) -> None:
+    """No error, nothing on standard error, no path of the machine that ran it."""
+    for output in outputs(path):
+        assert output["output_type"] != "error", output.get("evalue")
+        assert output.get("name") != "stderr", output.get("text")
+        for text in texts(output):
+            assert not MACHINE.search(text), MACHINE.search(text)
+
+
+def test_all_are_there():
+    assert [path.name[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06", "07", "08", "09"]
+
+
+@each
+def test_committed_with_clean_outputs_of_one_run_from_top_to_bottom(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    assert outputs(path)
+    assert_clean(path)
+    assert path.stat().st_size < MEGABYTE
+
+
+@each
+def test_every_figure_is_followed_by_what_it_does_not_show(path):
+    cells = nbformat.read(path, as_version=4).cells
+    for number, cell in enumerate(cells):
+        if any("image/png" in o.get("data", {}) for o in cell.get("outputs", [])):
+            words = next((c.source for c in cells[number + 1 :] if c.cell_type == "markdown"), "")
+            said = " ".join(words.split())
+            assert "not conclude" in said or "before anything is believed" in cells[number - 1].source
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A folder for compiled programs that the notebooks share, unless there is one already."""
+    return os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(tmp_path_factory.mktemp("compiled"))
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("path", EXECUTED, ids=lambda path: path.stem)
+def test_runs_on_reduced_settings(path, tmp_path, compiled):
+    if path.name.startswith(REAL) and not RECORDS.is_dir():
+        pytest.skip("the ATTAS records are not here")
+    before = path.read_bytes()
+    command = [sys.executable, str(FOLDER / "run.py"), "--quick", "--to", str(tmp_path), path.stem]
+    settings = os.environ | {"JAX_COMPILATION_CACHE_DIR": compiled, "JAX_PLATFORMS": "cpu"}
+    ended = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=900, check=False)
+    assert ended.returncode == 0, ended.stderr[-3000:]
+    assert_clean(tmp_path / path.name)
+    code = [cell for cell in nbformat.read(tmp_path / path.name, as_version=4).cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code)
+    assert path.read_bytes() == before

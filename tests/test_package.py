@@ -6,13 +6,11 @@ import ast
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, resources
 from inspect import isfunction, ismodule
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -24,24 +22,14 @@ from typechecker import check_once
 import bayes_aero
 import bayes_aero.effects as effects
 import bayes_aero.flight.readers as readers
-from bayes_aero.diagnosis import candidate_set
-from bayes_aero.diagnosis.candidate_set import candidate_model
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.forward_selection import forward_selection
-from bayes_aero.diagnosis.settings import DiagnosisSettings
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.observations import observe
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report import figures
 from bayes_aero.report.figures import every_figure
-from bayes_aero.residuals.base import Blockwise, ResidualModel
-from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.injection import hidden_flights
 
 ENTRY = '''
 """Drag of the elevator, squared."""
@@ -101,59 +89,6 @@ def test_a_figure_is_one_file(tmp_path, monkeypatch):
     written, failed = every_figure.draw_all({"elevator": found["elevator"]}, [0.0, 1.0], tmp_path / "figures")
     assert [path.name for path in written] == ["elevator.png"]
     assert not failed
-
-
-@dataclass(frozen=True)
-class LiftError(Blockwise):
-    """A residual model of this file alone: the lift coefficient, measured minus modelled."""
-
-    whole: EquationError
-
-    @property
-    def flights(self):
-        return self.whole.flights
-
-    @property
-    def model(self):
-        return self.whole.model
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        return ("CL",)
-
-    def evaluate(self, theta) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        residual, explained = self.whole.evaluate(theta)
-        return residual[:, :1], explained
-
-    def with_channels(self, channels):
-        return LiftError(self.whole.with_channels(channels))
-
-    def offsets(self, theta, outputs: Sequence[str]) -> np.ndarray:  # noqa: ARG002
-        return np.zeros((len(self.manoeuvre), 1, 0))
-
-    def slopes(self, theta, directions):
-        residual, slopes = self.whole.slopes(theta, directions)
-        return residual[:, :1], slopes[:, :, :1]
-
-
-@pytest.fixture(scope="module")
-def hidden():
-    return [f.record for f in hidden_flights({"pitch_rate_lift": {"CLq": 8.0}}, seed=43, noise="white", seconds=60.0)]
-
-
-def test_a_residual_model_is_one_file(hidden, card, model, monkeypatch):
-    """Linearisation, screening, forward selection, hold-out and sizes run over a class that they do not know."""
-    flights, _ = despiked(join(hidden, card))
-    monkeypatch.setattr(candidate_set, "CATALOGUE", {name: e for name, e in CATALOGUE.items() if "_lift" in name})
-    full = candidate_model(model, flights)
-    fit = fit_mle(model, observe(hidden, card, model), seed=0, extra_starts=0)
-    values = full.neutral | {n: x for n, x in zip(fit.names, fit.estimate, strict=True) if n in full.neutral}
-    lift: ResidualModel = LiftError(EquationError.of(flights, full.model))
-    state = linearised(full, lift, lift.outputs, np.array([values[n] for n in full.model.names]))
-    found = forward_selection(state, seed=0)
-    assert found.causes[:1] == ("pitch_rate_lift",)
-    size = found.sizes["CLq"]
-    assert abs(size.mean - 8.0) < 4.0 * size.sd
 
 
 BELOW = ("diagnosis", "inference", "residuals", "dynamics", "model")
@@ -248,20 +183,12 @@ def test_the_former_emitters_are_asked_for_unless_flags_say_otherwise(flags, fou
     assert told.stdout.splitlines() == [found, "2.0"]
 
 
-if TYPE_CHECKING:
-    from nowhere import Anything
-
 N, M = np.zeros(3), np.zeros(4)
 
 
 @check_once
 def both(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], scale: float = 1.0) -> Float[np.ndarray, " n"]:
     return np.concatenate([x, y]) if scale < 0.0 else scale * (x + y)
-
-
-@check_once
-def unknown(x: Anything, n: int) -> int:
-    return x if n else n
 
 
 @check_once
@@ -275,7 +202,6 @@ def test_what_fits_passes_and_the_package_is_checked():
     assert both(N, N, 2).shape == (3,)
     assert both(M, M).shape == (4,)  # a letter means another size at the next call
     assert Pair(N, y=N).x is N
-    assert unknown("x", 0) == 0
     with pytest.raises(BeartypeCallHintViolation):
         smooth("no signal", 0.1)
 
@@ -289,8 +215,6 @@ def test_what_fits_passes_and_the_package_is_checked():
         lambda: both(N, np.zeros(3, dtype=int)),
         lambda: both(N, N, -1.0),  # the result is twice as long
         lambda: Pair(N, M),
-        lambda: unknown(1, "1"),
-        lambda: unknown("one", 1),
     ],
 )
 def test_what_does_not_fit_is_refused(wrong):

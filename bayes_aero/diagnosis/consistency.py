@@ -2,42 +2,52 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis.accuracy import Size, sizes
+from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model
 from bayes_aero.diagnosis.flight_path_check import CALM, gusts_met, path_check
 from bayes_aero.diagnosis.result import Diagnosis
-from bayes_aero.diagnosis.screening.accuracy import Size, sizes
-from bayes_aero.diagnosis.screening.parameter_fit import largest_p_value, refitted
-from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse, partialled
-from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.forward_selection import (
+from bayes_aero.diagnosis.screening import largest_p_value, screen
+from bayes_aero.diagnosis.selection import (
     Extension,
     SelectionStep,
+    correlated,
+    explained,
     forward_selection,
     nats_gained,
     removed,
+    without_hold,
     worth,
 )
-from bayes_aero.diagnosis.selection.rivals import correlated, open_errors, with_several_instead, without_hold
+from bayes_aero.diagnosis.selection_state import (
+    TINY,
+    RegressionFit,
+    SelectionState,
+    inverse,
+    linearised,
+    moved,
+    partialled,
+    refitted,
+)
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Agreement, Consistency, OpenError, PathCheck
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.inference.covariance import cluster_covariance
-from bayes_aero.model.joined_records import Flights, joined, repaired
+from bayes_aero.inference.covariance import cluster_covariance, nats
 from bayes_aero.model.model import Model, lengths_of, own_effects
+from bayes_aero.model.records import Flights, joined, repaired
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.kinematics import PATH_CORE, PATH_NEEDS
-from bayes_aero.residuals.flight_path import FlightPathError, rolled_unseen
+from bayes_aero.residuals.base import FlightPathError, rolled_unseen
 
 
 @dataclass(frozen=True)
@@ -337,3 +347,116 @@ def widened(found: Extension, state: SelectionState, fit: RegressionFit) -> Exte
     causes, minor = worth(state, fit, known)
     steps = (*found.steps, closing)
     return replace(found, state=state, fit=fit, steps=steps, sizes=known, causes=causes, minor=minor)
+
+
+# --- What the flight path cannot decide about errors of sensors: those it asks for in vain, and those that others
+# imitate.
+# An offset of the pitch attitude turns gravity in the body axes. Accelerometers that are off by as much as that look
+# the same, so without another measurement (the altitude, a calm wind) the record knows the sum of both and neither
+# of them.
+
+
+def open_errors(found: Extension) -> tuple[OpenError, ...]:
+    """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
+
+    One that was added and is beyond absence, estimated with all others, is decided.
+
+    Args:
+        found: the search along the flight path, ended by `widened`.
+    """
+    state, settings = found.state, found.state.settings
+    effects, columns, gram, right = _information_of_errors(state, found.fit)
+    # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
+    covariance = inverse(gram + np.diag(state.precision[columns]))
+    among = np.sqrt(state.variance_inflation * np.diag(covariance))
+    jointly = covariance @ (right + gram @ state.departure[columns])
+    screening = found.steps[-1].screening
+    told = []
+    for place, effect in enumerate(effects):
+        parameter = effect.parameters[0]
+        least, _ = effect.sizes[parameter.name]
+        standing = None if effect.name in state.active else screening.of(effect.name)
+        if standing is None:
+            mean, sd, asked = found.sizes[parameter.name].mean, found.sizes[parameter.name].sd, False
+        else:  # were it the only one; and whether one worth a name would explain much of what is left if confirmed
+            mean, sd = float(standing.step[0]), float(standing.sd[0])
+            clear = standing.score >= settings.least_score and standing.log_bayes > 0.0 and abs(mean) >= least
+            asked = clear and explained(state, standing) >= settings.open_share
+        wide = max(sd, float(among[place]))
+        there = max(least, abs(mean)) if standing is None else least
+        imitators, share = next(
+            (one for one in _nearest(gram, effects, place, settings, there) if one[1] >= settings.imitated), ((), 0.0)
+        )
+        decided = standing is None and abs(jointly[place]) >= settings.least_score * wide
+        if decided or settings.least_score * wide < least:  # nobody hides an error that is worth a name
+            imitators, share = (), 0.0
+        if asked or imitators:
+            told.append(OpenError(effect.name, parameter.unit, mean, sd, wide, asked, imitators, share))
+    rank = {standing.effect: k for k, standing in reversed(list(enumerate(screening.candidate_scores)))}
+    return tuple(sorted(told, key=lambda e: (not e.asked, rank.get(e.name, len(rank)))))
+
+
+def _information_of_errors(
+    state: SelectionState, fit: RegressionFit
+) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Effects of one parameter without break point that move the flight path; their columns, the information on them
+    where integrals begin being free, and the right side of what is left."""
+    effects = [
+        e
+        for e in state.full.candidates
+        if len(e.parameters) == 1 and not e.scan and e.sizes and np.any(state.S[:, :, state.full.own_columns(e.name)])
+    ]
+    columns = state.full.columns([e.parameters[0].name for e in effects])
+    X, begin = (state.scaled[state.inside][:, :, own] for own in (columns, state.offsets))
+    weight = 1.0 / fit.variance
+    X = partialled(X, begin, weight)
+    right = np.einsum("mci,c,mc->i", X, weight, state.left(fit)[state.inside])
+    return effects, columns, np.einsum("mci,c,mcj->ij", X, weight, X), right
+
+
+def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
+    """The state with an addition exchanged for several errors that together do nearly the same, where these explain the
+    record decisively better.
+
+    Offset and scale of an airspeed come one by one. Neither gains what an offset of its pitot pressure does.
+    """
+    effects, _, gram, _ = _information_of_errors(state, fit)
+    for place, effect in enumerate(effects):
+        if effect.name not in state.active:
+            continue
+        others = [name for name in state.active if name != effect.name]
+        neutral = state.full.at_neutral(state.theta, [effect.name])
+        least, _ = effect.sizes[effect.parameters[0].name]  # those of absurd size are taken out afterwards
+        for together, share in _nearest(gram, effects, place, state.settings, least):
+            if len(together) < 2 or share < state.settings.imitated or set(together) & set(others):
+                continue
+            wider, wider_fit = refitted(moved(state, neutral, (*others, *together)))
+            choice = (len(together) - 1) * math.log(len(state.full.candidates))
+            if nats(fit.deviance - wider_fit.deviance, state.variance_inflation) - choice > state.settings.decisive:
+                return with_several_instead(wider, wider_fit)
+    return state, fit
+
+
+def _nearest(
+    gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """One other error, two, and so on, each of a size that sensors have, that do most of what one error of this size
+    does; and their share of it."""
+
+    def share(others: Sequence[int]) -> float:
+        """Share of what the error does that `others` do; none if they must be too large."""
+        at = np.array(others)
+        factors = inverse(gram[np.ix_(at, at)]) @ gram[at, place]
+        largest = np.array([effects[k].sizes[effects[k].parameters[0].name][1] for k in others])
+        if np.any(np.abs(factors) * size > largest):
+            return 0.0
+        return float(factors @ gram[at, place]) / max(float(gram[place, place]), TINY)
+
+    chosen: list[int] = []
+    for _ in range(settings.imitators):
+        shares = {k: share([*chosen, k]) for k in range(len(effects)) if k != place and k not in chosen}
+        if not shares:
+            return
+        best = max(shares, key=lambda k: shares[k])
+        chosen.append(best)
+        yield tuple(effects[k].name for k in chosen), shares[best]

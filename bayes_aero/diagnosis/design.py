@@ -17,25 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import manoeuvres
-from bayes_aero.diagnosis.screening.autocorrelation import Autocorrelation, autocorrelation_of
-from bayes_aero.diagnosis.screening.regression import inverse
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.settings import ENOUGH
-from bayes_aero.dynamics.pilot import (
-    ANYWHERE,
-    EXCITED_CHANNELS,
-    LATERAL_EXCITED_CHANNELS,
-    fly_standard,
-)
+from bayes_aero.diagnosis.candidate_set import ENOUGH, manoeuvres
+from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
+from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
+from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.model.joined_records import Flights
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
+from bayes_aero.residuals.base import flight_path
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.flight_path import flight_path
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
 MOST, LITTLE = 4, 0.5  # test points, and nats from which another is worth flying
@@ -269,7 +262,7 @@ def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
     residual, known = state.responses.evaluate(jnp.asarray(state.theta))
     residual, manoeuvre = np.array(residual), state.responses.manoeuvre
-    apart = 1.0 - np.asarray(state.responses.block(known["X"]))
+    apart = state.responses.separated(known)
     growth = np.zeros(residual.shape[1])
     for c, name in enumerate(state.responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
@@ -514,7 +507,5 @@ def _linearised(
     active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
     inflation = state.variance_inflation
     there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
-    X = np.asarray(responses.block(responses.evaluate(jnp.asarray(theta))[1]["X"]))
-    return LinearisedRecord(
-        replace(there, noise_growth=1.0 + noise.growth * (1.0 - X[:, None])), noise, full.candidates
-    )
+    apart = responses.separated(responses.evaluate(jnp.asarray(theta))[1])
+    return LinearisedRecord(replace(there, noise_growth=1.0 + noise.growth * apart[:, None]), noise, full.candidates)

@@ -8,11 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts
+from bayes_aero.diagnosis.accuracy import (
+    Confirmation,
+    LeftOut,
+    Size,
+    confirmation,
+    implausible,
+    implausible_candidate,
+    measured_blocks,
+    split_name,
+    truncated,
+)
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, DiagnosisSettings
+from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
-    FLIGHT_PATH,
     LITTLE,
     Cause,
     Diagnosis,
@@ -23,44 +33,29 @@ from bayes_aero.diagnosis.result import (
     as_white,
     verdict_of,
 )
-from bayes_aero.diagnosis.screening.accuracy import Size, implausible, implausible_candidate
-from bayes_aero.diagnosis.screening.parameter_fit import refitted
-from bayes_aero.diagnosis.screening.regression import RegressionFit, inverse
-from bayes_aero.diagnosis.screening.screening import CandidateScore, screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, moved
+from bayes_aero.diagnosis.screening import CandidateScore, screen
 from bayes_aero.diagnosis.search import Search, SearchResult
-from bayes_aero.diagnosis.selection.forward_selection import (
+from bayes_aero.diagnosis.selection import (
+    CancellingPair,
     Extension,
+    absorbed,
     added,
+    cancelling,
+    correlated,
     explained,
     mixes_noise,
     noise_shares,
     removed,
-)
-from bayes_aero.diagnosis.selection.holdout import (
-    Confirmation,
-    LeftOut,
-    confirmation,
-    measured_blocks,
-    split_name,
-    truncated,
-)
-from bayes_aero.diagnosis.selection.rivals import (
-    CancellingPair,
-    absorbed,
-    cancelling,
-    correlated,
-    open_errors,
     without_hold,
 )
-from bayes_aero.diagnosis.settings import DEFAULT, DiagnosisSettings
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, inverse, moved, refitted
 from bayes_aero.effect import Effect, Kind
 from bayes_aero.errors import attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import nats
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress
 
@@ -180,7 +175,7 @@ def causes_of(
         forms = searched.forms if extension is searched.model else {}
         found += _causes_in(full, stage, extension, extension.causes, sure, measured, forms)
         for larger in extension.larger:
-            out = without_hold(larger) if stage == FLIGHT_PATH else larger.implausible
+            out = without_hold(larger) if larger.state.responses.kinematic else larger.implausible
             found += _causes_in(full, stage, larger, [n for n in larger.causes if n in out], None, {}, {})
     return found
 
@@ -200,7 +195,8 @@ def _causes_in(
         return found
     joint = correlated(extension, extension.causes)
     noise = noise_shares(extension.state, extension.fit)
-    undecided = {e.name: e.imitators for e in open_errors(extension)} if stage == FLIGHT_PATH else {}
+    kinematic = extension.state.responses.kinematic
+    undecided = {e.name: e.imitators for e in open_errors(extension)} if kinematic else {}
     for name in names:
         effect = next(e for e in full.candidates if e.name == name)
         probability, others = rivals_of(extension, name, noise=noise[name])

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.rivals import Absorbed, CancellingPair
-from bayes_aero.diagnosis.terms.library import ProductTerm
+from bayes_aero.diagnosis.accuracy import Size
+from bayes_aero.diagnosis.components import ProductTerm
+from bayes_aero.diagnosis.screening import NoiseReport
+from bayes_aero.diagnosis.selection import Absorbed, CancellingPair, Extension
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
 from bayes_aero.inference.scores import Scores
 from bayes_aero.parameter import Parameter
+from bayes_aero.residuals.base import COEFFICIENTS as COEFFICIENTS
+from bayes_aero.residuals.base import FLIGHT_PATH as FLIGHT_PATH
+from bayes_aero.residuals.base import INNOVATIONS as INNOVATIONS
+from bayes_aero.residuals.base import TRAJECTORIES as TRAJECTORIES
 
-FLIGHT_PATH = "flight path"  # the stage of sensors and winds
-COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # stages of the model itself
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 

@@ -10,23 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model, lag_of
+from bayes_aero.diagnosis.accuracy import filtered_channels
+from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
+from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    FLIGHT_PATH,
-    INNOVATIONS,
-    TRAJECTORIES,
-    FoundTerm,
-    ParameterChange,
-    UnexplainedStructure,
-)
-from bayes_aero.diagnosis.screening.accuracy import filtered_channels
-from bayes_aero.diagnosis.screening.autocorrelation import NoiseReport, lag1_within
-from bayes_aero.diagnosis.screening.parameter_fit import local_fit, optimum, refitted
-from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised, moved
-from bayes_aero.diagnosis.selection.forward_selection import (
+from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening import NoiseReport, lag1_within, screen
+from bayes_aero.diagnosis.selection import (
     Extension,
     SelectionStep,
     between_p_value,
@@ -35,12 +25,11 @@ from bayes_aero.diagnosis.selection.forward_selection import (
     removed,
     selected,
     sized,
+    without_hold,
 )
-from bayes_aero.diagnosis.selection.rivals import without_hold
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.structure.components import has_chunks, offsets_left
-from bayes_aero.diagnosis.structure.unexplained import Left, offsets_found, unexplained, withdrawn
-from bayes_aero.diagnosis.terms.forms import Forms, described, flown_forms, forms_of
+from bayes_aero.diagnosis.selection_state import SelectionState, linearised, local_fit, moved, optimum, refitted
+from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
+from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effect import Effect, Stage
@@ -52,15 +41,14 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.output_error import fit_cascade, fit_disturbed, fit_output_error
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.prediction_error import PredictionErrorResult, PredictionErrorStatus
-from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import FLIGHT, required_of
 from bayes_aero.progress import Progress
-from bayes_aero.residuals.base import WINDOW, too_few_windows
+from bayes_aero.residuals.base import INNOVATIONS, WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 
 
@@ -74,10 +62,14 @@ class SearchResult:
     noise: NoiseReport
     notes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()  # parts that failed unexpectedly
-    testable_now: bool = True  # whether hold-out data can be asked at once; trajectories ask them when compared
     changes: tuple[ParameterChange, ...] = ()
     terms: tuple[FoundTerm, ...] = ()
     forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
+
+    @property
+    def testable_now(self) -> bool:
+        """Whether hold-out data can be tested at once; trajectories are when they are compared."""
+        return self.model.state.responses.stationary
 
     @property
     def model(self) -> Extension:
@@ -101,13 +93,17 @@ class SearchResult:
         return dict(self.stages)
 
 
+def _by_stage(*extensions: Extension) -> tuple[tuple[str, Extension], ...]:
+    return tuple((one.state.responses.stage, one) for one in extensions)
+
+
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
     """Channels that coefficients need and some record does not have: trajectories are compared then."""
     given = {*card.sums, *card.constants, *card.derived, *card.tables}
     return tuple(n for n in required_of(card.axes) if n not in given and any(not record.has(n) for record in records))
 
 
-def noise_report(found: Extension, outliers: Mapping[str, int], *, of_innovations: bool = False) -> NoiseReport:
+def noise_report(found: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = found.state, found.state.outputs
     if names == state.responses.model.coefficients:
@@ -121,7 +117,7 @@ def noise_report(found: Extension, outliers: Mapping[str, int], *, of_innovation
         growth = [1.0] * len(names)
     deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
     colour, grown = (dict(zip(names, x, strict=True)) for x in (lag1, growth))
-    return NoiseReport(colour, deviation, grown, dict(outliers), of_innovations)
+    return NoiseReport(colour, deviation, grown, dict(outliers), state.responses.stage == INNOVATIONS)
 
 
 @dataclass(frozen=True)
@@ -177,10 +173,9 @@ class Search:
             "coefficients by more than the flight path gains, so it is not made."
             for name in both.denied
         ]
-        named = [] if both.sensors is None else [(FLIGHT_PATH, both.sensors)]
         return SearchResult(
             full,
-            (*named, (COEFFICIENTS, aerodynamics)),
+            _by_stage(*(() if both.sensors is None else (both.sensors,)), aerodynamics),
             (*described(left.unknown, found), *offsets_found(aerodynamics, found.idle)),
             noise_report(aerodynamics, outliers),
             tuple(notes),
@@ -215,7 +210,7 @@ class Search:
         ]
         if status is not PredictionErrorStatus.CONVERGED:
             notes.append(f"Process noise: {status.value}.")
-        return self._with_terms(INNOVATIONS, found, flights, outliers, notes)
+        return self._with_terms(found, flights, outliers, notes)
 
     def trajectories(self) -> SearchResult:
         """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
@@ -233,7 +228,12 @@ class Search:
         whole = candidate_model(self.model, flights, self.extra, self.settings)
         state = _first_state(without_lags(whole), flights, base, dict(zip(fit.names, fit.estimate, strict=True)))
         found = plausible_selection(state, seed=self.seed, progress=self.progress)
-        lagged, failures = _asked_of_a_lag(whole, found, self.seed, self.progress)
+        with np.errstate(over="raise", invalid="raise", divide="raise"):  # numbers that overflow are no answer
+            lagged, failures = attempted(
+                "Whether the separation point lags was not tested",
+                lambda: _with_lag(whole, found, flights, base, self.seed, self.progress),
+                None,
+            )
         notes = [] if fit.status is OutputErrorStatus.CONVERGED else [f"The card's model: {fit.status.value}."]
         if absent := lacking(self.records, self.card):
             notes.append(
@@ -241,7 +241,7 @@ class Search:
                 "trajectories. Of structure without a name, terms of the library are sought, and no functions of a "
                 "channel or of time."
             )
-        return self._with_terms(TRAJECTORIES, lagged or found, flights, outliers, notes, failures)
+        return self._with_terms(lagged or found, flights, outliers, notes, failures)
 
     def _inside(self, fit: OutputErrorResult) -> OutputErrorResult:
         """A fit whose simulation stays in the envelope."""
@@ -251,7 +251,6 @@ class Search:
 
     def _with_terms(
         self,
-        stage: str,
         found: Extension,
         flights: Flights,
         outliers: Mapping[str, int],
@@ -269,12 +268,11 @@ class Search:
         found = withdrawn(found, left.replaced, left.sizes)
         return SearchResult(
             found.state.full,
-            ((stage, found),),
+            _by_stage(found),
             (*left.unknown, *offsets_found(found, left.idle)),
-            noise_report(found, outliers, of_innovations=stage == INNOVATIONS),
+            noise_report(found, outliers),
             tuple(notes),
             (*failures, *failed),
-            testable_now=stage != TRAJECTORIES,
             terms=left.terms,
             forms=left.rivals,
         )
@@ -496,16 +494,14 @@ def _first_state(
     return linearised(full, responses, responses.outputs, theta, active)
 
 
-def _asked_of_a_lag(
-    whole: CandidateModel, found: Extension, seed: int, progress: Progress | None
-) -> tuple[Extension | None, tuple[str, ...]]:
-    """`_with_lag`; or the sentence of a failure, which is no answer. Numbers that overflow are one."""
-    what = "Whether the separation point lags was not tested"
-    with np.errstate(over="raise", invalid="raise", divide="raise"):
-        return attempted(what, lambda: _with_lag(whole, found, seed, progress), None)
-
-
-def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Progress | None) -> Extension | None:
+def _with_lag(
+    whole: CandidateModel,
+    found: Extension,
+    flights: Flights,
+    dynamics: AircraftDynamics,
+    seed: int,
+    progress: Progress | None,
+) -> Extension | None:
     """What is found with a lag of the separation point in from the beginning, if that is decisively better."""
     lag = lag_of(whole)
     if lag is None or not found.state.active:
@@ -514,11 +510,7 @@ def _with_lag(whole: CandidateModel, found: Extension, seed: int, progress: Prog
         progress("lag of the separation point", 0.0)
     base = found.base
     values = dict(zip(base.full.model.names, base.theta, strict=True)) | {p.name: p.start for p in lag.parameters}
-    responses = base.responses
-    assert isinstance(responses, OutputError)
-    dynamics = responses.windows.dynamics
-    assert isinstance(dynamics, AircraftDynamics)
-    state, fit = refitted(_first_state(whole, responses.flights, dynamics, values, (lag.name,)))
+    state, fit = refitted(_first_state(whole, flights, dynamics, values, (lag.name,)))
     among = found.steps[0].screening
     gain = nats(found.base_fit.deviance - fit.deviance, found.base.variance_inflation)
     settings, chance = state.settings, between_p_value(state, fit, lag.name, len(among.candidate_scores) + 1)

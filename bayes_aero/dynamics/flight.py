@@ -28,8 +28,9 @@ from bayes_aero.dynamics.system import OfPlain, System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.model.joined_channels import Flights, response_scales
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import response_scales
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter, Prior, Role
 from bayes_aero.physics.aircraft import FORCES, NO_AIRCRAFT, RIGID, Aircraft, Axis, needed_channels
 

@@ -24,7 +24,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import ONE, LinearCard
-from bayes_aero.model.joined_channels import Flights
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, Axis
 from bayes_aero.units import si_unit

@@ -25,8 +25,8 @@ from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.readings import dead_heading
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics import kinematics
 from bayes_aero.physics.aircraft import NO_AIRCRAFT, Aircraft, Axis

@@ -17,8 +17,7 @@ from bayes_aero.dynamics.flight import Dynamics
 from bayes_aero.dynamics.linear import LateOutputs
 from bayes_aero.dynamics.system import System, Trajectory, integrate
 from bayes_aero.errors import InputError
-from bayes_aero.model.joined_channels import Flights
-from bayes_aero.model.joined_records import cuts_of
+from bayes_aero.model.records import Flights, cuts_of
 from bayes_aero.physics.filters import advance
 
 START_SECONDS = 0.5  # s; the measured initial state is that of a straight line fitted to this time

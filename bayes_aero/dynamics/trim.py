@@ -16,7 +16,7 @@ from bayes_aero.dynamics.aircraft import RigidBody
 from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
-from bayes_aero.model import pytrees as pytrees
+from bayes_aero.model import observations as observations
 from bayes_aero.model.model import Model
 from bayes_aero.physics.aircraft import GRAVITY, Aircraft, air
 from bayes_aero.physics.coefficients import accelerometers, moments, motion_of_aircraft, specific_force

@@ -17,9 +17,9 @@ from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, OpenedResult, flown_model, values_of
 from bayes_aero.jobs.fitted import IdentifiedLinear, drawn
 from bayes_aero.jobs.options import FIXED, HELD
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.residuals.equation_error import EquationError
 

@@ -38,9 +38,8 @@ from bayes_aero.inference.results import (
     Stall,
 )
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep, Predicted, Share
-from bayes_aero.model.density import Density, LogDensity
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
 from bayes_aero.physics.aircraft import Aircraft
 
 DRAWS = 200  # of the posterior: the probability of a sample hardly varies between them; our choice

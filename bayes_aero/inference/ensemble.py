@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from scipy import optimize
 
 from bayes_aero.inference.results import Marginal, MleResult, Posterior, PosteriorStatus
-from bayes_aero.model.density import Density, LogDensity
+from bayes_aero.model.noise import Density, LogDensity
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress
 

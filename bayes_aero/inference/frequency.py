@@ -29,11 +29,12 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.covariance import BLOCK, robust_covariance
 from bayes_aero.inference.mle import noise_bias, scaled_inverse
 from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, MleResult
-from bayes_aero.model.joined_channels import Flights, join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
+from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter
 from bayes_aero.physics.aircraft import required_of
-from bayes_aero.residuals.frequency_error import (
+from bayes_aero.residuals.equation_error import (
     Band,
     FrequencyError,
     InBand,

@@ -34,7 +34,7 @@ from bayes_aero.inference.output_error import FIRST_F, FIRST_R
 from bayes_aero.inference.output_error_result import initial_state_sd
 from bayes_aero.inference.prediction_error import PredictionErrorResult
 from bayes_aero.inference.results import Posterior
-from bayes_aero.model.density import LogDensity
+from bayes_aero.model.noise import LogDensity
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress

@@ -37,8 +37,8 @@ from bayes_aero.inference.mle import (
 )
 from bayes_aero.inference.nuts import NutsLength, sample_nuts
 from bayes_aero.inference.results import MleResult, MleStatus, NextFlight, Posterior
-from bayes_aero.model.density import LogDensity
 from bayes_aero.model.model import Model
+from bayes_aero.model.noise import LogDensity
 from bayes_aero.model.observations import Observations
 from bayes_aero.parameter import Parameter, Prior
 from bayes_aero.progress import Progress

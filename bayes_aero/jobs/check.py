@@ -21,9 +21,8 @@ from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
-from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import joined, on_recorded_axes
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.records import joined, on_recorded_axes, with_sums
 from bayes_aero.progress import Progress
 
 SCHEMA = "bayes_aero/check/1"

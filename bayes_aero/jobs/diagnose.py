@@ -13,16 +13,14 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
-from bayes_aero.diagnosis.in_band import causes_in_band
-from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis
-from bayes_aero.diagnosis.settings import DiagnosisSettings
-from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.diagnosis.trajectories.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.view.models import view_of, with_holdout_scores, with_stalls
-from bayes_aero.diagnosis.view.results import View
+from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
+from bayes_aero.diagnosis.trajectory_result import Trajectories, View
+from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
@@ -37,9 +35,9 @@ from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
@@ -50,6 +48,7 @@ from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
+from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 

@@ -24,8 +24,8 @@ from bayes_aero.flight.record import FlightRecord, segment_of
 from bayes_aero.jobs.io.result_file import read_result, result_file
 from bayes_aero.jobs.options import MOST_DRAWS
 from bayes_aero.jobs.provenance import sha256_of
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model, effect_named, own_effects
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import COEFFICIENTS
 
 

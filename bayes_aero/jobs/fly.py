@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
-from bayes_aero.diagnosis.trajectories.histories import with_process_noise
-from bayes_aero.diagnosis.trajectories.motion import motion_of
-from bayes_aero.diagnosis.trajectories.results import FITTED, ProcessNoise, Setting, TrajectoryFit
-from bayes_aero.diagnosis.trajectories.trajectories import fit_disagreements, fit_trajectories, still_apart
+from bayes_aero.diagnosis.flights import with_process_noise
+from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
+from bayes_aero.diagnosis.trajectory_result import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.path import path_dynamics
@@ -38,10 +37,9 @@ from bayes_aero.jobs.io.time_histories import flights, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
 from bayes_aero.jobs.provenance import provenance, sha256_of, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_notes, usable_for
-from bayes_aero.model.joined_channels import Flights, despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights, on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
@@ -57,7 +55,7 @@ from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text import fly as text
 from bayes_aero.report.text.phrases import several
-from bayes_aero.residuals.frequency_error import lines_in
+from bayes_aero.residuals.equation_error import lines_in
 
 UNFILTERED = "Process noise was not fitted, because output error did not converge."
 DISTURBED = {"gusts": gusts, "one_step": one_step_quantiles}

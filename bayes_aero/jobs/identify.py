@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayes_aero.diagnosis.filter_mismatch import filter_mismatch_notes
-from bayes_aero.diagnosis.trajectories.histories import fly_given
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.flights import fly_given
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
@@ -24,18 +23,16 @@ from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
 from bayes_aero.inference.results import Identification, MleResult, NextFlight, Posterior
-from bayes_aero.inference.validation import Training, validate
+from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions
 from bayes_aero.jobs.provenance import provenance
 from bayes_aero.jobs.steps.record_checks import record_checks, repaired
-from bayes_aero.model.density import Density
-from bayes_aero.model.joined_channels import despiked, join
-from bayes_aero.model.joined_records import on_recorded_axes
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
-from bayes_aero.model.observations import Forming, observe
+from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Forming, despiked, join, observe
+from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import write_figures
@@ -44,7 +41,7 @@ from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.text.restraints import leaning_sentences
-from bayes_aero.residuals.frequency_error import Band, lines_in
+from bayes_aero.residuals.equation_error import Band, lines_in
 
 
 def identify(

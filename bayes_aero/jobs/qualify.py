@@ -11,8 +11,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import FlightNoise, trajectory_variance_inflation
+from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.errors import InputError
@@ -37,7 +36,8 @@ from bayes_aero.jobs.io.result_file import result_file, writable
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
-from bayes_aero.model.joined_channels import Flights, despiked, join
+from bayes_aero.model.observations import despiked, join
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import (

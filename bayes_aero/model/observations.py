@@ -1,13 +1,15 @@
-"""What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres."""
+"""What a model is fitted to: recorded channels as JAX arrays, conditioned signals and measured coefficients."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, replace
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -17,13 +19,65 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model import pytrees as pytrees
-from bayes_aero.model.derived_channels import with_sums
-from bayes_aero.model.joined_records import marks_of, named_apart, plain_marks
 from bayes_aero.model.model import Model
-from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
+from bayes_aero.model.records import Flights, joined, marks_of, named_apart, plain_marks, with_sums, without_spikes
+from bayes_aero.physics.aircraft import NAMES, REQUIRED, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP
+
+
+def _register(kind: type, static: Collection[str] = ()) -> None:
+    names = [field.name for field in fields(kind) if field.name not in static]
+
+    def parts(whole: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+        leaves = [(jax.tree_util.GetAttrKey(name), getattr(whole, name)) for name in names]
+        return leaves, tuple(getattr(whole, name) for name in static)
+
+    def whole(known: tuple[Any, ...], leaves: Any) -> Any:
+        """Without the constructor's checks, because JAX replaces numbers by tracers."""
+        made = object.__new__(kind)
+        for name, part in zip((*names, *static), (*leaves, *known), strict=True):
+            object.__setattr__(made, name, part)
+        return made
+
+    jax.tree_util.register_pytree_with_keys(kind, parts, whole)
+
+
+_register(Aircraft)
+_register(Flights, ("lengths", "names", "held"))
+
+
+# --- Recorded channels of several manoeuvres, end to end, as JAX arrays, for effects that act on the record.
+
+
+def response_scales(
+    model: Model, values: Mapping[str, Any], channels: Mapping[str, Array], aircraft: Aircraft, names: Sequence[str]
+) -> dict[str, Array]:
+    """Derivative of each corrected channel of `names` with respect to the recorded channel."""
+
+    def correct(name, series):
+        return model.corrected(values, {**channels, name: series}, aircraft)[name]
+
+    # One channel at a time: the influence of other channels (pitch rate on the vane's angle) does not count.
+    own = {name: channels[name] for name in names if name in channels}
+    return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in own.items()}
+
+
+def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
+    """`joined`, for compiled programs."""
+    flights = joined(records, card, required)
+    return replace(flights, channels={name: jnp.asarray(x) for name, x in flights.channels.items()})
+
+
+def despiked(flights: Flights) -> tuple[Flights, dict[str, int]]:
+    """The manoeuvres without spikes, and the number of replaced samples by channel; see `without_spikes`."""
+    channels, count = without_spikes(flights.channels, flights.lengths)
+    mended = {name: jnp.asarray(channels[name]) if name in count else x for name, x in flights.channels.items()}
+    return replace(flights, channels=mended), count
+
+
+# --- What a model is fitted to: conditioned signals and measured coefficients of one or more manoeuvres.
+
 
 STEADY = ', or state it under [constants] (p = "0 deg/s", r = "0 deg/s") if the wings were level throughout'
 

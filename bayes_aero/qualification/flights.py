@@ -15,17 +15,16 @@ from jaxtyping import Array, Bool, Float
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.design import Information, best_points, noise_of, possible_points, refused_points, variants_of
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.trajectories.histories import posterior_draws
-from bayes_aero.diagnosis.trajectories.holdout import CandidateFit, FlightNoise, left_out, masked
+from bayes_aero.diagnosis.flights import CandidateFit, FlightNoise, left_out, masked, posterior_draws
+from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare
 from bayes_aero.errors import InputError
 from bayes_aero.inference.output_error import disturbed, fit_output_error, trajectories
 from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
 from bayes_aero.inference.pooled import Hierarchy, from_prior_units, pool, prior_unit, to_prior_units
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Envelope, required_of
 from bayes_aero.processes import cores
 from bayes_aero.progress import Progress

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bayes_aero.diagnosis.trajectories.results import FlownMode, Motion
+from bayes_aero.diagnosis.trajectory_result import FlownMode, Motion
 from bayes_aero.report.tables.table import Estimate, Table, columns_of, in_brackets
 from bayes_aero.report.text.phrases import several
 

@@ -32,10 +32,18 @@ from bayes_aero.dynamics.kalman import Filtered
 from bayes_aero.dynamics.segments import SegmentTrajectories, prepare, segments, simulate
 from bayes_aero.dynamics.system import motion
 from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.model.joined_channels import Flights
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
-from bayes_aero.residuals.base import DIRECTIONS_PER_CALL, WINDOW, ResidualModel
+from bayes_aero.residuals.base import (
+    DIRECTIONS_PER_CALL,
+    INNOVATIONS,
+    TRAJECTORIES,
+    WINDOW,
+    AddedSeries,
+    Made,
+    ResidualModel,
+)
 
 # --- Output error: recorded minus simulated channels, in windows with an initial state each.
 # It is less sensitive than equation error, because a trajectory integrates the error of a coefficient.
@@ -48,6 +56,7 @@ class OutputError(ResidualModel, eqx.Module):
     windows: SegmentTrajectories
     place: Int[np.ndarray, " m"]  # indices of the complete blocks
     model: Model = eqx.field(static=True)
+    stage = TRAJECTORIES
 
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
@@ -128,6 +137,10 @@ class OutputError(ResidualModel, eqx.Module):
             S[mine, :, w * s : (w + 1) * s] = np.moveaxis(slope[:, mine], 0, 2)
         return S
 
+    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+        """What a flight makes of what is added to a coefficient."""
+        return AddedCoefficients(self, theta)
+
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
         """Residuals at these parameters with the initial state of every window changed by `shared` (s,)."""
         found = simulate(self.flown, theta, jnp.zeros((len(self.windows.index), 1)) + shared)
@@ -164,6 +177,7 @@ class FilterError(OutputError):
     # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     by: Observer
+    stage = INNOVATIONS
     stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
     averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
 
@@ -210,6 +224,10 @@ class FilterError(OutputError):
             found[own] = begin + np.arange(len(own)) * count // len(own)
             begin += count
         return found
+
+    def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
+        """What a filter does not foresee of what is added to a coefficient."""
+        return AddedToFilter(self, theta)
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
         """Whitened innovations at these parameters."""
@@ -275,10 +293,6 @@ def _filter_slopes(responses: FilterError, theta, path, known, directions):
 # it does where it is prescribed: added to the coefficient as an input, linear between samples. So one compiled program
 # has the sensitivities to all terms.
 
-Signals = Mapping[str, np.ndarray]
-Made = Callable[[Signals], Float[np.ndarray, "d n"]]
-"""Functions of the flight: d series of one value for every sample, from its signals."""
-
 
 @cache
 def _adding(coefficient: str) -> Effect:
@@ -329,7 +343,7 @@ def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Arr
     return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
 
 
-class AddedCoefficients:
+class AddedCoefficients(AddedSeries):
     """Residuals of flights under inputs that are added to the coefficients, at fixed parameters `theta`."""
 
     def __init__(self, responses: OutputError, theta: Float[np.ndarray, " k"]) -> None:
@@ -346,6 +360,10 @@ class AddedCoefficients:
 
     def signals(self) -> dict[str, np.ndarray]:
         """Signals of the flow, X and the marks along the simulated flight, each (n,); samples of no window repeat."""
+        return self._signals
+
+    @cached_property
+    def _signals(self) -> dict[str, np.ndarray]:
         return self.along(_states(self.responses, self.theta))
 
     def along(self, states: Float[Array, "w n s"]) -> dict[str, np.ndarray]:
@@ -360,6 +378,15 @@ class AddedCoefficients:
         laid = {name: np.asarray(x)[real][latest] for name, x in found.items()}
         marks = {name: np.asarray(flights.channels[name]) for name in ("dt", "elapsed", "first", "last")}
         return {name: x for name, x in laid.items() if name not in self.zeros} | marks
+
+    def columns(
+        self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
+    ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
+        """As of `AddedSeries`; a column as large as the residual of the median output, all outputs counted."""
+        series, kept = made(self.signals()), [self.responses.outputs.index(name) for name in outputs]
+        slopes = self.slopes(coefficient, made)[:, :, kept]
+        scale = np.sqrt(np.mean((slopes / deviation) ** 2, axis=(1, 2))) * float(np.median(deviation))
+        return series, slopes, scale
 
     def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the residuals by the factors of series that are added to a coefficient."""

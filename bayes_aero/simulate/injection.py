@@ -16,8 +16,8 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import Axis, Envelope, excursion
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed

@@ -33,8 +33,8 @@ from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_records import plain_marks
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import plain_marks
 from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.simulate import demo
 

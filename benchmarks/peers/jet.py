@@ -105,8 +105,8 @@ def flown_jet():
     from bayes_aero.dynamics.system import integrate
     from bayes_aero.flight.card import parse_card
     from bayes_aero.flight.record import FlightRecord
-    from bayes_aero.model.joined_channels import join
     from bayes_aero.model.model import Model
+    from bayes_aero.model.observations import join
     from bayes_aero.parameter import Prior
 
     card = parse_card(tomllib.loads(CARD), "jet", "jet.toml")

@@ -17,9 +17,8 @@ from bayes_aero.inference.ensemble import density_start, find_mode
 from bayes_aero.inference.gp.kernel import Scaling
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.inference.results import MleStatus
-from bayes_aero.model.density import Density
 from bayes_aero.model.model import Model
-from bayes_aero.model.noise import Colour, Noise
+from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Observations
 
 INPUTS = ("alpha", "elevator", "q", "airspeed")

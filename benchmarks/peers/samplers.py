@@ -35,8 +35,7 @@ def ours(engine: str) -> Callable[[Problem, int, argparse.Namespace], Run]:
 
     def prepared(problem: Problem, _: int, options: argparse.Namespace) -> Run:
         from bayes_aero.inference.ensemble import ModeStatus, PosteriorMode
-        from bayes_aero.model.density import Density
-        from bayes_aero.model.noise import Colour, Noise
+        from bayes_aero.model.noise import Colour, Density, Noise
 
         model, observations = stall(problem)
         density = Density(observations, model, Noise(Colour.WHITE))

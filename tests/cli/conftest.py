@@ -1,5 +1,7 @@
 """The program in this process, and one simulated record for all of its tests."""
 
+import shutil
+import signal
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from calling import called, recorded, succeeded
 
-from bayes_aero.cli import main
+from bayes_aero.cli.app import main
 from bayes_aero.jobs import diagnose as job
 
 
@@ -37,6 +39,23 @@ def flights(tmp_path_factory):
     for path, more in ((paths.sound, []), (paths.biased, ["--effect", "pitch_rate_bias=0.3 deg/s"])):
         assert called(folder, *common, *more, "--out", path).code == 0
     return paths
+
+
+@pytest.fixture
+def flights_here(tmp_path, flights):
+    """A folder of one's own with both in `flights`."""
+    (tmp_path / "flights").mkdir()
+    for path in (flights.sound, flights.biased):
+        shutil.copy(path, tmp_path / "flights")
+    return tmp_path
+
+
+@pytest.fixture
+def interruptible():
+    """Where tests run in the background, Ctrl-C is ignored, and what they start inherits that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

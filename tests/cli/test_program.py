@@ -1,21 +1,25 @@
-"""The program itself: help, exit codes, JSON, interruptions, the catalogue, what is loaded, options that are gone."""
+"""The program: help, exit codes, interruptions, the catalogue, what is loaded; results of identify and diagnose."""
 
 import json
-import signal
+import re
 import subprocess
 import sys
 import time
 from types import SimpleNamespace
 from typing import get_args
-from unittest.mock import Mock
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
-from calling import answer, holds, page_of, refused, succeeded
+import six_axes as six
+import stranger_six
+from calling import answer, called, holds, page_of, recorded, refused, succeeded, validated
+from markupsafe import escape
 
-from bayes_aero.cli import app, main, terminal
+from bayes_aero.cli import app, terminal
+from bayes_aero.cli.app import main
 from bayes_aero.cli.terminal import BAD_INPUT, DOUBT, FAILED, INTERRUPTED
-from bayes_aero.diagnosis.trajectories.trajectories import WINDOW
+from bayes_aero.diagnosis.trajectories import WINDOW
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.entry import _heed
 from bayes_aero.flight import reading
@@ -23,30 +27,19 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.inference.validation import SplitKind
 from bayes_aero.jobs import identify as job
 from bayes_aero.jobs import options
+from bayes_aero.jobs.export import FORMS
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.simulate import demo
-from bayes_aero.study import study
 
 COMMANDS = sorted(command.callback.__name__ for command in app.registered_commands)
-OWN = """
-from bayes_aero.effect import Effect, Example, Kind, Stage
-from bayes_aero.parameter import Parameter, Prior
-
-EFFECT = Effect(
-    name="my_moment", kind=Kind.AERODYNAMICS, stage=Stage.TOTAL, claim="Mine.",
-    parameters=(Parameter("Cmy", "1", 0.0, 0.0, "mine", Prior("normal", 0.0, 1.0)),),
-    channels=("alpha",), increments=lambda v, s, a, known: {"Cm": v["Cmy"] * s["alpha"]},
-    example=Example({"Cmy": 1.0}, {"alpha": 0.1}, {"Cm": 0.1}, "by hand"), source="mine",
-)
-"""
 
 
 def test_choices_are_those_of_the_libraries():
     assert get_args(options.FormingName) == tuple(x.value for x in Forming)
     assert get_args(options.NoiseName) == tuple(x.value for x in Colour)
     assert get_args(options.SplitName) == get_args(SplitKind)
-    assert get_args(options.Manoeuvre) == demo.MANOEUVRES
+    assert list(get_args(options.ExportForm)) == list(FORMS)
     assert get_args(options.SimulatedNoise) == demo.NOISES
     assert options.FlyOptions().windows == WINDOW
 
@@ -63,21 +56,6 @@ def test_help_states_the_exit_codes(program):
         assert f"{code} " in done.out.split("Exit codes:")[1]
     for command in COMMANDS:
         assert f" {command} " in done.out
-
-
-def test_help_waits_for_no_numerical_library():
-    told = "import sys, bayes_aero.cli; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_the_module_is_the_program(monkeypatch, capsys):
-    import runpy
-
-    monkeypatch.setattr(sys, "argv", ["bayes-aero", "--version"])
-    with pytest.raises(SystemExit):
-        runpy.run_module("bayes_aero", run_name="__main__")
-    assert "bayes-aero" in capsys.readouterr().out
 
 
 def test_the_catalogue_is_listed_and_explained(program):
@@ -97,25 +75,11 @@ def test_the_catalogue_is_a_page_too(program, tmp_path):
     assert all(f"<summary>{name}</summary>" in html for name in CATALOGUE)
     assert "Klein and Morelli" in html
     assert html.count("in the card&#39;s model</td>") == len(read_card("attas").effects)
-    needing = sum("thrust" in effect.channels for effect in CATALOGUE.values())
-    alt = html.split('alt="')[1].split('"')[0]
-    assert f"thrust by {needing}" in alt
     assert (tmp_path / "all" / "figures" / "channels.png").stat().st_size > 5000
     assert program("effects", "pitch_rate_bias", "--out", "one", "--json").code == 0
     one = page_of(tmp_path / "one")
     assert "Effect: pitch_rate_bias" in one
     assert "flow_separation" not in one
-
-
-def test_effects_of_a_card_are_listed_with_it_and_an_unknown_one_with_its_neighbours(program, tmp_path):
-    (tmp_path / "mine.py").write_text(OWN)
-    text = study.shipped_cards()["attas"].read_text()
-    (tmp_path / "mine.toml").write_text(text.replace("[model]\n", '[model]\neffect_files = ["mine.py"]\n'))
-    found = answer(program("effects", "my_moment", "--model", "mine.toml", "--json"))["effects"]
-    assert found[0]["claim"] == "Mine."
-    assert found[0]["model"] is False
-    assert program("effects", "my_moment").code == 2
-    refused(program("effects", "pitch_rat_bias"), "pitch_rate_bias")
 
 
 def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
@@ -134,16 +98,7 @@ def test_an_interruption_says_what_is_kept(program, monkeypatch, flights):
     assert "nothing had been written" in done.err
 
 
-def test_json_is_all_that_is_on_stdout(program, monkeypatch):
-    def finished(*_, out, **__):
-        out.mkdir()
-        (out / "results.json").write_text('{"schema": "bayes_aero/results/1"}\n')
-        return SimpleNamespace(consistency=None, health=(), failures=())
-
-    monkeypatch.setattr(job, "identify", finished)
-    assert answer(program("identify", "--json")) == {"schema": "bayes_aero/results/1"}
-
-
+@pytest.mark.usefixtures("interruptible")
 def test_a_ctrl_c_that_a_library_drops_is_raised_again():
     """JAX hangs a callback on garbage collection; what is raised in it is printed and forgotten."""
     stop = {"exc_type": KeyboardInterrupt, "exc_value": KeyboardInterrupt()}
@@ -153,15 +108,11 @@ def test_a_ctrl_c_that_a_library_drops_is_raised_again():
         _heed(dropped)
         time.sleep(5.0)
 
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            callback()
-    finally:
-        signal.signal(signal.SIGINT, before)
+    with pytest.raises(KeyboardInterrupt):
+        callback()
 
 
-def test_nothing_of_an_earlier_run_stands_beside_a_later_one(program, flights, tmp_path):
+def test_nothing_of_an_earlier_run_stands_beside_a_later_one_and_json_is_all_on_stdout(program, flights, tmp_path):
     """A posterior of other settings beside new estimates would be read as theirs; the user's own files stay."""
     out = tmp_path / "id"
     (out / "figures").mkdir(parents=True)
@@ -169,7 +120,9 @@ def test_nothing_of_an_earlier_run_stands_beside_a_later_one(program, flights, t
     mine = [out / name for name in ("posterior_mine.nc", "notes.txt", "figures/mine.png")]
     for path in (*older, *mine):
         path.write_text("of another day")
-    succeeded(program("identify", flights.sound, "--no-sample", "--no-gp", "--no-figures", "--out", "id"))
+    quick = ("--no-sample", "--no-gp", "--no-figures")
+    told = answer(program("identify", flights.sound, *quick, "--out", "id", "--json"))
+    assert told == json.loads((out / "results.json").read_text())
     assert not any(path.exists() for path in older)
     assert all(path.read_text() == "of another day" for path in mine)
     assert (out / "report.html").exists()
@@ -193,16 +146,7 @@ def test_an_unexpected_failure_is_one_sentence_and_a_traceback_if_asked_for(prog
 
 def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
     """A process that has read no record flies an aircraft whose mass is a traced number."""
-    given = [
-        "simulate",
-        "--effect",
-        "mass_scale=0.06",
-        "--duration",
-        "8",
-        "--no-page",
-        "--out",
-        str(tmp_path / "m.csv"),
-    ]
+    given = ("simulate", "--effect", "mass_scale=0.06", "--duration", "8", "--no-page", "--out", tmp_path / "m.csv")
     done = subprocess.run([sys.executable, "-m", "bayes_aero", *given], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     truth = json.loads((tmp_path / "m.csv.truth.json").read_text())
@@ -210,76 +154,43 @@ def test_an_effect_on_the_aircraft_is_flown_by_a_program_of_its_own(tmp_path):
 
 
 HEAVY = ("jax", "equinox", "numpyro", "arviz_base", "matplotlib", "pandas", "xarray", "scipy.stats", "scipy.signal")
+ANY = ("numpy", "scipy", *HEAVY)
 LOADED = f"""
 import json, sys
 from bayes_aero.cli import main
 try:
     main()
 except SystemExit as stopped:
-    print(json.dumps([stopped.code or 0, [m for m in {HEAVY!r} if m in sys.modules]]), file=sys.stderr)
-"""
-GLIDER = """
-title = "a glider"
-[aircraft]
-mass = "500 kg"
-Ix = "1500 kg m^2"
-Iy = "1000 kg m^2"
-Iz = "2500 kg m^2"
-Ixz = "0 kg m^2"
-wing_area = "11 m^2"
-chord = "0.75 m"
-half_span = "7.5 m"
-aspect_ratio = 20.0
-tail_arm = "4 m"
-[channels]
-time = { label = "t", unit = "s" }
-ax = { label = "ax", unit = "m/s^2" }
-az = { label = "az", unit = "m/s^2" }
-q = { label = "q", unit = "rad/s" }
-theta = { label = "theta", unit = "rad" }
-alpha = { label = "alpha", unit = "rad" }
-airspeed = { label = "V", unit = "m/s" }
-[constants]
-density = "1 kg/m^3"
-thrust = "0 N"
-p = "0 rad/s"
-r = "0 rad/s"
-[model]
-effects = ["attached_lift", "profile_drag"]
+    print(json.dumps([stopped.code or 0, [m for m in {ANY!r} if m in sys.modules]]), file=sys.stderr)
 """
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A steady climb with noise, and its card."""
-    folder = tmp_path_factory.mktemp("light")
-    rng, n = np.random.default_rng(0), 400
-    steady = {"ax": 9.80665 * np.sin(0.1), "az": -9.80665 * np.cos(0.1), "q": 0.0, "theta": 0.1, "alpha": 0.05, "V": 30}
-    noise = {"ax": 0.01, "az": 0.02, "q": 1e-4, "theta": 1e-3, "alpha": 1e-3, "V": 0.1}
-    columns = [0.1 * np.arange(n), *(x + noise[name] * rng.standard_normal(n) for name, x in steady.items())]
-    header = ",".join(["t", *steady])
-    np.savetxt(folder / "climb.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
-    (folder / "glider.toml").write_text(GLIDER)
+    """A record of another simulator, and its card."""
+    folder, rng = tmp_path_factory.mktemp("light"), np.random.default_rng(0)
+    plane = stranger_six.Plane(**six.ATTACHED)
+    flight = six.recorded(stranger_six.fly(plane, "elevator", rng, seconds=16.0), rng)
+    table = np.stack(list(flight.values()), axis=1)
+    np.savetxt(folder / "flight.csv", table, delimiter=",", header=",".join(flight), comments="")
+    (folder / "plane.toml").write_text(six.card_text(plane))
     (folder / "study.toml").write_text("nonsense = 1")
     return folder
 
 
-@pytest.mark.parametrize(
-    ("code", "arguments"),
-    [
-        (0, ["check", "climb.csv", "--model", "glider.toml"]),
-        (0, ["check", "climb.csv", "--model", "glider.toml", "--out", "checked"]),
-        (0, ["card", "climb.csv", "--out", "new.toml"]), (2, ["check", "climb.csv", "--model", "nosuch"]),
-        (2, ["identify", "climb.csv", "--model", "attas"]), (2, ["diagnose", "nosuch.csv"]),
-        (2, ["fly", "climb.csv", "--model", "attas"]), (2, ["run", "study.toml"]),
-        (2, ["export", "nosuch", "--to", "jsbsim"]), (2, ["open", "nosuch"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("code", "arguments"), [
+    (0, "--help"), (0, "check flight.csv --model plane.toml"),
+    (0, "check flight.csv --model plane.toml --out checked"), (0, "card flight.csv --out new.toml"),
+    (2, "check flight.csv --model nosuch"), (2, "identify flight.csv --model attas"), (2, "diagnose nosuch.csv"),
+    (2, "fly flight.csv --model attas"), (2, "run study.toml"), (2, "export nosuch --to jsbsim"),
+    (2, "open nosuch"),
+])  # fmt: skip
 def test_nothing_heavy_is_loaded(files, code, arguments):
-    command = [sys.executable, "-c", LOADED, *arguments]
+    command = [sys.executable, "-c", LOADED, *arguments.split()]
     done = subprocess.run(command, cwd=files, capture_output=True, text=True, check=False)
-    found = json.loads(done.stderr.splitlines()[-1])
-    assert found == [code, []], done.stderr
+    found, loaded = json.loads(done.stderr.splitlines()[-1])
+    assert found == code
+    assert set(loaded).isdisjoint(ANY if arguments == "--help" else HEAVY), done.stderr
 
 
 SPELLED = [(command, given, instead) for command, option, instead in terminal.GONE for given in option.split("/")]
@@ -291,10 +202,6 @@ def test_an_option_that_is_gone_says_what_to_use(program, command, option, inste
     done = program(command, "no_such_file", option + value)
     assert (done.code, done.out) == (2, "")
     assert done.err == f"error: {option} of {command} is gone: {instead}\n"
-
-
-@pytest.mark.parametrize(("command", "option"), [row[:2] for row in SPELLED])
-def test_no_command_has_an_option_that_is_gone(program, command, option):
     assert option not in program(command, "--help").out.split()
 
 
@@ -303,3 +210,65 @@ def test_other_commands_and_names_of_files_are_left_alone(program, monkeypatch):
     assert "--no-old of check is gone: leave it out" in program("check", "a.csv", "--no-old").err
     assert "gone" not in program("path", "a.csv", "--no-old").err
     assert "gone" not in program("check", "--", "--no-old").err
+
+
+SETTINGS = ("--noise", "white", "--no-gp", "--no-figures", "--next-flight")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory, clean_records, card):
+    """The stalls of both simulated manoeuvres as CSV files, and the results of one run on them."""
+    folder = tmp_path_factory.mktemp("flown")
+    paths = []
+    for record in (whole.window(25.0, 65.0) for whole in clean_records):
+        paths.append(folder / f"{record.name}.csv")
+        recorded(record, paths[-1], card)
+    done = succeeded(called(folder, "identify", *paths, "--out", "first", *SETTINGS))
+    return folder, paths, done
+
+
+def test_results_follow_the_schema_and_are_told_alike_on_terminal_and_page(flown):
+    folder, _, done = flown
+    results = validated(folder / "first" / "results.json", "results")
+    assert results["mle"]["status"] == "converged"
+    assert set(results["posterior"]["emcee"]) >= {"alpha_star", "sigma_CL"}
+    assert len(results["provenance"]["inputs"]) == 2
+    assert results["next_flight"]["manoeuvres"] == list(results["mle"]["alone"])
+    for name in ("parameters.csv", "posterior_nuts.nc", "next_flight.csv", "next_flight.nc"):
+        assert (folder / "first" / name).is_file()
+    holds(done.out, "alpha_star", "first")
+    assert results["notes"] == []
+    stall = results["stall"]
+    assert stall["CL_max"]["ci95"][0] < stall["CL_max"]["median"] < stall["CL_max"]["ci95"][1]
+    page = page_of(folder / "first")
+    told = [float(x) for x in re.findall(r"(\d\.\d{3,}) \(", page)]  # with as many digits as the interval needs
+    assert any(x == pytest.approx(stall["CL_max"]["median"], abs=5e-4) for x in told)
+    assert not list((folder / "first").glob("*.part"))
+
+
+def test_same_seed_same_numbers(flown):
+    folder, paths, _ = flown
+    with patch.object(job, "put_page", lambda *_: ()):  # of which results.json has nothing
+        again = called(folder, "identify", *paths, "--out", "again", *SETTINGS)
+    assert again.code == 0, again.err
+    first, second = (json.loads((folder / out / "results.json").read_text()) for out in ("first", "again"))
+    first.pop("provenance")
+    second.pop("provenance")
+    assert first == second
+
+
+def test_one_manoeuvre_has_no_next_flight(flown):
+    folder, paths, _ = flown
+    done = called(folder, "identify", paths[0], "--out", "one", "--next-flight")
+    refused(done, "2 to 24 manoeuvres, and there is 1", gone=[folder / "one"])
+
+
+def test_diagnose_writes_and_tells_what_it_found(tmp_path, told_diagnosis):
+    found = validated(tmp_path / "diagnosis" / "diagnosis.json", "diagnosis")
+    assert found["provenance"]["settings"] == {"max_effects": 2}
+    for cause in found["causes"]:
+        assert cause["name"] in told_diagnosis.out
+    assert (tmp_path / "diagnosis" / "screen.csv").is_file()
+    assert not (tmp_path / "diagnosis" / "figures").exists()
+    page = page_of(tmp_path / "diagnosis")
+    assert all(str(escape(cause["claim"])) in page for cause in found["causes"])

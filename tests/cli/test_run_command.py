@@ -35,13 +35,10 @@ options.figures = false
 
 
 @pytest.fixture
-def folder(tmp_path, flights):
+def folder(flights_here):
     """A study of two records in the working directory."""
-    (tmp_path / "flights").mkdir()
-    for name in ("sound", "biased"):
-        shutil.copy(getattr(flights, name), tmp_path / "flights" / f"{name}.csv")
-    (tmp_path / "study.toml").write_text(STUDY)
-    return tmp_path
+    (flights_here / "study.toml").write_text(STUDY)
+    return flights_here
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def states(program, *more):
 
 
 def test_a_study_is_done_once_and_redone_where_its_inputs_changed(program, folder, calls):
-    assert {row["state"] for row in states(program, "--dry-run").values()} == {"missing"}
+    assert [row["state"] for row in states(program, "--dry-run").values()] == ["missing"] * 2
     assert not (folder / "study_results").exists()
     assert program("run", "study.toml").code == 0
     assert sorted(calls) == ["flights/biased.csv", "flights/sound.csv"]
@@ -159,7 +156,9 @@ def test_a_doctored_number_is_found(program, folder):
     content = json.loads(results.read_text())
     content["mle"]["parameters"]["CLa"]["estimate"] += 1e-9
     write_json(content, results)
-    assert states(program, "--dry-run")["sound"]["state"] == "damaged"
+    assert {name: row["state"] for name, row in states(program, "--dry-run").items()} == {
+        "sound": "damaged", "biased": "done",
+    }  # fmt: skip
     assert program("run", "study.toml").code == 0
     assert json.loads(results.read_text()) != content  # done again
 
@@ -196,14 +195,10 @@ def test_units_are_real_work(program, folder, monkeypatch):
     assert table.loc[("mle", "CLa"), "value"] == pytest.approx(3.6, rel=0.05)
 
 
-def test_units_have_stable_names_inside_the_folder(folder):
-    hostile = folder / "flights" / "..; rm -rf $(x) ü.csv"
-    shutil.copy(folder / "flights" / "sound.csv", hostile)
+def test_units_have_the_same_names_where_the_study_was_moved(folder):
+    """That these are names of folders everywhere is in test_hostile.py."""
     study = read_study(folder / "study.toml")
     for unit in study.units:
-        assert Path(unit.name).name == unit.name
-        assert not unit.name.startswith(".")
-        assert unit.name.isascii()
         assert units.Unit.of_json(json.loads(json.dumps(unit.as_json()))) == unit
     moved = folder / "elsewhere"
     shutil.copytree(folder / "flights", moved / "flights")
@@ -230,28 +225,6 @@ def test_the_units_are_the_product_of_all_lists(folder):
     (folder / "study.toml").write_text(text)
     found = read_study(folder / "study.toml").units
     assert len(found) == len({unit.name for unit in found}) == 2 * 2 * 2 * 2 * 3
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (("title", "titel"), "did you mean 'title'"), (("flights/*.csv", "flights/none.csv"), "flights/none.csv"),
-        (("flights/*.csv", "flights/*.mat"), "no record matches"),
-        (("flights/*.csv", "/nowhere/*.csv"), "no record matches"), (('["white"]', '["pink"]'), "'pink'"),
-        (('["white"]', '"white"'), "list"), (("options.gp", "options.gpr"), "did you mean 'gp'"),
-        (("gp = false", "gp = 1"), "true or false"), (("one_by_one = true", 'cards = ["nobody"]'), "nobody"),
-        (("one_by_one = true", "seeds = [-1]"), "-1"), (("one_by_one = true", "seeds = [1, 1]"), "twice"),
-        (("one_by_one = true", 'effects = [["thrust_leg"]]'), "thrust_lag"),
-        (("one_by_one = true", 'effects = ["thrust_lag"]'), "lists"),
-        (("one_by_one = true", 'task = "guess"'), "identify, diagnose"),
-        (("one_by_one = true", 'task = "diagnose"'), "noise is of no use"),
-        (("one_by_one = true", "one_by_one = tru"), "TOML"),
-    ],
-)  # fmt: skip
-def test_a_bad_study_is_one_sentence(program, folder, change, told):
-    assert change[0] in STUDY
-    (folder / "study.toml").write_text(STUDY.replace(*change))
-    refused(program("run", "study.toml"), told, gone=["study_results"])
 
 
 NOISE = {"alpha": 0.002, "q": 0.003, "az": 0.15}
@@ -287,64 +260,66 @@ def test_options_are_the_command_s():
     assert set(asked) - set(OPTIONS["fly"]) == {"records", "model", "out", "seed", "json"}  # a study has its own
 
 
-def test_process_noise_has_rows_of_its_own_and_short_windows_fail_their_units(program, fly_folder):
-    (fly_folder / "study.toml").write_text(FLY_STUDY.replace('"*.csv"', '"one.csv"') + BOTH)
-    succeeded(program("run", "study.toml"))
-    (flown,) = (fly_folder / "study_results").rglob("trajectories.json")
-    assert json.loads(flown.read_text())["frequency"]
-    table = pd.read_csv(fly_folder / "study_results" / "summary.csv")
-    rows = table[table["method"] == "process_noise"].set_index("parameter")
-    assert set(rows.index) == set(SHORT_PERIOD_TRUTH)
-    assert all(abs(rows["value"] - pd.Series(SHORT_PERIOD_TRUTH)) < 4.0 * rows["sd"])
-
-
 def test_linear_cards_fly_and_are_verified(program, fly_folder):
+    (fly_folder / "study.toml").write_text(FLY_STUDY + BOTH)
     succeeded(program("run", "study.toml"))
     out = fly_folder / "study_results"
     units = pd.read_csv(out / "units.csv")
     assert list(units["verdict"]) == ["converged"] * 2
     assert set(units["task"]) == {"fly"}
-    table = pd.read_csv(out / "summary.csv")
-    assert len(table) == 2 * 2 * len(SHORT_PERIOD_TRUTH)  # records, deviations, parameters
-    for _, row in table.iterrows():
+    table = pd.read_csv(out / "summary.csv").set_index("method")
+    filtered = table.loc["process_noise"].groupby("parameter")
+    assert list(filtered["unit"].nunique()) == [2] * len(SHORT_PERIOD_TRUTH)
+    keys = {"output_error": "crb", "output_error_corrected": "sd_corrected"}
+    assert len(table.loc[list(keys)]) == 2 * 2 * len(SHORT_PERIOD_TRUTH)  # records, deviations, parameters
+    for method, row in table.loc[["process_noise", *keys]].iterrows():
         found = json.loads((out / "units" / row["unit"] / "trajectories.json").read_text())
         known = found["parameters"][row["parameter"]]
-        assert abs(row["value"] - SHORT_PERIOD_TRUTH[row["parameter"]]) < 4.0 * known["sd_corrected"], row["parameter"]
-        key = {"output_error": "crb", "output_error_corrected": "sd_corrected"}[row["method"]]
-        assert (row["value"], row["sd"], row["unit_of_value"]) == (known["estimate"], known[key], known["unit"])
+        sd = row["sd"] if method == "process_noise" else known["sd_corrected"]
+        assert abs(row["value"] - SHORT_PERIOD_TRUTH[row["parameter"]]) < 4.0 * sd, row["parameter"]
         assert row["high95"] - row["low95"] == pytest.approx(2.0 * 1.96 * row["sd"])
         assert row["status"] == "converged"
-    first = out / "units" / units["unit"][0]
+        if method in keys:
+            expected = (known["estimate"], known[keys[method]], known["unit"])
+            assert (row["value"], row["sd"], row["unit_of_value"]) == expected
+    assert found["frequency"]
     assert found["windows"] == 20.0
     assert found["setting"] == {"initial_state": "free", "priors": False, "inputs": "linear"}
     assert found["fitted_outputs"] == ["q", "alpha", "az"]
+    first = out / "units" / units["unit"][0]
     assert (first / "report.html").is_file()
     assert not (first / "figures").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (("options.windows", "options.window"), "did you mean 'windows'"),
-        (("options.windows", "options.gp"), "unknown option of the task fly"),
-        (("windows = 20", "windows = true"), "write a number"),
-        (("windows = 20", 'initial_state = "known"'), "use one of free, fixed"),
-        (('outputs = "q,alpha,az"', "outputs = 3"), "write names in quotes"),
-        (("windows = 20", "windows = 0"), "must be positive"),
-        (("windows = 20", "frequency = 1.5"), "two frequencies"),
-        (("one_by_one = true", 'noise = ["white"]'), "noise is of no use"),
-        (("one_by_one = true", 'effects = [[], ["thrust_lag"]]'), "a linear system, which has no effects"),
-        ((FLY_STUDY, 'task = "diagnose"\nrecords = ["*.csv"]\ncards = ["short_period.toml"]'), "a linear system"),
-    ],
-)
-def test_a_bad_study_of_trajectories_is_one_sentence(program, fly_folder, change, told):
-    assert change[0] in FLY_STUDY
-    (fly_folder / "study.toml").write_text(FLY_STUDY.replace(*change))
+BAD = [
+    ("title", "titel", "did you mean 'title'"), ("flights/*.csv", "flights/none.csv", "flights/none.csv"),
+    ("flights/*.csv", "flights/*.mat", "no record matches"), ("flights/*.csv", "/nowhere/*.csv", "no record matches"),
+    ('["white"]', '["pink"]', "'pink'"), ('["white"]', '"white"', "list"),
+    ("options.gp", "options.gpr", "did you mean 'gp'"), ("gp = false", "gp = 1", "true or false"),
+    ("one_by_one = true", 'cards = ["nobody"]', "nobody"), ("one_by_one = true", "seeds = [-1]", "-1"),
+    ("one_by_one = true", "seeds = [1, 1]", "twice"),
+    ("one_by_one = true", 'effects = [["thrust_leg"]]', "thrust_lag"),
+    ("one_by_one = true", 'effects = ["thrust_lag"]', "lists"),
+    ("one_by_one = true", 'task = "guess"', "identify, diagnose"),
+    ("one_by_one = true", 'task = "diagnose"', "noise is of no use"), ("one_by_one = true", "one_by_one = tru", "TOML"),
+]  # fmt: skip
+BAD_FLY = [
+    ("options.windows", "options.window", "did you mean 'windows'"),
+    ("options.windows", "options.gp", "unknown option of the task fly"),
+    ("windows = 20", "windows = true", "write a number"),
+    ("windows = 20", 'initial_state = "known"', "use one of free, fixed"),
+    ('outputs = "q,alpha,az"', "outputs = 3", "write names in quotes"),
+    ("windows = 20", "windows = 0", "must be positive"), ("windows = 20", "frequency = 1.5", "two frequencies"),
+    ("one_by_one = true", 'noise = ["white"]', "noise is of no use"),
+    ("one_by_one = true", 'effects = [[], ["thrust_lag"]]', "a linear system, which has no effects"),
+    (FLY_STUDY, 'task = "diagnose"\nrecords = ["*.csv"]\ncards = ["short_period.toml"]', "a linear system"),
+]  # fmt: skip
+BAD_STUDIES = [*((STUDY, *row) for row in BAD), *((FLY_STUDY, *row) for row in BAD_FLY)]
+
+
+@pytest.mark.usefixtures("folder", "fly_folder")
+@pytest.mark.parametrize(("study", "old", "new", "told"), BAD_STUDIES)
+def test_a_bad_study_is_one_sentence(program, tmp_path, study, old, new, told):
+    assert old in study
+    (tmp_path / "study.toml").write_text(study.replace(old, new))
     refused(program("run", "study.toml"), told, gone=["study_results"])
-
-
-def test_windows_too_short_to_fly_fail_their_units(program, fly_folder):
-    (fly_folder / "study.toml").write_text(FLY_STUDY.replace("windows = 20", "windows = 0.2"))
-    done = program("run", "study.toml")
-    assert done.code == 1
-    assert done.out.count("at least 1 s") == 2

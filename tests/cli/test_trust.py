@@ -1,16 +1,19 @@
-"""Code is run only if the user has named the card, or said so; and nothing is written outside the folder named."""
+"""Code is run only if the user has named the card, or said so; nothing is written outside the folder named.
+
+And bad input of any command is one sentence.
+"""
 
 import shutil
 from pathlib import Path
 
 import pytest
-from calling import holds, refused
+from calling import answer, holds, refused
 
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.jobs.provenance import write_json
 from bayes_aero.study import case as units
 
-EFFECT = (Path(__file__).parents[1] / "model" / "test_own_effects.py").read_text(encoding="utf-8").split("'''")[1]
+EFFECT = (Path(__file__).parents[1] / "model" / "test_cards.py").read_text(encoding="utf-8").split("'''")[1]
 
 
 @pytest.fixture
@@ -46,6 +49,13 @@ def test_a_card_that_lies_about_is_not_taken(program, trap):
     assert trap.exists()
 
 
+@pytest.mark.usefixtures("trap")
+def test_effects_of_a_card_are_listed_with_it_alone(program):
+    (found,) = answer(program("effects", "bank_pitching", "--model", "mine.toml", "--json"))["effects"]
+    assert (found["claim"], found["model"]) == ("Bank pitches the aircraft.", False)
+    refused(program("effects", "bank_pitching"), "bank_pitching")
+
+
 @pytest.mark.usefixtures("quick")
 def test_a_study_runs_no_code_unless_it_is_told_to(program, trap):
     for more in ([], ["--dry-run"]):
@@ -66,29 +76,27 @@ def test_a_study_found_in_a_results_folder_runs_none_either_and_a_shipped_name_i
     assert not trap.exists()
 
 
+LINKS = [("run study.toml", f"study_results/{link}") for link in ("units", "units/x", "environment")]
+LINKS += [
+    (f"{command} flight.csv --out out", f"out/{link}")
+    for command in ("identify", "diagnose")
+    for link in ("figures", "report.html", "results.json.part")
+]
+
+
 @pytest.mark.usefixtures("quick", "trap")
-@pytest.mark.parametrize("link", ["study_results/units", "study_results/units/x", "study_results/environment"])
-def test_links_in_the_folder_lead_nowhere(program, link):
+@pytest.mark.parametrize(("asked", "link"), LINKS)
+def test_links_in_the_folder_of_results_lead_nowhere(program, asked, link):
     Path("study.toml").write_text('records = ["flight.csv"]\n')
-    outside = Path("outside")
-    outside.mkdir()
+    victim = Path("outside/victim").resolve()
+    victim.parent.mkdir()
+    victim.write_text("untouched")
     Path(link).parent.mkdir(parents=True)
-    Path(link).symlink_to(outside.resolve(), target_is_directory=True)
-    done = program("run", "study.toml")
+    Path(link).symlink_to(victim.parent if asked.startswith("run") else victim)
+    done = program(*asked.split())
     assert done.code == 2
     assert "leads out of" in done.err
-    assert list(outside.iterdir()) == []
-
-
-@pytest.mark.usefixtures("trap")
-@pytest.mark.parametrize("link", ["figures", "report.html", "results.json.part"])
-@pytest.mark.parametrize("command", ["identify", "diagnose"])
-def test_links_in_the_folder_of_a_job_lead_nowhere(program, command, link):
-    Path("victim").write_text("untouched")
-    Path("out").mkdir()
-    (Path("out") / link).symlink_to(Path("victim").resolve())
-    refused(program(command, "flight.csv", "--out", "out"), "leads out of")
-    assert Path("victim").read_text() == "untouched"
+    assert [(path.name, path.read_text()) for path in victim.parent.iterdir()] == [("victim", "untouched")]
 
 
 @pytest.mark.usefixtures("quick", "trap")
@@ -100,24 +108,48 @@ def test_the_folder_itself_may_be_a_link(program):
     assert (Path("big_disk") / "units.csv").is_file()
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["run", "{long}.toml"], ["run", "study.toml", "--out", "{long}"], ["check", "{long}.csv"],
-        ["check", "flight.csv", "--model", "{long}"], ["identify", "flight.csv", "--out", "{long}"],
-        ["diagnose", "flight.csv", "--out", "{long}"], ["simulate", "--out", "{long}.csv"],
-        ["simulate", "--out", "x.csv", "--duration", "1e15"], ["simulate", "--out", "x.csv", "--dt", "1e-12"],
-        ["simulate", "--out", "x.csv", "--duration", "nan"], ["simulate", "--out", "x.csv", "--seed", "4294967296"],
-        ["card", "flight.csv", "--out", "{long}"], ["check", "flight.csv", "--resample", "1e-12"],
-        ["identify", "flight.csv", "--resample", "nan"],
-    ],
-)  # fmt: skip
+LONG, SIMULATE = "x" * 300, "simulate --out f.csv"
+BAD = {  # of every command: what it is asked, and a word of the sentence
+    "identify nowhere.csv": "nowhere.csv", "identify empty.csv": "empty.csv", "identify --model atas": "attas",
+    "identify --model bad.toml": "efects", "identify flight.csv --resample nan": "resample",
+    f"identify flight.csv --out {LONG}": "too long", "diagnose nowhere.csv": "nowhere.csv",
+    "diagnose empty.csv": "empty.csv", "diagnose --model atas": "attas",
+    f"diagnose flight.csv --out {LONG}": "too long", "check empty.csv": "empty.csv",
+    f"check flight.csv --model {LONG}": "no card", "effects pitch_rat_bias": "pitch_rate_bias",
+    f"card flight.csv --out {LONG}": "too long", f"run {LONG}.toml": "cannot be read",
+    f"run study.toml --out {LONG}": "too long", f"check {LONG}.csv": "check its name",
+    f"{SIMULATE} --effect pitch_rat_bias=1": "pitch_rate_bias", f"{SIMULATE} --effect pitch_rate_bias": "NAME=VALUE",
+    f"{SIMULATE} --effect flow_separation=3": "flow_separation.alpha_star=VALUE",
+    f"{SIMULATE} --effect thrust_lag=-1": "between 0 and 20", f"{SIMULATE} --effect thrust_lag=1kg": "kg",
+    f"{SIMULATE} --effect kirchhoff_lift=1": "no parameter", f"{SIMULATE} --dt 5": "0.1 s",
+    f"{SIMULATE} --dt 1e-12": "0.1 s", f"{SIMULATE} --duration 1000": "random_stall",
+    f"{SIMULATE} --duration 1e15": "random_stall", f"{SIMULATE} --duration nan": "random_stall",
+    f"{SIMULATE} --model nowhere.toml": "nowhere.toml", "simulate --out nowhere/a.csv": "there is no folder nowhere",
+    f"simulate --out {LONG}.csv": "too long", f"{SIMULATE} --manoeuvre aileron_doublet": "lateral axis",
+}  # fmt: skip
+
+
 @pytest.mark.usefixtures("trap")
-def test_absurd_arguments_are_one_sentence(program, arguments):
-    done = program(*(a.format(long="x" * 300) for a in arguments))
+@pytest.mark.parametrize("asked", BAD, ids=lambda asked: asked[:60])
+def test_bad_input_is_one_sentence_and_nothing_is_written(program, tmp_path, asked):
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "study.toml").write_text('records = ["flight.csv"]\n')
+    (tmp_path / "bad.toml").write_text('[aircraft]\n[channels]\n[model]\nefects = ["attached_lift"]\n')
+    before = set(tmp_path.iterdir())
+    refused(program(*asked.split()), BAD[asked])
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.usefixtures("trap")
+@pytest.mark.parametrize(("asked", "word"), [
+    ("check flight.csv --resample 1e-12", "✗"),
+    ("diagnose --max-effects 0", "--max-effects"), (f"{SIMULATE} --seed 4294967296", "--seed"),
+])  # fmt: skip
+def test_records_that_cannot_be_read_and_numbers_out_of_range_are_told(program, asked, word):
+    done = program(*asked.split())
     assert done.code in (1, 2)
-    assert "Traceback" not in done.err + done.out
-    assert done.err or "✗" in done.out
+    assert word in done.out + done.err
+    assert "Traceback" not in done.out + done.err
 
 
 def test_markup_in_headings_reaches_no_terminal(program, trap):

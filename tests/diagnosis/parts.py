@@ -4,16 +4,17 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from bayes_aero.diagnosis.accuracy import Size
 from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.flights import FlightNoise
 from bayes_aero.diagnosis.result import Cause, Gain
-from bayes_aero.diagnosis.screening.accuracy import Size
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.trajectories.holdout import FlightNoise
+from bayes_aero.diagnosis.selection_state import SelectionState, linearised
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import FLIGHT, NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
@@ -60,3 +61,8 @@ def fitted_to_stalls(card, model, hidden, seed):
     noise = FlightNoise.of(first)
     again = {"start": first.estimate, "departure": first.departure, "prior_weight": noise.variance_inflation}
     return flights, fit_output_error(noise.on(whole), **again), noise
+
+
+def without_accelerometers(record: FlightRecord) -> FlightRecord:
+    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "ay", "az")}
+    return FlightRecord.from_arrays(record.name, record.time, kept)

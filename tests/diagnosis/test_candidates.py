@@ -1,4 +1,4 @@
-"""Which effects are candidates; each one hidden in simulated flights leads the first screening."""
+"""Which effects are candidates; each one hidden leads the screening; what hold-out data and flight leave of them."""
 
 from __future__ import annotations
 
@@ -8,25 +8,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from lateral_flight import LATERAL_TRUTH, can_simulate, flown, three_axis_card, values
+from parts import fitted_to_stalls
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel, candidate_model
+from bayes_aero.diagnosis.accuracy import LeftOut, confirmation, noise_effect, sizes, truncated
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS
-from bayes_aero.diagnosis.screening.screening import screen
-from bayes_aero.diagnosis.screening.selection_state import SelectionState, linearised
-from bayes_aero.diagnosis.selection.forward_selection import explained
-from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.flights import CandidateFit, eliminate, holdout_fits, left_out, left_out_of
+from bayes_aero.diagnosis.screening import screen
+from bayes_aero.diagnosis.selection import explained
+from bayes_aero.diagnosis.selection_state import SelectionState, linearised, refitted
 from bayes_aero.effect import Kind, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.model.joined_channels import Flights, despiked, join
 from bayes_aero.model.model import Model, lengths_of
-from bayes_aero.model.observations import observe
+from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import NAMES, Axis
+from bayes_aero.residuals.base import FlightPathError
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.residuals.flight_path import FlightPathError
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.injection import FLOWN_AXES, HiddenFlight, hidden_flights
+from bayes_aero.simulate.injection import FLOWN_AXES, HiddenFlight, flyable, hidden_flights
 
 
 # Which effects are candidates
@@ -141,14 +143,15 @@ ABSORBED = {  # by parameters of the card, whatever their size
     "elevator_scale": "Cmde by the inverse of its factor",
 }
 ABSENT = ("separated_drag", "separated_moment", "reattachment_hysteresis")
-LARGER = {"drag_offset": 4.0, "accel_y_scale": 2.0}  # of the middle size, in its logarithm
+# Of the middle size, in its logarithm; with more incidence of the ailerons, these reverse and nothing balances.
+TIMES = {"drag_offset": 4.0, "accel_y_scale": 2.0, "aileron_incidence": 0.4}
 
 
 def middle(name: str) -> dict[str, float]:
     """Each parameter half way, in its logarithm, from the least size worth a name to the largest."""
     effect, values = CATALOGUE[name], {}
     for p in effect.parameters:
-        size = LARGER.get(name, 1.0) * np.sqrt(np.prod(effect.sizes[p.name]))
+        size = TIMES.get(name, 1.0) * np.sqrt(np.prod(effect.sizes[p.name]))
         values[p.name] = next(x for x in (p.neutral + size, p.neutral - size) if p.bounds[0] < x < p.bounds[1])
     return values
 
@@ -232,7 +235,7 @@ class Case:
 
     def coefficients(self) -> SelectionState:
         responses = EquationError.of(self.flights, self.full.model)
-        return linearised(self.full, responses, NAMES, self.theta)
+        return linearised(self.full, responses, self.full.model.coefficients, self.theta)
 
 
 def flown_with(effects: Mapping[str, Mapping[str, float]]) -> list[HiddenFlight]:
@@ -296,38 +299,32 @@ LATERAL_ABSORBED = {  # by parameters of the card, whatever their size
     "aileron_scale": "Clda and Cnda by the inverse of its factor",
     "rudder_scale": "CYdr, Cldr and Cndr by the inverse of its factor",
 }
-SMALLER = {"aileron_incidence": 0.4}  # of the middle size; with more, ailerons reverse and nothing balances
 ALIKE = {  # one of the two leads, whichever it is
     "sideslip_vane_height": "roll_rate_side_force",  # sideslip that goes with p/V, where Clp and Cnp are free
     **dict.fromkeys(("side_force_offset", "roll_offset", "yaw_offset"), "sideslip_bias"),  # where two are free
 }
 
 
-def lateral_middle(name: str) -> dict[str, float]:
-    """Each parameter half way, in its logarithm, from the least size worth a name to the largest."""
-    return {p: SMALLER.get(name, 1.0) * float(np.sqrt(np.prod(size))) for p, size in CATALOGUE[name].sizes.items()}
-
-
-def screening(hidden: dict[str, float], without: str = "") -> tuple[CandidateModel, SelectionState]:
-    """The first screening of two flights, by a card whose effects have their true values, but for one that it lacks."""
+def three_axes(hidden: Mapping[str, float]) -> Case:
+    """Two flights, by a card whose effects have their true values."""
     card = three_axis_card()
     model = Model.from_card(card)
-    flights = join([flown(hidden, seed) for seed in (1, 2)], card)
+    flights = join([flown(dict(hidden), seed) for seed in (1, 2)], card)
     full = candidate_model(model, flights)
-    begin = full.neutral | {p.name: values({})[p.name] for p in model.free}
-    theta = np.array([begin[name] for name in full.model.names])
-    if without:
-        theta[full.own_columns(without)] = 0.0
-        base = tuple(e for e in full.base if e != without)
-        full = CandidateModel(full.model, base, (*full.candidates, CATALOGUE[without]), full.not_testable)
-    return full, linearised(full, EquationError.of(flights, full.model), full.model.coefficients, theta)
+    known = full.neutral | {p.name: values({})[p.name] for p in model.free}
+    return Case(flights, full, np.array([known[name] for name in full.model.names]))
+
+
+@pytest.fixture(scope="module")
+def level():
+    return three_axes({})
 
 
 @pytest.mark.parametrize("name", LATERAL_CANDIDATES)
 def test_a_hidden_lateral_effect_leads(name):
-    full, state = screening(lateral_middle(name))
-    assert name in {e.name for e in full.candidates}
-    found = named(state)
+    case = three_axes(middle(name))
+    assert name in {e.name for e in case.full.candidates}
+    found = named(case.coefficients())
     if name in LATERAL_ABSORBED:
         assert name not in found, LATERAL_ABSORBED[name]
     else:
@@ -335,10 +332,153 @@ def test_a_hidden_lateral_effect_leads(name):
 
 
 @pytest.mark.parametrize("name", LATERAL_BASE)
-def test_what_a_lateral_card_lacks_leads(name):
+def test_what_a_lateral_card_lacks_leads_and_nothing_does_where_nothing_is_hidden(name, level):
     """Terms that every flight has."""
-    assert named(screening({}, name)[1])[:1] in ([name], [ALIKE.get(name)])
+    assert named(level.without(name).coefficients())[:1] in ([name], [ALIKE.get(name)])
+    assert name != LATERAL_BASE[0] or named(level.coefficients()) == []
 
 
-def test_nothing_lateral_is_worth_a_name_where_nothing_is_hidden():
-    assert named(screening({})[1]) == []
+# Of what was added, unseen data confirm what the flights have in them, and nothing else
+THERE = ("thrust_moment", "pitch_rate_lift", "drag_offset")
+NOT_THERE = ("sideslip_drag", "alpha_dot_lift", "mach_drag", "elevator_drag")
+DRAWN = np.random.default_rng(515).integers(1_000_000, size=6)
+
+
+def with_added(card, model, records, added):
+    """The card's model with effects put in, whether they deserve it or not, everything fitted."""
+    flights = despiked(join(records, card))[0]
+    full = candidate_model(model, flights)
+    theta = np.array([full.neutral[name] for name in full.model.names])
+    mle = fit_mle(model, observe(records, card, model), seed=0)
+    for name, value in zip(mle.names, mle.estimate, strict=True):
+        theta[full.columns([name])[0]] = value
+    return refitted(linearised(full, EquationError.of(flights, full.model), NAMES, theta, tuple(added)))[0]
+
+
+@pytest.mark.recovery
+@pytest.mark.parametrize("seed", [DRAWN[0], *(pytest.param(s, marks=pytest.mark.verify) for s in DRAWN[1:4])])
+def test_what_was_flown_is_confirmed_and_what_was_not_is_taken_out(card, model, seed):
+    rng = np.random.default_rng(seed)
+    true, absent = str(rng.choice(THERE)), [str(name) for name in rng.choice(NOT_THERE, 2, replace=False)]
+    sizes = {p: float(rng.uniform(4.0, 8.0)) * least for p, (least, _) in CATALOGUE[true].sizes.items()}
+    flights = hidden_flights({} if seed == DRAWN[3] else {true: sizes}, seed=int(seed), noise="white", seconds=90.0)
+    added = NOT_THERE if seed == DRAWN[3] else (*absent, true)
+    found = confirmation(with_added(card, model, [f.record for f in flights], added))
+    assert found.kept == (() if seed == DRAWN[3] else (true,))
+    assert set(found.missed) == set(added)
+    for name, (lost, deviation) in found.missed.items():
+        assert (lost > 1.645 * deviation) == (name in found.kept)
+
+
+def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card, model):
+    """Cm alone is linear in a thrust arm; what is fitted again finds the same as the sensitivities say."""
+    arm = {"thrust_arm": 3.0 * CATALOGUE["thrust_moment"].sizes["thrust_arm"][0]}
+    flights = hidden_flights({"thrust_moment": arm}, seed=int(DRAWN[0]), noise="white", seconds=90.0)
+    state = with_added(card, model, [f.record for f in flights], ["thrust_moment"])
+    for effects in ((), ("thrust_moment",)):
+        linear, full = LeftOut.first_order(state, effects), LeftOut.refitted(truncated(state, effects))
+        assert np.allclose(linear.residual.std(axis=0), full.residual.std(axis=0), rtol=0.1)
+    near = LeftOut.first_order(state, ("thrust_moment",)).gain(LeftOut.first_order(state, ()))
+    whole = LeftOut.refitted(state).gain(LeftOut.refitted(truncated(state, ())))
+    assert near[0] == pytest.approx(whole[0], rel=0.2)
+
+
+@pytest.mark.verify
+def test_without_induced_drag_which_is_neutral_at_infinity_first_order_is_exact(card, model):
+    """Drag is linear in 1/e: along the tangent, too, nothing of it is left where e is infinite."""
+    flights = hidden_flights({}, seed=int(DRAWN[4]), noise="white", seconds=90.0)
+    without = Model.of([e for e in model.effects if e.name != "induced_drag"], dict(model.fixed))
+    state = with_added(card, without, [f.record for f in flights], ["induced_drag"])
+    own = state.full.own_columns("induced_drag")
+    assert state.departure[own] == -state.theta[own]
+    exact = np.asarray(state.responses.evaluate(state.full.at_neutral(state.theta, ["induced_drag"]))[0])
+    left = state.residual + state.S[:, :, own] @ state.departure[own]
+    np.testing.assert_allclose(left, exact[:, : len(NAMES)], atol=1e-9)
+    assert 0.0 < LeftOut.refitted(state).gain(LeftOut.first_order(state, ()))[0] < 1e4
+
+
+# How far sizes may be off: the bias of noise that was added is seen and taken off
+
+
+@pytest.mark.verify
+def test_size_freed_of_what_noise_adds_is_nearer_to_the_truth(card, model):
+    """Ten times the usual noise of the sensors biases least squares by a tenth of Cma2, for alpha squared is noisy."""
+    name, plain, freed, seen = "alpha_squared_moment", [], [], 0
+    for seed in np.random.default_rng(77).integers(100_000, size=3):
+        effects, flights = flyable([name], seed=int(seed), noise="white", seconds=90.0, sensor_noise=10.0)
+        state = with_added(card, model, [flight.record for flight in flights], [name])
+        fit, truth = state.fit(), effects[name]["Cma2"]
+        column = int(state.full.columns(["Cma2"])[0])
+        plain.append(abs(state.theta[column] - truth))
+        freed.append(abs(sizes(state, fit)["Cma2"].mean - truth))
+        bias, spread = noise_effect(state, fit)
+        at = list(fit.columns).index(column)
+        if abs(bias[at]) > spread[at]:  # else chance may decide the sign
+            assert np.sign(bias[at]) == np.sign(state.theta[column] - truth)
+            seen += 1
+    assert seen > 0
+    assert np.sum(freed) < 0.7 * np.sum(plain)
+
+
+# Which causes flight misses: those that were flown, and not one that was put in by hand
+STALLS = 4132
+HIDDEN, NOT_FLOWN = "thrust_moment", ("drag_offset", "alpha_dot_moment", "mach_drag")
+NOBODY = {0: {}, 1: {}}
+
+
+def fitted_with(card, hidden, added, seed):
+    """The card's model and effects put in, fitted to two stalls jointly and to each of them."""
+    _, fit, noise = fitted_to_stalls(card, Model.from_card(card).extended(*added), hidden, seed)
+    contender = CandidateFit("extended", fit)
+    return contender, fits_of(contender, noise), noise
+
+
+def fits_of(contender, noise):
+    """To all manoeuvres but one each."""
+    return [fit for _, fit in left_out([contender], {contender.name: NOBODY}, noise)]
+
+
+@pytest.fixture(scope="module")
+def stalls(card):
+    """A thrust line 0.4 to 0.8 m off, and an effect that no flight has."""
+    rng = np.random.default_rng(STALLS)
+    arm, absent = float(rng.uniform(0.4, 0.8)), str(rng.choice(NOT_FLOWN))
+    hidden = {HIDDEN: {"thrust_arm": arm}}
+    return hidden, absent, fitted_with(card, hidden, (HIDDEN, absent), STALLS)
+
+
+@pytest.mark.recovery
+def test_what_was_flown_stays_and_first_order_tells_what_refitting_finds(stalls):
+    """The latter stays in a quarter of simulated flights (benchmarks/README.md); not in these."""
+    hidden, absent, (contender, fits, noise) = stalls
+    found = eliminate(contender, fits, [CATALOGUE[HIDDEN], CATALOGUE[absent]], NOBODY, noise)
+    assert found.confirmation.kept == (HIDDEN,), (hidden, found.confirmation.missed)
+    names = found.contender.fit.names
+    values = dict(zip(names, found.contender.fit.estimate, strict=True))
+    assert found.gone == {p.name for p in CATALOGUE[absent].parameters}
+    assert all(values[p.name] == p.neutral for p in CATALOGUE[absent].parameters)
+    sd = dict(zip(names, np.sqrt(noise.variance_inflation) * found.contender.fit.sd, strict=True))
+    near = max(0.06, 4.0 * sd["thrust_arm"])
+    assert values["thrust_arm"] == pytest.approx(hidden[HIDDEN]["thrust_arm"], abs=near), hidden
+    for fit in found.fits:  # those of the smaller model
+        assert dict(zip(fit.names, fit.estimate, strict=True)).items() >= dict.fromkeys(found.gone, 0.0).items()
+    told = eliminate(contender, fits, [CATALOGUE[HIDDEN]], NOBODY, noise).confirmation.missed[HIDDEN]
+    less = replace(contender, held={"thrust_arm": 0.0})
+    pairs = (contender, fits), (less, fits_of(less, noise))
+    paths = [holdout_fits(one, own, {}) for one, own in pairs]
+    within, without = (left_out_of(one, contender.fit.flown, noise.variance_inflation) for one in paths)
+    elpd, elpd_se = within.gain(without)
+    assert told[0] == pytest.approx(elpd, rel=0.3), hidden
+    assert told[1] == pytest.approx(elpd_se, rel=0.5), hidden
+    (parameter,) = CATALOGUE[absent].parameters
+    found = eliminate(contender, fits, [CATALOGUE[absent]], {0: {parameter.name: 0.1}, 1: {}}, noise)
+    assert not found.confirmation.missed
+    assert not found.gone
+    assert found.fits is fits
+
+
+def test_induced_drag_which_is_neutral_at_infinity_is_missed(stalls):
+    _, _, (contender, fits, noise) = stalls
+    found = eliminate(contender, fits, [CATALOGUE["induced_drag"]], NOBODY, noise)
+    assert found.confirmation.kept == ("induced_drag",)
+    assert np.all(np.isfinite(found.confirmation.missed["induced_drag"]))

@@ -1,37 +1,45 @@
-"""Every decision of a diagnosis follows from the number that is cited for it."""
+"""Every decision follows from the number that is cited for it: verdicts, names, sizes, rivals and hold-out data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from parts import cause, part
+import six_axes
+from parts import cause, part, with_candidates
 from scipy.special import erfc
 from scipy.stats import norm
+from stranger_six import Plane, drawn, fly
 
-from bayes_aero.diagnosis import consistency
+from bayes_aero.diagnosis import accuracy, consistency, result
 from bayes_aero.diagnosis import diagnose as decided
-from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis import selection as selecting
+from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size, backward_elimination, implausible
+from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
-from bayes_aero.diagnosis.result import Cause, Diagnosis
-from bayes_aero.diagnosis.screening.regression import RegressionFit
-from bayes_aero.diagnosis.screening.screening import ScreeningResult
-from bayes_aero.diagnosis.screening.selection_state import SelectionState
+from bayes_aero.diagnosis.design import standard
+from bayes_aero.diagnosis.flights import left_out_of
+from bayes_aero.diagnosis.result import Cause, Diagnosis, UnexplainedStructure, Verdict, verdict_of
+from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
-from bayes_aero.diagnosis.selection import holdout
-from bayes_aero.diagnosis.selection.forward_selection import Extension
-from bayes_aero.diagnosis.selection.holdout import Confirmation, LeftOut, backward_elimination
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.structure import unexplained
-from bayes_aero.diagnosis.trajectories.holdout import left_out_of
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.selection import Extension, cancelling
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.diagnosis.unexplained import unexplained
 from bayes_aero.dynamics.segments import SegmentTrajectories
+from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE
+from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health.finding import OpenError
 from bayes_aero.inference.scores import Scores, ScoreStatus
+from bayes_aero.model.model import lengths_of
+from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
+from bayes_aero.report.text.phrases import verdict_sentence
+from bayes_aero.residuals.equation_error import EquationError
+from bayes_aero.simulate.injection import hidden_records
 
 
 def contradictions(d: Diagnosis) -> list[str]:
@@ -76,46 +84,41 @@ def test_a_diagnosis_has_no_contradictions_nor_where_held_out_flights_deny_it(di
 
 
 class Told(LeftOut):
-    """Hold-out data with these additions, by what each gains: of all, and of Cm."""
+    """Hold-out data with these additions, by what each gains whatever else is in: of all, and of Cm."""
 
-    def __init__(self, effects: Sequence[str], all_of: dict, of_Cm: dict) -> None:
-        object.__setattr__(self, "known", (frozenset(effects), all_of, of_Cm))
+    def __init__(self, effects: Sequence[str], gains: dict, of_Cm: dict) -> None:
+        object.__setattr__(self, "known", (frozenset(effects), gains, of_Cm))
 
     def gain(self, before) -> tuple[float, float]:
         (name,) = self.known[0] - before.known[0]
-        return self.known[1][name]
+        return self.known[1][name], 1.0
 
     def output_gains(self, before) -> dict[str, tuple[float, float]]:
         (name,) = self.known[0] - before.known[0]
-        return {"CL": (1.0, 0.5), "Cm": self.known[2][name]}
+        return {"CL": (1.0, 0.5), "Cm": self.known[2].get(name, (0.0, 0.0))}
 
 
-@pytest.mark.parametrize(("of_Cm", "kept"), [
-    ((-223.0, 30.0), ("drag_offset",)),  # worse beyond noise, however much the others gain, and in first order
-    ((-20.0, 15.0), ("rudder_moment", "drag_offset")),  # worse, within noise
-    ((-2.0, 0.1), ("rudder_moment", "drag_offset")),  # within the margin of models that are as good
+@pytest.mark.parametrize(("gains", "factor", "of_Cm", "kept", "refitted"), [
+    ({"a": 9.0, "b": 1.0, "c": -3.0, "d": 2.0}, 1.0, {}, "ad", ["abcd", "abd", "ad", "a"]),  # of none nothing is fitted
+    ({"a": 9.0, "b": 3.0}, 2.0, {}, "ab", []),  # to first order both are missed beyond doubt
+    ({"a": 90.0, "b": 80.0}, 1.0, {"a": (-223.0, 30.0)}, "b", []),  # worse beyond noise, however much the others gain
+    ({"a": 90.0, "b": 80.0}, 1.0, {"a": (-20.0, 15.0)}, "ab", []),  # worse, within noise
+    ({"a": 90.0, "b": 80.0}, 1.0, {"a": (-2.0, 0.1)}, "ab", []),  # within the margin of models that are as good
 ])  # fmt: skip
-def test_a_cause_with_which_a_coefficient_is_predicted_worse_is_not_kept(of_Cm, kept):
-    gains = {"rudder_moment": (90.0, 5.0), "drag_offset": (80.0, 4.0)}
-    told = partial(Told, all_of=gains, of_Cm={"rudder_moment": of_Cm, "drag_offset": (0.0, 0.0)})
-    found = backward_elimination(("rudder_moment", "drag_offset"), told, told)
-    assert found.kept == kept
-    assert found.harmed == ({} if "rudder_moment" in kept else {"rudder_moment": {"Cm": of_Cm}})
+def test_additions_go_out_the_least_missed_first_and_are_fitted_again_in_doubt(gains, factor, of_Cm, kept, refitted):
+    refits = []
 
+    def again(effects):
+        refits.append("".join(effects))
+        return Told(effects, gains, of_Cm)
 
-def test_the_gain_of_each_coefficient_is_that_of_its_mean_square():
-    """Log density of n residuals at their own mean square s2: -n/2 (log 2 pi s2 + 1), over the variance inflation."""
-    rng, n = np.random.default_rng(6), 200
-    before = rng.standard_normal((n, 3))
-    after = before * np.array([0.1, 1.0, np.sqrt(9.7 / 1.04)])  # R2 of Cm from -0.04 to -8.70
-    plain = np.ones((n, 3)), np.ones(n, bool), ("CL", "CD", "Cm"), (100, 100), 2.0
-    less, whole = (LeftOut(x, *plain) for x in (before, after))
-    gains = whole.output_gains(less)
-    expected = {"CL": 50.0 * np.log(100.0), "CD": 0.0, "Cm": -50.0 * np.log(9.7 / 1.04)}
-    assert {name: gain for name, (gain, _) in gains.items()} == pytest.approx(expected, abs=1e-9)
-    assert whole.gain(less)[0] == pytest.approx(sum(expected.values()))
-    assert sum(expected.values()) > 0.0  # all together they confirm it
-    assert DEFAULT.degrades(*gains["Cm"])
+    first_order = partial(Told, gains={name: factor * x for name, x in gains.items()}, of_Cm=of_Cm)
+    found = backward_elimination(tuple(gains), first_order, again)
+    assert "".join(found.kept) == kept
+    assert refits == refitted or of_Cm
+    assert found.harmed == ({} if kept != "b" else of_Cm and {"a": {"Cm": of_Cm["a"]}})
+    if factor == 1.0:
+        assert list(found.missed.items()) == [(name, (x, 1.0)) for name, x in gains.items()]
 
 
 @pytest.mark.parametrize("compared", ["coefficients", "innovations", "trajectories", "flight path"])
@@ -143,13 +146,12 @@ def test_an_output_that_is_predicted_worse_denies_a_cause_however_the_model_meet
     else:
         monkeypatch.setattr(LeftOut, "first_order", lambda state, effects: LeftOut._of(state, left(effects)))
         monkeypatch.setattr(LeftOut, "refitted", lambda told: LeftOut._of(told[0], left(told[1])))
-        monkeypatch.setattr(holdout, "truncated", lambda state, effects: (state, effects))
-        parts = np.arange(n) if compared == "innovations" else None
+        monkeypatch.setattr(accuracy, "truncated", lambda state, effects: (state, effects))
         responses = SimpleNamespace(
-            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), jackknife_blocks=parts,
+            model=SimpleNamespace(coefficients=("CL", "CD", "Cm")), kinematic=compared == "flight path",
             flights=SimpleNamespace(lengths=(100, 100)),
         )  # fmt: skip
-        found = holdout.confirmation(part(
+        found = accuracy.confirmation(part(
             SelectionState, responses=responses, outputs=outputs, folds=(slice(0, 100), slice(100, n)),
             variance_inflation=2.0, active=("rudder_moment",), full=part(CandidateModel, settings=DEFAULT),
             theta=np.zeros(0), S=np.zeros((n, 3, 1)), noise_growth=np.ones((n, 3)),
@@ -202,6 +204,15 @@ def stated(monkeypatch):
     return state
 
 
+def decided_on(stated, diagnosed, forms=None, **values):
+    """A cause that held-out flights miss, kept by stage, a diagnosis of it alone, and what is said of it."""
+    values = {"gains_of": {"thrust_scale": cause().gain}} | values
+    stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), **values)
+    ((found,), kept, _) = decided._confirmed(searched("thrust_scale", forms=forms), None)
+    d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
+    return found, kept, d, next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
+
+
 @pytest.mark.parametrize(
     ("gain", "rivals"),
     [((-269.0, 35.0), ()), ((-4.0, 0.5), ()), ((-20.0, 15.0), ("mass_scale",)), ((1.9, 1.4), ("mass_scale",))],
@@ -212,17 +223,11 @@ def test_a_rival_is_as_good_only_where_hold_out_data_say_so(stated, diagnosed, g
     def rivals_of(_, __, worse=(), noise=0.0):  # noqa: ARG001
         return (1.0, ()) if "mass_scale" in worse else (0.55, ("mass_scale",))
 
-    stated(
-        confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), rivals_of=rivals_of,
-        rival_gains={"mass_scale": gain}, gains_of={"thrust_scale": cause().gain},
-    )  # fmt: skip
-    ((found,), kept, _) = decided._confirmed(searched("thrust_scale"), None)
+    found, kept, d, told = decided_on(stated, diagnosed, rivals_of=rivals_of, rival_gains={"mass_scale": gain})
     assert kept == {"coefficients": ("thrust_scale",)}
     assert found.ambiguous_with == rivals
     assert found.probability == (0.55 if rivals else 1.0)
-    d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
     assert not contradictions(d)
-    told = next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
     assert (f"log density of hold-out data {gain[0]:+.1f} ± {gain[1]:.1f}" in told) == bool(rivals)
     assert advised(d, "thrust_scale") != bool(rivals)
 
@@ -230,18 +235,12 @@ def test_a_rival_is_as_good_only_where_hold_out_data_say_so(stated, diagnosed, g
 @pytest.mark.parametrize(("less", "probability"), [(0.0, 9.0 / 19.0), (np.log(9.0), 9.0 / 11.0), (-200.0, 0.0)])
 def test_a_form_that_explains_as_well_as_a_cause_is_its_rival(stated, diagnosed, less, probability):
     """Odds of 9 to 1 against the effects, and of exp(`less`) to 1 against the form: p = 1 / (1 / 0.9 + exp(-less))."""
-    stated(
-        confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}),
-        gains_of={"thrust_scale": cause().gain},
-    )
-    search = searched("thrust_scale", forms={"thrust_scale": ("a form (CD over alpha^2)", less)})
-    ((found,), _, _) = decided._confirmed(search, None)
-    assert found.ambiguous_with == ("a form (CD over alpha^2)",)
+    form = "a form (CD over alpha^2)"
+    found, _, _, told = decided_on(stated, diagnosed, forms={"thrust_scale": (form, less)})
+    assert found.ambiguous_with == (form,)
     assert found.probability == pytest.approx(probability)
     assert found.sure == (probability > 0.5)
-    d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
-    told = next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
-    assert "a form (CD over alpha^2) would explain the data about as well" in told
+    assert f"{form} would explain the data about as well" in told
 
 
 SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]
@@ -252,16 +251,13 @@ SCORES = [Scores(0.5, 0.1, 0.5, r2, ScoreStatus.ok) for r2 in (-0.04, -8.70)]
     {"degraded": {"Cm": (-223.0, 30.0)}, "before": {"Cm": SCORES[0]}, "after": {"Cm": SCORES[1]}},
 ])  # fmt: skip
 def test_a_cause_that_loses_on_hold_out_data_is_not_confirmed_and_said_so(stated, diagnosed, worse):
-    gain = replace(cause().gain, **worse)
-    stated(confirmation=Confirmation(("thrust_scale",), {"thrust_scale": (40.0, 5.0)}), gains_of={"thrust_scale": gain})
-    ((found,), kept, _) = decided._confirmed(searched("thrust_scale"), None)
+    gains = {"thrust_scale": replace(cause().gain, **worse)}
+    found, kept, d, told = decided_on(stated, diagnosed, gains_of=gains)
     assert not found.confirmed
     assert not found.sure
     assert kept == {"coefficients": ()}
-    d = replace(diagnosed.view.diagnosis, causes=(found,), beyond=())
     assert not contradictions(d)
     assert contradictions(replace(d, causes=(replace(found, confirmed=True),)))
-    told = next(s for s in diagnosis_sentences(d) if s.startswith("thrust_scale: "))
     assert "do not confirm it" in told
     assert ("Cm -223.0 ± 30.0, R² from -0.04 to -8.70" in told) == ("degraded" in worse)
 
@@ -279,6 +275,9 @@ def test_what_was_added_or_named_is_not_called_untestable(diagnosed, monkeypatch
     unsure = replace(d, causes=(doubtful,))
     assert not contradictions(unsure)
     assert [e.name for e in errors_of_diagnosis(unsure).open] == ["accel_x_bias"]
+    assert not errors_of_diagnosis(unsure).errors
+    (size,) = errors_of_diagnosis(d).errors["pitch_rate_bias"]["parameters"].values()
+    assert size["mean"] == pytest.approx(diagnosed.hidden["pitch_rate_bias"]["pitch_rate_bias"], abs=4.0 * size["sd"])
 
 
 def test_half_of_a_joint_estimate_is_no_cause(diagnosed):
@@ -334,3 +333,255 @@ def test_the_threshold_that_figures_show_is_the_level_at_which_causes_are_select
     assert found.threshold(level) == {0.01: 199.0, 0.05: 191.0}[level]
     assert found.p_value(found.threshold(level) + 0.5) <= level < found.p_value(found.threshold(level) - 0.5)
     assert np.isnan(part(ScreeningResult, nulls=np.zeros(0)).threshold(level))
+
+
+PAIR = ("pitch_rate_lift", "alpha_dot_lift")
+LEFT = (UnexplainedStructure("Cm", "phi", 0.2, 0.01),)
+
+
+def test_the_verdict_rests_on_what_is_confirmed_and_likely():
+    sure, open_, unlikely = cause(), cause(confirmed=False), cause(probability=0.17)
+    assert verdict_of([], ()) is Verdict.NO_EFFECT
+    assert verdict_of([sure, open_], ()) is Verdict.EXPLAINED
+    assert verdict_of([sure, unlikely], LEFT) is Verdict.PARTLY_EXPLAINED
+    for doubtful in (open_, unlikely, cause(implausible={"thrust_scale": 0.3})):
+        assert verdict_of([doubtful], ()) is Verdict.UNEXPLAINED
+        assert verdict_of([doubtful], LEFT) is Verdict.UNEXPLAINED
+    of_a_sensor = replace(
+        cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15}), stage="flight path"
+    )
+    assert verdict_of([of_a_sensor], ()) is Verdict.NO_EFFECT  # that sensors disagree is no fault of the card's model
+    bounded = replace(sure, parameters={"thrust_scale": Size(-0.9, 0.01, "1", at_bound=True)})
+    assert verdict_of([bounded], ()) is Verdict.UNEXPLAINED
+
+
+@pytest.mark.parametrize(("parameter", "effect", "mean", "sd", "largest"), [
+    ("thrust_scale", "thrust_scale", -0.48, 0.02, {"thrust_scale": 0.3}),
+    ("thrust_scale", "thrust_scale", -0.48, 0.15, {"thrust_scale": 0.3}),  # a record that does not know it, too
+    ("thrust_scale", "thrust_scale", -0.08, 0.004, {}),
+    # Pitch rate makes lift at the tail: 2 a V_H per q c/2V, some 5 per q c/V. Three real records gave 20.
+    ("CLq", "pitch_rate_lift", 19.6, 1.1, {"CLq": 10.0}), ("CLq", "pitch_rate_lift", 5.0, 1.1, {}),
+    # Of induced drag 1/e counts, which is zero without it: no wing has an e of 0.2, and 0.8 is that of most.
+    ("e", "induced_drag", 0.2, 0.01, {"1/e": 3.0}), ("e", "induced_drag", 0.8, 0.01, {}),
+])  # fmt: skip
+def test_sizes_that_no_aircraft_has_are_implausible(parameter, effect, mean, sd, largest):
+    assert implausible(CATALOGUE[effect], {parameter: Size(mean, sd, "1")}) == largest
+
+
+def test_a_vane_stands_ahead_in_the_aircraft_s_lengths():
+    """Of the catalogue's transport with 21.5 m of span 20 m at most, of a trainer with 10 m 9.3."""
+    vane, aircraft = CATALOGUE["vane_position"], read_card("attas").aircraft
+    transport, trainer = (sized(vane, lengths_of(replace(aircraft, half_span=x))) for x in (10.75, 5.0))
+    assert transport is vane
+    assert trainer.sizes["vane_position"] == pytest.approx((3.0 * 10.0 / 21.5, 20.0 * 10.0 / 21.5))
+    recorded = {"vane_position": Size(15.0, 1.0, "m")}
+    assert not implausible(transport, recorded)
+    assert implausible(trainer, recorded)
+    assert sized(CATALOGUE["alpha_bias"], lengths_of(NO_AIRCRAFT)) is CATALOGUE["alpha_bias"]
+
+
+def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
+    off = replace(
+        cause("alpha_bias", np.radians(9.0), np.radians(0.5), implausible={"alpha_bias": np.radians(3.0)}),
+        kind="measurement",
+    )
+    said = diagnosis_sentences(replace(diagnosed.view.diagnosis, beyond=(off,)))
+    (sentence,) = [one for one in said if "alpha_bias" in one]
+    assert "9.00 ± 0.50 deg" in sentence
+    assert "at most 3 deg" in sentence
+    d = diagnosed.view.diagnosis
+    found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
+    searched = SearchResult(d.aerodynamics.state.full, ((found.stage, d.aerodynamics),), (), d.noise, (), ())
+    large = replace(found, implausible={"Cma2": 0.1})
+    (left,) = decided.structure_of(searched, [large])
+    assert (left.coefficient, left.channel, left.rivals) == ("Cm", "alpha", ("alpha_squared_moment",))
+    assert decided.structure_of(searched, [replace(large, kind="measurement")]) == ()
+    said = diagnosis_sentences(replace(d, beyond=(replace(large, implausible=dict.fromkeys(large.parameters, 0.1)),)))
+    assert any("On this aircraft" in one and "left out of the model" in one for one in said)
+
+
+def test_more_than_five_names_and_errors_that_no_sensor_has_are_no_cause():
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    few, many = cause(ambiguous_with=names[: DEFAULT.most_names - 1]), cause(ambiguous_with=names)
+    assert decided.attributed([few, many]) == ((few,), (), (many,))
+    unlikely, open_ = cause(probability=0.33), cause(confirmed=False)
+    assert decided.attributed([unlikely, open_]) == ((unlikely, open_), (), ())
+    neither = replace(unlikely, confirmed=False)
+    assert decided.attributed([neither]) == ((), (), (neither,))
+    scale = cause(name="roll_rate_scale", mean=0.22, implausible={"roll_rate_scale": 0.15})
+    of_a_sensor, of_the_model = replace(scale, kind="measurement"), replace(scale, kind="aerodynamics")
+    assert decided.attributed([of_a_sensor, of_the_model]) == ((), (of_a_sensor, of_the_model), ())
+
+
+def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_it(monkeypatch):
+    """The second selection is that of the model, and it never sees what the first found too large."""
+
+    def of(size, *active):
+        full = part(CandidateModel, candidates=tuple(CATALOGUE[n] for n in ("alpha_dot_lift", "mach_drag")))
+        base, state = (part(SelectionState, full=full, active=names) for names in ((), active))
+        sizes = {"CLadot": Size(size, 20.0, "1"), "CDM": Size(0.1, 0.01, "1")}
+        no_fit = part(RegressionFit)
+        return Extension(base, no_fit, state, no_fit, (), sizes, active, ())
+
+    asked: list[tuple[str, ...]] = []
+    given = [of(-42.9, "alpha_dot_lift", "mach_drag"), of(0.0)]
+
+    def once(_, *, barred, **__):
+        asked.append(tuple(barred))
+        return given[len(asked) - 1]
+
+    monkeypatch.setattr(selecting, "forward_selection", once)
+    found = selecting.plausible_selection(given[0].base)
+    assert asked == [(), ("alpha_dot_lift",)]
+    assert found.state.active == ()
+    assert found.larger[0].implausible == ("alpha_dot_lift",)
+
+
+@pytest.mark.verify
+def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
+    """CLq is 25, of at most 10: no name of the catalogue stands in for it."""
+    found = decided.diagnose(
+        hidden_records({"pitch_rate_lift": {"CLq": 25.0}}, seed=12, noise="white"),
+        read_card("attas"),
+        gains_wanted=False,
+    )
+    assert not found.causes
+    told = {c.name: c for c in found.beyond}["pitch_rate_lift"].parameters["CLq"]
+    assert told.mean == pytest.approx(25.0, abs=3.0 * told.sd)
+    assert ("CL", "q") in {(u.coefficient, u.channel) for u in found.unknown}
+    assert "pitch_rate_lift" not in found.aerodynamics.state.active
+
+
+def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
+    """The hidden curvature of the pitching moment, as if a linear term did nearly the same."""
+    d = diagnosed.view.diagnosis
+    found = next(c for c in d.causes if c.name == "alpha_squared_moment")
+    extensions = {found.stage: d.aerodynamics}
+    for share, output, taken in ((0.01, "Cm", True), (0.01, "CL", False), (0.03, "Cm", False)):
+        one = replace(found, own_share=share)
+        names = decided.stand_ins([one], extensions, [UnexplainedStructure(output, "phi", 0.5, 0.01)])
+        assert names == ((found.name,) if taken else ())
+        assert decided.attributed([one], stand_ins=names) == (((), (), (one,)) if taken else ((one,), (), ()))
+    # The hidden curvature of the pitching moment, as if five others explained it as well.
+    names = ("mass_scale", "drag_offset", "accel_x_bias", "density_scale", "mach_drag")
+    effect = CATALOGUE[found.name]
+    unknown = decided.as_structure(replace(found, ambiguous_with=names), d.aerodynamics, effect)
+    assert (unknown.coefficient, unknown.channel) == ("Cm", "alpha")
+    assert 0.04 < unknown.share < 1.0
+    assert unknown.rivals == (found.name, *names)
+
+
+def test_what_flight_does_not_miss_or_cannot_test_is_not_confirmed(diagnosed):
+    d = diagnosed.view.diagnosis
+    names = [c.name for c in d.causes]
+    assert d.verdict is not Verdict.UNEXPLAINED
+    nothing = decided.judged_on_held_out_flights(d, Confirmation((), dict.fromkeys(names, (1.0, 2.0))))
+    assert not any(c.confirmed for c in nothing.causes)
+    assert nothing.verdict is Verdict.UNEXPLAINED
+    assert decided.judged_on_held_out_flights(d, Confirmation((), {})) == d
+    # The joint estimate has seen the flight that is left out.
+    untested = replace(d, causes=tuple(replace(c, missed=(float("nan"), float("nan"))) for c in d.causes))
+    found = decided.judged_on_held_out_flights(untested, Confirmation((), {}), {"Cma2"})
+    assert {c.name for c in found.causes if not c.confirmed} == {"alpha_squared_moment"}
+    assert "named, but not tested on hold-out data: alpha_squared_moment" in verdict_sentence(found)
+    # Noise of the regressors bends coefficients as an error of a sensor may; a simulated flight has none.
+    scale = replace(cause("accel_y_scale", -0.22, 0.05), kind="measurement")
+    of_the_path = replace(scale, name="alpha_scale", stage="flight path")
+    d = replace(d, causes=(scale, of_the_path, *d.causes))
+    flights = Confirmation((), {c.name: (-4.0, 16.0) for c in d.causes})
+    doubtful = decided.sensors_not_missed(d, flights)
+    assert set(doubtful.missed) == {"accel_y_scale"}
+    assert [c.name for c in decided.judged_on_held_out_flights(d, doubtful).causes if not c.confirmed] == [
+        "accel_y_scale"
+    ]
+    assert not decided.sensors_not_missed(d, replace(flights, kept=("accel_y_scale",))).missed
+
+
+@pytest.fixture(scope="module")
+def both(card, model):
+    """The card's model and lift due to pitch rate and to alpha-dot, at the truth of a simulated stall without them."""
+    return with_candidates(card, model, (*PAIR, "sideslip_drag"))
+
+
+def on(both, flights, values) -> Extension:
+    """Both terms in, with these values, on a record."""
+    model = both.full.model
+    theta = both.theta.copy()
+    theta[both.full.columns(list(values))] = list(values.values())
+    state = linearised(both.full, EquationError.of(flights, model), NAMES, theta, PAIR)
+    fit = state.fit()
+    return Extension(state, fit, state, fit, (), {}, PAIR, ())
+
+
+def test_two_terms_that_cancel_are_known_by_their_sum_and_their_own_share(both):
+    """In a doublet the flight path bends little: alpha-dot is pitch rate, and large opposite terms are their sum."""
+    flown = standard(both, (*PAIR, "sideslip_drag")).flown
+    doublet = flown["elevator_doublet"]
+    found = on(both, doublet, {"CLq": 19.6, "CLadot": -18.2})
+    (pair,) = cancelling(found, PAIR)
+    assert pair.parameters == ("CLq", "CLadot")
+    assert pair.correlation < -0.9
+    assert pair.mean == pytest.approx(19.6 - 18.2 * pair.factor)
+    assert pair.factor == pytest.approx(1.0, abs=0.1)
+    # Of a combination with correlation near -1 little is left of either deviation: closed form of a sum's variance.
+    columns = found.state.full.columns(["CLq", "CLadot"])
+    colour = autocorrelation_of(found.state.left(found.fit), found.state.folds)
+    at = [int(np.flatnonzero(found.fit.columns == c)[0]) for c in columns]
+    C = uncertainty(found.state, found.fit, colour)[np.ix_(at, at)]
+    assert pair.sd**2 == pytest.approx(C[0, 0] + 2 * pair.factor * C[0, 1] + pair.factor**2 * C[1, 1])
+    assert pair.sd < 0.1 * np.sqrt(C[0, 0])
+    turn = on(both, flown["bank_to_bank"], {"CLq": 19.6, "CLadot": -18.2})
+    assert not cancelling(turn, PAIR)  # it has pitch rate at constant alpha
+    assert not cancelling(on(both, doublet, {"CLq": 4.0, "CLadot": 2.0}), PAIR)  # nothing cancels
+    # Closed form: what a regression on the others leaves of the effect's sensitivity, over its spread.
+    found = on(both, both.responses.flights, {"CLq": 4.0})
+    state, fit = found.state, found.fit
+    own = int(state.full.columns(["CLq"])[0])
+    weighed = state.scaled[state.inside] / np.sqrt(fit.variance)[:, None]
+    S = weighed.reshape(-1, state.S.shape[2])
+    x, others = S[:, own], S[:, [c for c in fit.columns if c != own]]
+    scale = np.sqrt(np.sum(others**2, axis=0))
+    left = x - (others / scale) @ np.linalg.lstsq(others / scale, x, rcond=None)[0]
+    spread = np.sum((weighed[:, :, own] - weighed[:, :, own].mean(axis=0)) ** 2)
+    assert decided.own_share(state, fit, "pitch_rate_lift") == pytest.approx(left @ left / spread, rel=1e-3)
+    assert np.isnan(decided.own_share(state, fit, "sideslip_drag"))  # not in
+
+
+@pytest.mark.parametrize(("left", "verdict"), [(1.2, Verdict.PARTLY_EXPLAINED), (0.3, Verdict.EXPLAINED)])
+def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed, left, verdict):
+    """One sure cause, and the simulation still off by 1.2 m/s where the sensor is off by 0.3 m/s, or not."""
+    d = replace(diagnosed.view.diagnosis, causes=(cause(),), unknown=(), verdict=verdict)
+    tested = result.Tested({"airspeed": result.OutputMiss(0.3, left, 1.2)})
+    headline, detail, *_ = diagnosis_sentences(replace(d, tested=tested))
+    assert ("explain" in headline) is (verdict is Verdict.EXPLAINED)
+    assert ("V 1.2 m/s" in headline) is (verdict is not Verdict.EXPLAINED)
+    assert "(noise 0.30 m/s)" in detail
+    off = result.Tested({"q": result.OutputMiss(0.0, 1.0, 1.0)})
+    assert "57 deg/s" in diagnosis_sentences(replace(d, causes=(), verdict=Verdict.UNDECIDED, tested=off))[0]
+    assert "was not computed" in diagnosis_sentences(replace(d, tested=result.Tested({})))[0]
+
+
+@dataclass(frozen=True)
+class RollYaw(Plane):
+    """Rolling either way yaws it to the same side, as the slipstream of a propeller does: Cn = K |p b / 2V|."""
+
+    K: float = 0.05
+
+    def loads(self, x, controls):
+        force, moment = super().loads(x, controls)
+        V = np.sqrt(x[:3] @ x[:3])
+        scale = 0.5 * self.density(x[9]) * V**2 * self.S * self.b
+        return force, moment + np.array([0.0, 0.0, scale * self.K * abs(x[3]) * self.b / (2.0 * V)])
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("seed", [1, 2])
+def test_yaw_of_the_size_of_the_roll_rate_has_no_cause_in_the_catalogue(tmp_path, seed):
+    """It is structure of Cn, which no effect that the catalogue has for a symmetric aircraft explains."""
+    rng = np.random.default_rng([seed, 71])
+    plane = RollYaw(**asdict(drawn(rng, **six_axes.ATTACHED)))
+    records = [six_axes.record(kind, fly(plane, kind, rng), rng) for kind in ("elevator", "aileron", "rudder")]
+    found = decided.diagnose(records, six_axes.card_in(tmp_path, plane), gains_wanted=False)
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert found.causes == ()
+    assert {one.coefficient for one in found.unknown} == {"Cn"}

@@ -1,6 +1,7 @@
 """Which manoeuvres tell which effects apart, and which test points to fly next."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,27 +10,17 @@ import six_axes as six
 import stranger_six
 from parts import with_candidates
 from stranger_six import Plane
-from told_apart import deviations, weakest
 
-from bayes_aero.diagnosis.candidate_set import CandidateModel
-from bayes_aero.diagnosis.design import (
-    Information,
-    candidates_of,
-    next_test_points,
-    noise_of,
-    of_records,
-    on_record,
-    standard,
-)
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.settings import ENOUGH
+from bayes_aero.diagnosis import design
+from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel
+from bayes_aero.diagnosis.selection_state import linearised
 from bayes_aero.dynamics.pilot import commands
 from bayes_aero.dynamics.trim import Trim, trimmed
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import (
     DEFAULT_RANGES,
     GRAVITY,
@@ -43,7 +34,26 @@ from bayes_aero.physics.aircraft import (
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH
 
+
 # Which standard manoeuvre tells which effects apart
+def deviations(state, effects, flights, sizes=MappingProxyType({})):
+    """By manoeuvre, and under "records" of the records alone: deviations of each ordered pair of effects."""
+    chosen, noise = design.candidates_of(state, effects), design.noise_of(state)
+    records = design.of_records(state, chosen, noise)
+    present, own = records.information(), design.signals_of(records.state, chosen, design.worth_of(chosen, sizes))
+    found = {"records": present.deviations(own)}
+    for name, record in flights.flown.items():
+        if name not in design.NOT_BY_HAND:
+            there = design.on_record(state, flights.model, record, flights.theta, chosen, noise)
+            found[name] = (present + there.information()).deviations(own)
+    return found
+
+
+def weakest(state, effects, flights, sizes=MappingProxyType({})):
+    """The same of the closest pair."""
+    return {name: min(of.values()) for name, of in deviations(state, effects, flights, sizes).items()}
+
+
 RATES = ("alpha_dot_lift", "pitch_rate_lift")
 CANDIDATES = ("thrust_scale", "mass_scale", "alpha_dot_lift", "pitch_rate_lift", "sideslip_drag", "mach_drag")
 
@@ -56,12 +66,12 @@ def state(card, model):
 @pytest.fixture(scope="module")
 def flights(state):
     """The manoeuvres with every candidate in the model, at neutral: one model to compile for all sets of effects."""
-    return standard(state, CANDIDATES)
+    return design.standard(state, CANDIDATES)
 
 
 @pytest.fixture(scope="module")
 def rates(state):
-    return weakest(state, RATES, standard(state, RATES))
+    return weakest(state, RATES, design.standard(state, RATES))
 
 
 @pytest.mark.verify
@@ -72,7 +82,7 @@ def test_thrust_and_mass_part_only_when_thrust_moves(state, flights):
 
 
 def test_rates_are_told_apart_by_amplitude_and_size_whatever_else_is_in_the_model(state, rates, flights):
-    less = weakest(state, RATES, standard(state, RATES, amplitude=0.5))
+    less = weakest(state, RATES, design.standard(state, RATES, amplitude=0.5))
     for name in ("elevator_doublet", "elevator_3211"):
         assert less[name] < rates[name]
     # With rivals from other sets in the model, at neutral, the manoeuvres are the same flights.
@@ -87,11 +97,11 @@ def test_records_without_altitude_or_inputs(state):
     channels = {name: x for name, x in flights.channels.items() if name != "altitude"}
     without = replace(flights, channels=channels)
     there = replace(state, responses=EquationError.of(without, state.responses.model))
-    flown = standard(there, CANDIDATES).flown["elevator_doublet"]
+    flown = design.standard(there, CANDIDATES).flown["elevator_doublet"]
     begin = float(np.mean(np.asarray(flights.channels["density"])[:50]))
     assert float(flown.channels["density"][0]) == pytest.approx(begin, rel=0.01)
     blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n not in ("stabilizer", "beta")})
-    flown = standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
+    flown = design.standard(replace(state, responses=replace(state.responses, flights=blind)), CANDIDATES)
     assert flown.refused["stabilizer_steps"] == "stabilizer was not recorded"
     assert flown.refused["sideslip"] == "beta was not recorded"
     assert {"bank_to_bank", "thrust_steps"} <= set(flown.flown)
@@ -139,9 +149,9 @@ def test_trim_is_level_flight_and_commands_begin_there(state):
 
 def test_sets_of_one_effect_or_of_no_candidate_are_refused(state):
     with pytest.raises(InputError, match="at least two"):
-        candidates_of(state, ("thrust_scale",))
+        design.candidates_of(state, ("thrust_scale",))
     with pytest.raises(InputError, match="buffet"):
-        candidates_of(state, ("thrust_scale", "buffet"))
+        design.candidates_of(state, ("thrust_scale", "buffet"))
 
 
 # Which standard manoeuvre tells which lateral effects apart: flown in six degrees of freedom
@@ -174,7 +184,7 @@ def state_six(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flights_six(state_six):
-    return standard(state_six, CANDIDATES_SIX)
+    return design.standard(state_six, CANDIDATES_SIX)
 
 
 def test_every_manoeuvre_flies_by_the_equations_that_take_it_apart(flights_six):
@@ -218,14 +228,14 @@ def test_lateral_effects_are_told_apart_where_their_input_moves(state_six, fligh
 def test_six_degrees_of_freedom_need_their_inputs_and_both_axes(state_six):
     flights_six = state_six.responses.flights
     blind = replace(flights_six, channels={n: x for n, x in flights_six.channels.items() if n[:7] != "thrust_"})
-    flown = standard(
+    flown = design.standard(
         replace(state_six, responses=replace(state_six.responses, flights=blind)), ("roll_offset", "yaw_offset")
     )
     assert flown.refused["engine_steps"] == "thrust_left was not recorded"
     assert "rudder_doublet" in flown.flown
     model = replace(state_six.full.model, axes=(Axis.LATERAL,))
     with pytest.raises(InputError, match='add "longitudinal"'):
-        standard(replace(state_six, full=replace(state_six.full, model=model)), CANDIDATES_SIX)
+        design.standard(replace(state_six, full=replace(state_six.full, model=model)), CANDIDATES_SIX)
 
 
 # Information of records adds up and follows closed forms; test points decide most a second, inside the envelope
@@ -241,14 +251,14 @@ def point_state(card, model):
 
 @pytest.fixture(scope="module")
 def chosen(point_state):
-    return next_test_points(point_state, SETS, Envelope())
+    return design.next_test_points(point_state, SETS, Envelope())
 
 
 def test_two_columns_in_white_noise_differ_by_the_textbook_s_deviations():
     """What is left of a signal after regression on another, over the noise; by numpy's least squares."""
     rng, sigma = np.random.default_rng(4), 0.3
     X = rng.standard_normal((200, 3)) @ np.array([[1.0, 0.6, 0.0], [0.0, 0.8, 0.5], [0.0, 0.0, 1.0]])
-    told = Information(("one", "other", "base"), X.T @ X / sigma**2, X.T @ X / sigma**2, np.zeros(3))
+    told = design.Information(("one", "other", "base"), X.T @ X / sigma**2, X.T @ X / sigma**2, np.zeros(3))
     found = told.deviations({"one": {"one": 2.0}, "other": {"other": 0.5}})
     for (a, b), size, (column, rest) in zip(found, (2.0, 0.5), ((0, [1, 2]), (1, [0, 2])), strict=True):
         left = np.linalg.lstsq(X[:, rest], X[:, column], rcond=None)[1][0]
@@ -261,9 +271,9 @@ def test_two_columns_in_white_noise_differ_by_the_textbook_s_deviations():
 
 def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(point_state):
     """An offset of a flight-path output takes the mean out of each manoeuvre; coefficients have none."""
-    noise, effects = noise_of(point_state), [CATALOGUE[name] for name in POINT_CANDIDATES]
+    noise, effects = design.noise_of(point_state), [CATALOGUE[name] for name in POINT_CANDIDATES]
     theta = dict(zip(point_state.full.model.names, map(float, point_state.theta), strict=True))
-    flown = on_record(point_state, point_state.full.model, point_state.responses.flights, theta, effects, noise)
+    flown = design.on_record(point_state, point_state.full.model, point_state.responses.flights, theta, effects, noise)
     told, manoeuvre = flown.information(), flown.state.responses.manoeuvre
     at = [flown.state.full.model.names.index(label) for label in told.labels]
     expected = np.zeros_like(told.matrix)
@@ -273,7 +283,7 @@ def test_information_of_two_records_is_the_sum_of_each_after_its_own_offsets(poi
             S = S if name in NAMES else S - S.mean(axis=0)
             expected += S.T @ S / flown.noise.variance[c]
     np.testing.assert_allclose(told.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
-    present = of_records(point_state, effects, noise).information()  # what the state knows already
+    present = design.of_records(point_state, effects, noise).information()  # what the state knows already
     assert present.labels == told.labels
     np.testing.assert_allclose(present.matrix, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
     first = flown.information(float(np.sum(manoeuvre == 0)) * flown.state.responses.seconds)
@@ -291,11 +301,11 @@ def test_points_decide_what_the_records_leave_open_inside_the_envelope(chosen, p
         previous = point.expected
     assert chosen.expected[place] >= ENOUGH
     assert "computer" in chosen.refused["multisine"]
-    found = next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
+    found = design.next_test_points(point_state, {RATE_SET: SETS[RATE_SET]}, Envelope(programmed_inputs=True))
     assert "multisine" not in found.refused
     quiet = {"load_factor": (0.85, 1.25), "altitude_loss": (-np.inf, 200.0)}
     allowed = Envelope(DEFAULT_RANGES | quiet, tuple(quiet))
-    found = next_test_points(point_state, SETS, allowed)
+    found = design.next_test_points(point_state, SETS, allowed)
     assert found.points
     assert any(allowed.left_by(p.excursion) for p in chosen.points)  # another choice without it
     for point in found.points:

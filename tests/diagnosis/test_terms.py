@@ -14,23 +14,23 @@ import six_axes as six
 import stranger_six
 from calling import called
 from gusty_flight import LENGTH, NOISE, TRUTH, gusty_flight
+from parts import without_accelerometers
 
 from bayes_aero.diagnosis.candidate_set import CandidateModel
+from bayes_aero.diagnosis.components import QUANTITIES, SEPARATED, ProductTerm, library
 from bayes_aero.diagnosis.result import FoundTerm
-from bayes_aero.diagnosis.screening.selection_state import linearised
-from bayes_aero.diagnosis.selection.forward_selection import forward_selection
-from bayes_aero.diagnosis.terms.forms import flown_forms
-from bayes_aero.diagnosis.terms.library import QUANTITIES, SEPARATED, ProductTerm, library
+from bayes_aero.diagnosis.selection import forward_selection
+from bayes_aero.diagnosis.selection_state import linearised
+from bayes_aero.diagnosis.terms import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import disturbed
 from bayes_aero.jobs.io.diagnosis_json import term_results
 from bayes_aero.jobs.io.effect_file import effect_file, write_effects
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model, own_effects
+from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT, Aircraft
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
@@ -182,39 +182,10 @@ def hfb320():
     return read_card("hfb320")
 
 
-def without_accelerometers(record: FlightRecord) -> FlightRecord:
-    kept = {name: x for name, x in record.channels.items() if name not in ("ax", "az")}
-    return FlightRecord.from_arrays(record.name, record.time, kept)
-
-
 def flown(card, model, records) -> tuple[OutputError, np.ndarray]:
     flights = join([without_accelerometers(r) for r in records], card, FLIGHT)
     responses = OutputError.of(flights, aircraft_dynamics(model, flights))
     return responses, np.array([TRUTH.get(p.name, p.start) for p in model.free])
-
-
-def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_that_a_file_states(hfb320, tmp_path):
-    """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
-    responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)])
-    added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
-    at = np.array([responses.model.names.index("Cmde")])
-    known = responses.linearise(theta, at)[1][:, :, 0]
-    np.testing.assert_allclose(slope, known, atol=1e-9 * np.abs(known).max())
-    # Central differences of residuals flown with the effect; between samples alpha^2 qhat is taken as linear.
-    model = Model.from_card(hfb320)
-    term = product("alpha", "alpha", "qhat")
-    path, step = tmp_path / "found.py", 1e-3
-    path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
-    records = [gusty_flight(5, seconds=20.0)]
-    responses, theta = flown(hfb320, model, records)
-    wider, _ = flown(hfb320, model.extended(*own_effects([path]).values()), records)
-    added = AddedCoefficients(responses, theta)
-    (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
-    still = jnp.zeros(len(wider.windows.dynamics.start))
-    residual = eqx.filter_jit(lambda size: wider.residual(jnp.append(jnp.asarray(theta), size), still))
-    known = np.asarray(residual(-step) - residual(step)) / (2.0 * step)
-    np.testing.assert_allclose(slope, known, atol=1e-4 * np.abs(known).max())
 
 
 def in_calm_air(card, truth=None) -> tuple[OutputError, np.ndarray]:
@@ -259,28 +230,33 @@ def short(hfb320):
     return in_gusts(hfb320, seconds=15.0, seeds=TWO[:1])
 
 
-def test_terms_change_innovations_as_the_parameter_of_the_card_and_the_effect_of_a_file(short, tmp_path):
+@pytest.mark.parametrize(("way", "factors", "tolerances"), [
+    (AddedCoefficients, ("alpha", "alpha", "qhat"), (1e-9, 1e-4)),
+    (AddedToFilter, ("alpha", "elevator"), (1e-8, 5e-4)),  # the card's tail arm is 1e9 m
+])  # fmt: skip
+def test_terms_fly_as_the_parameter_of_the_card_and_as_the_effect_of_a_file(
+    way, factors, tolerances, hfb320, short, tmp_path
+):
     """Cm += Cmde elevator: the recorded elevator is linear between samples, as the integration takes it."""
-    responses, theta = short
-    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: signals["elevator"][None])
+    still = way is AddedCoefficients
+    responses, theta = flown(hfb320, Model.from_card(hfb320), [gusty_flight(5, seconds=20.0)]) if still else short
+    added = way(responses, theta)
+    (slope,) = added.slopes("Cm", lambda signals: signals["elevator"][None])
     known = responses.linearise(theta, np.array([responses.model.names.index("Cmde")]))[1][:, :, 0]
-    np.testing.assert_allclose(slope, known, atol=1e-8 * np.abs(known).max())  # the card's tail arm is 1e9 m
-    # Central differences of innovations with the effect, the gains held; between samples alpha elevator is linear.
-    term = product("alpha", "elevator")
+    np.testing.assert_allclose(slope, known, atol=tolerances[0] * np.abs(known).max())
+    # Central differences of residuals with the effect, gains held; between samples the product is taken as linear.
+    term = product(*factors)
     path, step = tmp_path / "found.py", 1e-3
     path.write_text(effect_file([FoundTerm("Cm", term, (1.0, 0.1), 0.5, 9.0, 1.0, (), 0.1)], ["run"]), encoding="utf-8")
-    model = responses.model.extended(*own_effects([path]).values())
+    (effect,) = own_effects([path]).values()
+    model = responses.model.extended(effect)
     windows = replace(responses.windows, dynamics=replace(responses.windows.dynamics, model=model))
     wider = replace(responses, windows=windows, model=model)
-    aircraft = responses.flights.aircraft
-    (slope,) = AddedToFilter(responses, theta).slopes("Cm", lambda signals: term.evaluate(signals, aircraft)[None])
-    at = model.names.index(own_effects([path]).popitem()[1].parameters[0].name)
-
-    def residual(size):
-        return np.asarray(wider.evaluate(np.insert(theta, at, size))[0])
-
-    known = (residual(-step) - residual(step)) / (2.0 * step)
-    np.testing.assert_allclose(slope, known, atol=5e-4 * np.abs(known).max())
+    (slope,) = added.slopes("Cm", lambda signals: term.evaluate(signals, responses.flights.aircraft)[None])
+    at = model.names.index(effect.parameters[0].name)
+    less, more = (np.asarray(wider.evaluate(np.insert(theta, at, size))[0]) for size in (-step, step))
+    known = (less - more) / (2.0 * step)
+    np.testing.assert_allclose(slope, known, atol=tolerances[1] * np.abs(known).max())
 
 
 @pytest.mark.verify

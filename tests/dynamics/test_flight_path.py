@@ -17,8 +17,8 @@ from bayes_aero.dynamics.segments import segments
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.reading import read_records
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics import kinematics as flightpath
 from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.kinematics import PATH_CORE

@@ -22,8 +22,8 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import disturbed
 from bayes_aero.inference.prediction_error import PredictionErrorStatus, fit_prediction_error
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import FLIGHT
 
 # Gusts in the equations of motion: what feels them, how they decay, and what is known of them at the beginning

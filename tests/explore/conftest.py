@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calling import called
+from calling import called, recorded
 
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
@@ -19,8 +19,7 @@ from bayes_aero.explore.page import page_of
 from bayes_aero.explore.server import PageServer
 from bayes_aero.explore.simulator import Simulator
 from bayes_aero.flight.reading import read_record
-from bayes_aero.flight.record import write_record
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.simulate.demo import simulate_stall
 
@@ -33,9 +32,7 @@ def results(tmp_path_factory, card):
     """
     there = tmp_path_factory.mktemp("explore")
     for number, (name, end) in enumerate({"stall": 62.0, "second": 52.0}.items()):
-        record = simulate_stall(number, card=card, seed=5).window(30.0, end)
-        have = [c for c in card.channels if record.has(c.name) or c.name == "time"]
-        write_record(record, there / f"{name}.csv", have)
+        recorded(simulate_stall(number, card=card, seed=5).window(30.0, end), there / f"{name}.csv", card)
     flown = called(there, "fly", "stall.csv", "--out", "flown", "--no-figures", "--no-process-noise")
     more = ("--no-sample", "--no-gp", "--no-figures")
     identified = called(there, "identify", "stall.csv", "second.csv", "--out", "identified", *more)

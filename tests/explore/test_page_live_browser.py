@@ -85,14 +85,12 @@ def test_a_slider_moved_by_keyboard_flies_the_manoeuvre_again(page, served, pack
     assert page.heard == []
 
 
-def test_effects_are_switched_off_added_and_removed(page, packaged, card):
+def test_effects_are_switched_off_added_and_removed(page, packaged, card, model):
     page.get_by_role("checkbox", name="separated_moment").focus()
     answered(page, lambda: page.keyboard.press("Space"))
     agree(page, packaged(Model.of([e for e in card.effects if e != "separated_moment"], card.fixed)))
     assert page.locator("#range-CmX").is_disabled()
-
-
-def test_an_effect_of_the_catalogue_is_added_and_removed(page, packaged, model):
+    answered(page, lambda: page.get_by_role("button", name="reset all").click())
     page.locator("#add").select_option("mass_scale")
     answered(page, lambda: page.locator("#adding").click())
     page.locator("#value-mass_scale").fill("1.05")
@@ -134,13 +132,17 @@ def test_a_zoom_in_the_plots_is_the_window(page, simulator):
     assert page.locator("#from").input_value() == f"{begin:.2f}".rstrip("0").rstrip(".")
 
 
-def test_the_fan_is_drawn_and_says_where_its_draws_come_from(page):
+def test_the_fan_is_drawn_and_says_where_its_draws_come_from_and_nothing_leaves_this_machine(page, served):
     answered(page, lambda: page.locator("#fan").check())
     assert page.locator("#said").inner_text().startswith("40 draws: normal distribution of the estimates")
     count = "Bokeh.documents[0].get_model_by_name('fan-alpha').data.xs.length"
     assert page.evaluate(count) == 40
     answered(page, lambda: page.locator("#fan").uncheck())
     assert page.evaluate(count) == 0
+    assert any(url.startswith(f"ws://127.0.0.1:{served.port}/") for url in page.asked)
+    own = (f"http://127.0.0.1:{served.port}/", f"ws://127.0.0.1:{served.port}/", "data:", "blob:")
+    assert [url for url in page.asked if not url.startswith(own)] == []
+    assert page.heard == []
 
 
 def test_an_export_has_the_values_of_the_page_and_overwrites_nothing(page, served):
@@ -176,14 +178,6 @@ def test_every_control_is_reached_by_tab_in_order_with_a_name(page):
     controls = [one for one in seen if one["tag"] in ("INPUT", "SELECT", "BUTTON", "SUMMARY")]
     assert len(controls) > 40
     assert all(one["name"] and one["seen"] and one["outline"] >= 2.0 for one in controls)
-
-
-def test_nothing_leaves_this_machine(page, served):
-    answered(page, lambda: page.locator("#fan").check())
-    assert any(url.startswith(f"ws://127.0.0.1:{served.port}/") for url in page.asked)
-    own = (f"http://127.0.0.1:{served.port}/", f"ws://127.0.0.1:{served.port}/", "data:", "blob:")
-    assert [url for url in page.asked if not url.startswith(own)] == []
-    assert page.heard == []
 
 
 def test_what_the_page_never_sends_is_answered_by_a_sentence(page):

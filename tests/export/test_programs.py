@@ -1,4 +1,4 @@
-"""Traced functions as programs, and the function of an FMU, against JAX and the model itself and by hand."""
+"""Traced functions as programs, the function of an FMU, and tables, against JAX, the model itself and by hand."""
 
 import ast
 from dataclasses import replace
@@ -7,15 +7,19 @@ from math import exp, tanh
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from exported_models import everything, modelled, random_signals, six, stall
 
-from bayes_aero.effect import Disturbance, Stage
+from bayes_aero.effect import Disturbance
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.fmu import slave_source
-from bayes_aero.export.identified import Identified, about, python_source
-from bayes_aero.export.program import Builder, terms, translated
+from bayes_aero.export.identified import Draws, Identified, about, python_source
+from bayes_aero.export.jsbsim import jsbsim_files
+from bayes_aero.export.program import translated
+from bayes_aero.export.tables import ACCURACY, write_tables
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.model import Model
 
@@ -47,18 +51,6 @@ def test_programs_by_hand():
     assert program.evaluated({"x": -400.0})["z"] == -1.0
     program = translated(lambda given: {"z": jnp.exp(-given["x"]) / (1.0 + given["x"])}, {"x": 0.0})
     assert program.evaluated({"x": 2.0})["z"] == exp(-2.0) / 3.0
-    build = Builder()
-    assert build.apply("add", "x", 0.0) == build.apply("mul", 1.0, "x") == build.apply("div", "x", 1.0) == "x"
-    assert build.apply("mul", 0.0, "x") == 0.0
-    assert build.apply("add", 1.0, build.apply("sub", "y", 1.0)) == "y"
-    assert build.apply("sin", "x") == build.apply("sin", "x")
-    assert build.apply("sub", 3.0, 1.0) == 2.0
-    program = translated(lambda g: {"z": g["a"] - (g["b"] - 2.0 * g["c"])}, {"a": 1.0, "b": 1.0, "c": 1.0})
-    inputs = {"a": 3.0, "b": 5.0, "c": 7.0}
-    parts = program.giving({str(i): x for i, (_, x) in enumerate(terms(program, "z"))})
-    signs = [sign for sign, _ in terms(program, "z")]
-    found = parts.evaluated(inputs)
-    assert sorted(s * found[str(i)] for i, s in enumerate(signs)) == [-5.0, 3.0, 14.0]
 
 
 def changed(increments):
@@ -69,15 +61,12 @@ def changed(increments):
     return replace(stall(), model=replace(model, effects=effects))
 
 
-@pytest.mark.parametrize(
-    ("increments", "words"),
-    [
-        (lambda v, *_: {"CD": jnp.sum(jnp.arange(3.0) * v["CDX"])}, "several numbers at once"),
-        (lambda v, s, *_: {"CD": v["CDX"] * s["dt"]}, "KeyError: 'dt'"),
-        (lambda *given: {"CD": 0.1 if given[3]["X"] > 0.5 else 0.2}, "fails with TracerBoolConversionError"),
-        (lambda *given: {"CD": jax.scipy.special.gammaln(given[3]["X"])}, "it uses lgamma"),
-    ],
-)
+@pytest.mark.parametrize(("increments", "words"), [
+    (lambda v, *_: {"CD": jnp.sum(jnp.arange(3.0) * v["CDX"])}, "several numbers at once"),
+    (lambda v, s, *_: {"CD": v["CDX"] * s["dt"]}, "KeyError: 'dt'"),
+    (lambda *given: {"CD": 0.1 if given[3]["X"] > 0.5 else 0.2}, "fails with TracerBoolConversionError"),
+    (lambda *given: {"CD": jax.scipy.special.gammaln(given[3]["X"])}, "it uses lgamma"),
+])  # fmt: skip
 def test_an_effect_that_cannot_be_exported_is_named(increments, words):
     with pytest.raises(InputError, match="effect my_drag cannot be exported") as told:
         _ = changed(increments).program
@@ -122,24 +111,6 @@ def test_at_rest_the_coefficients_are_finite(make):
     assert any("airspeed below 1 m/s" in sentence for sentence in about(found))
 
 
-@pytest.mark.parametrize("name", [e.name for e in CATALOGUE.values() if e.stage > Stage.INFLOW and not e.disturbance])
-def test_every_effect_is_exported_alone(name):
-    """Without the others, so that nothing hides it; its parameters at their own sizes."""
-    whole = everything()
-    effect = CATALOGUE[name]
-    owners = [e for e in CATALOGUE.values() if {p.name for p in e.parameters} & set(effect.uses)]
-    model = Model.of(dict.fromkeys([*owners, effect]), None, whole.model.axes)
-    values = {p.name: whole.values[p.name] for p in model.parameters}
-    found = Identified(name, name, model, whole.aircraft, values, ())
-    names, signals = loaded(found), random_signals(found, 5)
-    points = {n: np.linspace(0.1, 0.9, 5) for n in found.points} if found.lagged else {}
-    expected = modelled(found, signals, points or None)
-    for k in range(5):
-        told = called(names, found, signals, points, k)
-        for c, x in expected.items():
-            assert told[c] == pytest.approx(x[k], rel=1e-12, abs=1e-12)
-
-
 def test_the_state_follows_its_static_value():
     """dX/dt = (X_static - X)/lag, lag = tau1 c/V, by hand; where alpha rises X_static has no hysteresis."""
     found = stall(5.0)
@@ -148,6 +119,19 @@ def test_the_state_follows_its_static_value():
     static = (1.0 - np.tanh(25.0 * (0.3 - 0.27))) / 2.0
     assert told["X_static"] == pytest.approx(static, rel=1e-12)
     assert told["lag"] == pytest.approx(5.0 * 3.159 / 80.0, rel=1e-12)
+
+
+def test_a_channel_that_is_no_name_is_refused():
+    own = replace(
+        CATALOGUE["elevator_drag"],
+        channels=("2nd surface",),
+        increments=lambda v, s, *_: {"CD": v["CDde"] * s["2nd surface"]},
+    )
+    found = stall()
+    found = replace(found, model=found.model.extended(own), values=found.values | {"CDde": 0.1})
+    for source, words in ((python_source, "an argument in Python"), (jsbsim_files, "a property of JSBSim")):
+        with pytest.raises(InputError, match=f"2nd surface cannot be {words}"):
+            source(found)
 
 
 def test_the_file_needs_nothing_but_math_and_words_of_a_card_are_no_code():
@@ -174,14 +158,84 @@ def test_errors_of_the_record_and_random_air_are_left_out_and_said():
     assert found.actual_aircraft.reference_point[0] == pytest.approx(-0.02 - 0.01)  # the shift moves all else aft
 
 
-def test_a_channel_that_is_no_name_of_python_is_refused():
-    own = replace(CATALOGUE["elevator_drag"], channels=("2nd surface",), increments=_second)
-    card = read_card("attas")
-    model = Model.from_card(card).extended(own)
-    found = Identified("odd", "t", model, card.aircraft, stall().values | {p.name: 0.1 for p in own.parameters}, ())
-    with pytest.raises(InputError, match="2nd surface cannot be an argument in Python"):
-        python_source(found)
+# Tables, interpolated by xarray: their sums are the coefficients, within the accuracy that they state
+FLOWN = {
+    "alpha": (0.0, 0.32), "alpha_dot": (-0.1, 0.08), "airspeed": (60.0, 110.0), "mach": (0.2, 0.35), "q": (-0.1, 0.1),
+    "elevator": (-0.2, 0.1), "beta": (-0.1, 0.1), "p": (-0.2, 0.2), "r": (-0.1, 0.1), "aileron": (-0.1, 0.1),
+    "rudder": (-0.1, 0.1),
+}  # fmt: skip
+N = 200
 
 
-def _second(v, s, *_):
-    return {"CD": v["CDde"] * s["2nd surface"]}
+def written(found, folder):
+    files = write_tables(found, folder)
+    with xr.open_datatree(folder / "tables.nc", engine="h5netcdf") as tree:
+        return files, {name: node.to_dataset().load() for name, node in tree.children.items()}, tree.attrs
+
+
+def summed(tables, output, signals, variable="value"):
+    """The sum of an output's tables at samples, and of their stated errors."""
+    total, error = 0.0, 0.0
+    for table in tables.values():
+        if table["value"].attrs["output"] == output:
+            points = {d: xr.DataArray(signals[d], dims="n") for d in table["value"].dims}
+            part = table[variable]
+            total = total + (part.interp(points) if points else part).values
+            error += table["value"].attrs["interpolation_error"]
+    return total, error
+
+
+def samples(found):
+    rng = np.random.default_rng(7)
+    signals = {n: rng.uniform(*FLOWN[n], N) for n in found.signals}
+    return random_signals(found, N) | signals
+
+
+@pytest.mark.parametrize(
+    ("make", "tau1"), [(stall, 0.0), (lambda: stall(5.0), 5.0), (six, 4.0)], ids=["stall", "lagged", "six"]
+)
+def test_tables_of_few_axes_in_their_order_are_the_model(make, tau1, tmp_path):
+    """Incidence, static separation point, coefficients: as the README of an export says."""
+    found = replace(make(), flown=FLOWN)
+    files, tables, about = written(found, tmp_path)
+    assert set(files) == {"tables.nc", *(f"{name}.csv" for name in tables)}
+    assert max(len(table["value"].dims) for table in tables.values()) <= 3
+    assert "sum of its tables" in about["sum"]
+    signals = samples(found)
+    incidence, _ = summed(tables, "incidence", signals)
+    X, _ = summed(tables, "X_static", {"incidence": incidence})
+    static = (1.0 - np.tanh(25.0 * (signals["alpha"] - 20.0 * 3.159 / signals["airspeed"] *
+                                    np.minimum(signals["alpha_dot"], 0.0) - 0.27))) / 2.0  # fmt: skip
+    np.testing.assert_allclose(X, static, atol=5e-3)
+    for name, expected in modelled(found, signals, {"X": static}).items():
+        told, error = summed(tables, name, signals | {"X": static})
+        assert error <= 4.0 * ACCURACY * np.ptp(expected)
+        np.testing.assert_allclose(told, expected, atol=2.0 * error + 1e-9, err_msg=name)
+    if tau1:
+        told, error = summed(tables, "lag", signals)
+        np.testing.assert_allclose(told, tau1 * 3.159 / signals["airspeed"], atol=2.0 * error)
+
+
+def test_files_state_units_bounds_and_the_same_numbers(tmp_path):
+    found = stall(flown=FLOWN)
+    _, tables, about = written(found, tmp_path)
+    table = tables["Cm_airspeed_q"]
+    assert table["airspeed"].attrs["units"] == "m/s"
+    assert table["q"].attrs["units"] == "rad/s"
+    assert (float(table["airspeed"][0]), float(table["airspeed"][-1])) == FLOWN["airspeed"]
+    assert "alpha 0 to 0.32 rad" in about["about"]
+    frame = pd.read_csv(tmp_path / "Cm_airspeed_q.csv")
+    assert list(frame) == ["airspeed [m/s]", "q [rad/s]", "Cm [1]"]
+    np.testing.assert_allclose(frame["Cm [1]"], table["value"].values.ravel(), rtol=1e-11)
+    by_hand = -8.0 * frame["q [rad/s]"] * 3.159 / frame["airspeed [m/s]"]
+    np.testing.assert_allclose(frame["Cm [1]"], by_hand, rtol=1e-9)
+
+
+def test_draws_have_tables_of_their_own_and_unknown_ranges_none(tmp_path):
+    drawn = Draws(("Cmq",), np.array([[-4.0], [-16.0]]), "a test")
+    _, tables, _ = written(stall(flown=FLOWN, draws=drawn), tmp_path)
+    table = tables["Cm_airspeed_q"]
+    np.testing.assert_allclose(table["draws"].sel(draw=0), 0.5 * table["value"], rtol=1e-12)
+    np.testing.assert_allclose(table["draws"].sel(draw=1), 2.0 * table["value"], rtol=1e-12)
+    with pytest.raises(InputError, match="flown range of airspeed is not known"):
+        write_tables(stall(), tmp_path)

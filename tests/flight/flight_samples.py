@@ -1,9 +1,12 @@
 """Small sound records, what is said of bad ones, and bytes of flight logs by the published specifications."""
 
+import io
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pytest
 
 from bayes_aero.errors import InputError, plain_line
@@ -18,6 +21,11 @@ CHANNELS = (
     Channel("static_pressure", "hPa", "PSTAT", 6, required=False),
     Channel("strain", "mm", "GAUGE_7", 7, required=False),
 )  # fmt: skip
+
+
+def remap(name: str, **fields: object) -> tuple[Channel, ...]:
+    """The card's channels with one of them changed."""
+    return tuple(replace(c, **fields) if c.name == name else c for c in CHANNELS)
 
 
 def sound(n: int = 120, **changed: np.ndarray) -> FlightRecord:
@@ -47,7 +55,20 @@ def told(path: Path, channels, *words: str, **options: object) -> str:
     return message
 
 
-# Bytes of flight logs, written by the formats' published specifications
+# Bytes of workbooks, and of flight logs by the formats' published specifications
+def workbook(*sheets) -> bytes:
+    """(title, rows) of each sheet."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for title, rows in sheets:
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(row)
+    out = io.BytesIO()
+    book.save(out)
+    return out.getvalue()
+
+
 def ulog(topics, start: int = 0, dropout_ms: int | None = None) -> bytes:
     """A PX4 ULog file of version 1 (docs.px4.io, ULog File Format).
 

@@ -16,8 +16,8 @@ from bayes_aero.flight.card_tables import parse_aircraft, parse_envelope, refuse
 from bayes_aero.flight.health.finding import Consistency
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import check_records
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import DEFAULT_RANGES
 from bayes_aero.report.text.check import card_sentences
 

@@ -1,30 +1,356 @@
-"""Excel, MDF, ULog and DataFlash: what the library wrote, or the format's specification says, comes back exactly."""
+"""Formats of files: what was written, or what a specification says, comes back; the rest is refused in words."""
 
 import datetime
+import hashlib
 import io
+import os
+import pickle
 import struct
 import subprocess
 import sys
+import time
 import zipfile
+from pathlib import Path
+from unittest.mock import Mock
 
+import asammdf
+import h5py
 import numpy as np
+import pandas as pd
 import pytest
-from flight_samples import dataflash, spoilt, ulog
+import xarray as xr
+from flight_samples import CHANNELS, dataflash, remap, sound, spoilt, told, ulog, workbook
+from scipy.io import netcdf_file, savemat
 
+from bayes_aero.cli.terminal import SUFFIXES
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import Channel
+from bayes_aero.flight.readers import READERS
 from bayes_aero.flight.readers import binary as excel
 from bayes_aero.flight.readers import binary as process
 from bayes_aero.flight.readers.base import located
 from bayes_aero.flight.readers.binary import open_dataflash, open_excel, open_mdf, open_ulog
-
-openpyxl = pytest.importorskip("openpyxl")
-asammdf = pytest.importorskip("asammdf")
-pytest.importorskip("pyulog")
-pytest.importorskip("pymavlink")
+from bayes_aero.flight.reading import read_raw, read_record
+from bayes_aero.flight.record import FlightRecord, write_record
 
 OPENERS = {".xlsx": open_excel, ".mf4": open_mdf, ".ulg": open_ulog, ".bin": open_dataflash}
 LIBRARIES = {".xlsx": "openpyxl", ".mf4": "asammdf", ".ulg": "pyulog", ".bin": "pymavlink"}
+FORMATS = (".asc", ".txt", ".dat", ".csv", ".mat", ".parquet", ".nc")
+TWO = (Channel("time", "s", "T"), Channel("alpha", "deg", "ALCG"))
+NAMED = (".csv", ".mat", ".parquet", ".nc")
+
+
+def written(folder: Path, record: FlightRecord, suffix: str = ".csv") -> Path:
+    path = folder / f"flight{suffix}"
+    write_record(record, path, CHANNELS)
+    return path
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_round_trip(tmp_path, suffix):
+    record = sound()
+    back = read_record(written(tmp_path, record, suffix), CHANNELS)
+    assert back.name == "flight"
+    assert back.names == record.names
+    for name in record.names:
+        np.testing.assert_allclose(back[name], record[name], rtol=4e-16, atol=1e-18)
+
+
+def test_formats_are_listed_and_tested():
+    assert set(SUFFIXES.split()) == set(READERS) - {".tsv", ".txt", ".dat"}  # variants of .csv and .asc
+    assert set(FORMATS) == set(READERS) - {".tsv", *OPENERS}
+
+
+def test_provenance_and_case_of_suffix(tmp_path):
+    path = written(tmp_path, sound()).rename(tmp_path / "flight.CSV")
+    record = read_record(str(path), CHANNELS)
+    assert record.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert record.source == str(path)
+
+
+# The file itself
+
+
+def test_paths_that_are_no_files(tmp_path, monkeypatch):
+    path = written(tmp_path, sound())
+    told(tmp_path / "fligt.csv", CHANNELS, "no such file", "did you mean flight.csv?")
+    told(tmp_path / "nowhere" / "flight.csv", CHANNELS, "folder", "does not exist", "correct the path")
+    (tmp_path / "d.csv").mkdir()
+    told(tmp_path / "d.csv", CHANNELS, "directory", "name a file")
+    (tmp_path / "e.csv").touch()
+    told(tmp_path / "e.csv", CHANNELS, "empty", "write it again")
+    os.mkfifo(tmp_path / "p.csv")
+    told(tmp_path / "p.csv", CHANNELS, "pipe", "regular file")
+    told(tmp_path / "n\0l.csv", CHANNELS, "no such file")
+    for name in ("flight.xls", "flight"):
+        (tmp_path / name).write_text("x")
+        told(tmp_path / name, CHANNELS, *FORMATS, "convert")
+    with monkeypatch.context() as patch:
+        patch.setattr("bayes_aero.flight.reading.MAX_BYTES", 100)
+        told(path, CHANNELS, "more than 100", "cut it")
+    monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
+    told(path, CHANNELS, "Permission denied", "check its name and permissions")
+
+
+@pytest.mark.parametrize(("suffix", "named", "words"), [
+    *((".csv", suffix, ("again",)) for suffix in (".mat", ".parquet", ".nc")),
+    *((".parquet", suffix, ("NUL", "Save it as UTF-8 text")) for suffix in (".asc", ".csv")),
+])  # fmt: skip
+def test_misnamed_file(tmp_path, suffix, named, words):
+    told(written(tmp_path, sound(), suffix).rename(tmp_path / f"flight{named}"), CHANNELS, *words)
+
+
+# The card
+
+
+CARDS = [  # format, the channels of a card that does not go with it, words of the refusal
+    (".csv", CHANNELS[1:], ("channel time", "[channels]")),
+    (".csv", (*CHANNELS, CHANNELS[1]), ("channel alpha", "twice", "keep one")),
+    (".csv", remap("alpha", unit="degre"), ("channel alpha", "'degre'", "not known", '"deg"')),
+    (".csv", remap("airspeed", unit="hPa"), ("channel airspeed", "'hPa'", "'m/s'", "correct the unit")),
+    (".csv", remap("q", unit="Hz"), ("channel q", "'Hz'", '"rad/s"')),
+    (".asc", remap("alpha", column=12), ("channel alpha", "column 12", "7 columns", "correct the column")),
+    (".asc", remap("alpha", column=None), ("channel alpha", "no column number", "add column = N")),
+    (".asc", remap("time", column=99, required=False), ("channel time", "required = true")),
+    *((s, remap("alpha", label="ALCGG"), ("channel alpha", "'ALCGG'", "did you mean 'ALCG'", "label on the card"))
+      for s in NAMED),
+    *((s, remap("alpha", label="wxyz"), ("channel alpha", "the file has", "'QRGY'", "required = false"))
+      for s in NAMED),
+    *((s, remap("alpha", unit="rad"), ("channel alpha", "'deg'", "'rad'", 'unit = "deg"')) for s in NAMED[2:]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "channels", "words"), CARDS)
+def test_a_card_that_does_not_go_with_the_file_is_told(tmp_path, suffix, channels, words):
+    told(written(tmp_path, sound(), suffix), channels, *words)
+
+
+@pytest.mark.parametrize(("suffix", "name", "said", "there"), [
+    *((suffix, "strain", {"label": "no such"}, False) for suffix in NAMED),
+    (".asc", "strain", {"column": 8}, False), (".asc", "strain", {"column": None}, False),
+    *((suffix, "q", {"unit": "degree / second"}, True) for suffix in NAMED[2:]),
+])  # fmt: skip
+def test_what_is_not_required_may_be_missing_and_a_unit_has_several_names(tmp_path, suffix, name, said, there):
+    assert read_record(written(tmp_path, sound(), suffix), remap(name, **said)).has(name) is there
+
+
+# Binary formats
+
+
+def test_object_columns_are_refused(tmp_path):
+    frame = pd.DataFrame({"T": np.arange(60) * 0.04, "ALCG": ["x"] * 60})
+    frame.to_parquet(tmp_path / "a.parquet")
+    told(tmp_path / "a.parquet", TWO, "channel alpha", "numbers should be", "plain numbers")
+    frame["T"] = pd.date_range("2020-01-01", periods=60, freq="40ms")
+    frame.to_parquet(tmp_path / "b.parquet")
+    frame["ALCG"] = np.arange(60.0)
+    frame.to_parquet(tmp_path / "b.parquet")
+    np.testing.assert_allclose(read_record(tmp_path / "b.parquet", TWO).time, np.arange(60) * 0.04, atol=1e-9)
+    (tmp_path / "c.parquet").write_bytes(pickle.dumps(frame))
+    told(tmp_path / "c.parquet", TWO, "not a readable Parquet")
+
+
+def test_mat_files_that_hold_no_vectors_or_too_much(tmp_path, monkeypatch):
+    t = np.arange(60) * 0.04
+    for value, words in (
+        ({"x": t}, ("did you mean 'ALCG.x'",)),
+        ("words", ("char", "numeric vector")),
+        (np.ones((60, 2)), ("did you mean", "'ALCG(:,1)'")),
+        (np.ones(59), ("59 samples", "60", "same length")),
+    ):
+        savemat(tmp_path / "a.mat", {"T": t, "ALCG": value})
+        told(tmp_path / "a.mat", TWO, "channel alpha", *words)
+    savemat(tmp_path / "v4.mat", {"T": t}, format="4")
+    told(tmp_path / "v4.mat", TWO, "version 5 to 7.3", "-v7")
+    path = written(tmp_path, sound(2000), ".mat")
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.MAX_VALUES", 100)
+    told(path, CHANNELS, "claims", "-v7")
+
+
+def test_matlab_v73_and_absurd_claims_of_hdf5(tmp_path):
+    r = sound()
+    path = tmp_path / "v73.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for label, values in (("T", r.time), ("ALCG", np.rad2deg(r["alpha"]))):
+            file.create_dataset(label, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
+        file["s"] = "text"
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
+    np.testing.assert_allclose(read_record(path, TWO)["alpha"], r["alpha"], rtol=1e-15)
+    told(path, [*TWO, Channel("q", "deg/s", "s")], "channel q", "numbers should be")
+    told(path, [*TWO, Channel("q", "deg/s", "QRGY")], "channel q", "the file has", "'ALCG'")
+    path = tmp_path / "huge.nc"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("T", shape=(10**12,), chunks=(1000,), dtype="f8")
+    assert path.stat().st_size < 100_000
+    told(path, [Channel("time", "s", "T")], "channel time", "1000000000000 samples", "damaged")
+
+
+def test_hdf5_that_takes_for_ever_crashes_or_has_no_library(tmp_path, monkeypatch):
+    path = written(tmp_path, sound(), ".nc")
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.TIME_LIMIT", 0.001)
+    told(path, CHANNELS, "did not finish", "write it again")
+    monkeypatch.undo()
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    told(path, CHANNELS, "crashed", "write it again")
+    monkeypatch.setattr("bayes_aero.flight.readers.binary.find_spec", lambda _: None)
+    told(path, CHANNELS, "h5py is not installed", "install h5py")
+
+
+def test_netcdf_conventions_and_what_are_no_measured_numbers(tmp_path):
+    r = sound()
+    packed = np.round(np.rad2deg(r["alpha"]) / 0.001).astype("i4")
+    packed[7] = -9999
+    about = {"scale_factor": 0.001, "add_offset": 0.0, "_FillValue": np.int32(-9999), "units": "degrees"}
+    data = xr.Dataset({"T": ("t", r.time), "ALCG": ("t", packed, about)})
+    for engine in ("h5netcdf", "scipy"):
+        path = tmp_path / f"{engine}.nc"
+        data.to_netcdf(path, engine=engine)
+        told(path, TWO, "channel alpha", "not a number", "sample 7 ", "t = 0.28 s", "1 of 120", "repair")
+        data.where(data.ALCG != -9999, 5730).assign(T=data.T).to_netcdf(tmp_path / "whole.nc", engine=engine)
+    card = [Channel("time", "s", "T"), Channel("flap", "deg", "FLAP")]
+    flags = {"flag_values": np.array([0, 1], "i1"), "flag_meanings": "up down"}
+    for about, words in (
+        (flags, ("channel flap", "flags", "flag_meanings")),
+        ({"scale_factor": "0.1"}, ("channel flap", "scale_factor", "plain numbers")),
+        ({"_Unsigned": "perhaps"}, ("channel flap", "_Unsigned")),
+    ):
+        for engine in ("h5netcdf", "scipy"):
+            path = tmp_path / f"{engine}.nc"
+            columns = {"T": ("t", r.time, {"units": "seconds since 2020-01-01"}), "FLAP": ("t", np.ones(r.n, "i1"))}
+            data = xr.Dataset(columns)
+            data["FLAP"].attrs = about
+            data.to_netcdf(path, engine=engine)
+            told(path, card, *words)
+
+
+PACKED = {
+    "unsigned": (np.array([0, 1, 40000, 65535], "u2").view("i2"), {"_Unsigned": "true", "scale_factor": 0.5}),
+    "unsigned with a fill value": (
+        np.array([0, 65535, 40000, 9], "u2").view("i2"),
+        {"_Unsigned": "true", "scale_factor": 0.0004, "add_offset": -23.5, "_FillValue": np.int16(-1)},
+    ),
+    "unsigned with missing values": (
+        np.array([0, 65535, 40000, 9], "u2").view("i2"),
+        {"_Unsigned": "True", "add_offset": 1.5, "missing_value": np.int16(-1)},
+    ),
+    "signed": (np.array([0, 5, 251, 255], "u1"), {"_Unsigned": "false", "scale_factor": 2.0}),
+    "several missing values": (np.array([1, 2, 3, 4], "i4"), {"missing_value": np.array([2, 4], "i4")}),
+    "valid range of the stored numbers": (
+        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([5, 100], "i2")},
+    ),
+    "valid range of the unpacked numbers": (
+        np.array([1, 50, 200, 7], "i2"), {"scale_factor": 0.1, "valid_range": np.array([0.5, 10.0])},
+    ),
+    "unsigned valid limits": (
+        np.array([3, 50000, 60000, 7], "u2").view("i2"),
+        {"_Unsigned": "true", "valid_min": np.int16(5), "valid_max": np.array(50000, "u2").view("i2")[()]},
+    ),
+    "never written": (np.array([1.0, 9.969209968386869e36, 3.0, 4.0]), {}),
+}  # fmt: skip
+UNPACKED = [
+    [0.0, 0.5, 20000.0, 32767.5], [-23.5, np.nan, -7.5, -23.4964], [1.5, np.nan, 40001.5, 10.5], [0, 10, -10, -2],
+    [1, np.nan, 3, np.nan], [np.nan, 5.0, np.nan, 0.7], [np.nan, 5.0, np.nan, 0.7], [np.nan, 50000, np.nan, 7],
+    [1, np.nan, 3, 4],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".nc", "classic.nc"])
+def test_packed_netcdf_stands_for_its_numbers(tmp_path, suffix):
+    """By hand, after the CF conventions and the NetCDF User's Guide."""
+    path = tmp_path / f"packed{suffix}"
+    names = [f"v{i}" for i in range(len(PACKED))]
+    if suffix == ".nc":
+        with h5py.File(path, "w") as file:
+            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
+                file.create_dataset(name, data=stored, dtype=stored.dtype.newbyteorder(">")).attrs.update(about)
+    else:
+        with netcdf_file(path, "w") as file:
+            file.createDimension("t", 4)
+            for name, (stored, about) in zip(names, PACKED.values(), strict=True):
+                plain = "i1" if stored.dtype == "u1" else stored.dtype
+                variable = file.createVariable(name, plain, ("t",))
+                variable[:] = stored.view(plain)
+                for key, value in about.items():
+                    setattr(variable, key, np.float64(value) if isinstance(value, float) else value)
+    read = {column.label: column.values for column in read_raw(path).columns}
+    for case, name, right in zip(PACKED, names, UNPACKED, strict=True):
+        np.testing.assert_allclose(read[name], right, rtol=1e-14, err_msg=case)
+
+
+def test_netcdf_of_the_classic_format_and_times_since_a_date(tmp_path):
+    """At 1 kHz a step of 1 ms could be one of 1 s."""
+    r = sound()
+    columns = {"T": ("t", 1000.0 * r.time, {"units": "milliseconds since 2020-01-01"}), "ALCG": ("t", r["alpha"])}
+    for engine in ("h5netcdf", "scipy"):
+        path = tmp_path / f"{engine}.nc"
+        xr.Dataset(columns).to_netcdf(path, engine=engine)
+        told(path, [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")], "'milliseconds'", 'unit = "ms"')
+        read = read_record(path, [Channel("time", "ms", "T"), Channel("alpha", "rad", "ALCG")])
+        np.testing.assert_allclose(read.time, r.time, rtol=1e-14)
+    path = tmp_path / "classic.nc"
+    about = {"units": "rad"}
+    xr.Dataset({"T": ("t", r.time), "ALCG": ("t", r["alpha"], about)}).to_netcdf(path, engine="scipy")
+    card = [Channel("time", "s", "T"), Channel("alpha", "rad", "ALCG")]
+    np.testing.assert_array_equal(read_record(path, card)["alpha"], r["alpha"])
+    told(path, [card[0], Channel("alpha", "deg", "ALCG")], "channel alpha", "'rad'", 'unit = "rad"')
+
+
+# Writing
+
+
+def test_what_is_written_can_be_read_back(tmp_path):
+    record = sound()
+    for path, channels, words in (
+        (tmp_path / "a.xls", CHANNELS, (".csv", "suffix")),
+        (tmp_path / "a.asc", remap("q", column=None), ("channel q", "column = N")),
+        (tmp_path / "a.mat", remap("q", label="pitch rate"), ("channel q", "'pitch rate'", "label")),
+        (tmp_path / "no" / "a.csv", CHANNELS, ("cannot be written", "permissions")),
+        (tmp_path / "a.csv", (*CHANNELS, Channel("beta", "deg", "BE")), ("no channel beta",)),
+    ):
+        with pytest.raises(InputError) as caught:
+            write_record(record, path, channels)
+        for word in words:
+            assert word in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+    lean = FlightRecord.from_arrays("lean", record.time, {k: v for k, v in record.channels.items() if k != "strain"})
+    assert not read_record(written(tmp_path, lean), CHANNELS).has("strain")
+    # A header that stands above numbers between blanks is read, too.
+    path = written(tmp_path, record).rename(tmp_path / "b.asc")
+    path.write_text(path.read_text().replace(",", " "))
+    np.testing.assert_allclose(read_record(path, CHANNELS)["q"], record["q"], rtol=1e-12)
+
+
+# The real files through the shipped card
+G = np.pi / 180
+FIRST = {  # sample of qst01 in SI, typed off the file's first line; of the pressure the publisher's list says hPa
+    "time": 0.0, "ax": 1.145436, "ay": 0.0941775, "az": -9.35899, "p": 0.35808659 * G, "q": 0.30738040 * G,
+    "r": -0.01799775 * G, "phi": -1.7633063 * G, "theta": 6.7126475 * G, "psi": 2.2357386 * G, "alpha": 5.16904 * G,
+    "beta": -0.793239 * G, "airspeed": 98.74842, "altitude": 5469.941, "radio_altitude": 787.8696,
+    "calibrated_airspeed": 77.27116, "elevator": 1.8355276 * G, "stabilizer": -1.3252772 * G, "n1_left": 0.8326477,
+    "n1_right": 0.8559144, "dlc_left": -0.84823881 * G, "dlc_right": -0.83640264 * G,
+    "aileron_left": -0.87378929 * G, "aileron_right": 0.08288121 * G, "rudder": -0.96240466 * G, "mach": 0.3186875,
+    "static_temperature": 249.8909, "static_pressure": 50956.0, "density": 0.7103676, "thrust_left": 10281.97,
+    "thrust_right": 11068.86, "fuel_used": 1990.0, "flap": 1.2531498 * G, "spoiler_left": 0.086010018 * G,
+    "spoiler_right": 0.19280941 * G,
+}  # fmt: skip
+
+
+@pytest.mark.attas
+@pytest.mark.parametrize(("number", "n", "end"), [(1, 3001, 120.0), (2, 2051, 82.0)])
+def test_the_card_of_the_attas_maps_its_files(attas_paths, card, number, n, end):
+    """By the file's first line, the gas law, and Mach; the unit registry is made once."""
+    path = attas_paths[number - 1]
+    r, start = read_record(path, card.channels), time.process_time()
+    read_record(path, card.channels)
+    assert time.process_time() - start < 0.2
+    assert (r.name, r.n, r.time[-1]) == (f"fAttas_qst0{number}", n, pytest.approx(end))
+    assert r.dt == pytest.approx(0.04, rel=1e-9)
+    assert set(r.names) == set(FIRST)
+    for channel, value in FIRST.items():
+        assert number == 2 or r[channel][0] == pytest.approx(value, rel=1e-12, abs=1e-15), channel
+    np.testing.assert_allclose(r["static_pressure"], r["density"] * 287.05 * r["static_temperature"], rtol=0.01)
+    np.testing.assert_allclose(r["mach"], r["airspeed"] / np.sqrt(1.4 * 287.05 * r["static_temperature"]), atol=0.03)
 
 
 def values_of(opened, **labels):
@@ -38,19 +364,6 @@ def names_of(opened):
 
 
 # --------------------------------------------------------------------------------------------------------- Excel
-
-
-def workbook(*sheets) -> bytes:
-    """(title, rows) of each sheet."""
-    book = openpyxl.Workbook()
-    book.remove(book.active)
-    for title, rows in sheets:
-        sheet = book.create_sheet(title)
-        for row in rows:
-            sheet.append(row)
-    out = io.BytesIO()
-    book.save(out)
-    return out.getvalue()
 
 
 def samples(n=60):

@@ -14,10 +14,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import LATERAL, NAMES, Axis
-from bayes_aero.physics.separation import lagged
 from bayes_aero.simulate.demo import TRUTH
 
 # Which effects a model of one axis has, proposes and computes, and in which reference lengths its defaults stand
@@ -137,22 +136,20 @@ def difference(s, aircraft) -> np.ndarray:
 
 
 def test_each_wing_stalls_by_itself_and_rolls_and_yaws_as_strips_do(card):
-    s = signals()
-    model, v = model_and_values(card, tau1=0.0, tau2=0.0)
-    known = model.flow(v, s, card.aircraft)
-    alpha, half = np.asarray(s["alpha"]), difference(s, card.aircraft) / 2.0
-    right, left = (expit(-2.0 * TRUTH["a1"] * (alpha + side - TRUTH["alpha_star"])) for side in (half, -half))
-    np.testing.assert_allclose(known["X"], (right + left) / 2.0, rtol=1e-10)
-    np.testing.assert_allclose(known["X_difference"], right - left, rtol=1e-9, atol=1e-14)
-    np.testing.assert_allclose(model.static_separation(v, s, card.aircraft), known["X"], rtol=1e-14)
-    assert np.abs(right - left).max() > 0.2
-    # Force of either wing at 4/(3 pi) of the half span, moment r x F about body axes in N m.
     s, a = signals(), card.aircraft
+    model, v = model_and_values(card, tau1=0.0, tau2=0.0)
     known = model.flow(v, s, a)
     alpha, half = np.asarray(s["alpha"]), difference(s, a) / 2.0
+    sides = {1.0: half, -1.0: -half}
+    points = {side: expit(-2.0 * TRUTH["a1"] * (alpha + x - TRUTH["alpha_star"])) for side, x in sides.items()}
+    right, left = points.values()
+    np.testing.assert_allclose(known["X"], (right + left) / 2.0, rtol=1e-10)
+    np.testing.assert_allclose(known["X_difference"], right - left, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(model.static_separation(v, s, a), known["X"], rtol=1e-14)
+    assert np.abs(right - left).max() > 0.2
+    # Force of either wing at 4/(3 pi) of the half span, moment r x F about body axes in N m.
     pressure_area, roll, yaw = 1234.0, 0.0, 0.0
-    for side in (1.0, -1.0):
-        X = expit(-2.0 * TRUTH["a1"] * (alpha + side * half - TRUTH["alpha_star"]))
+    for side, X in points.items():
         lift = TRUTH["CLa"] * alpha * ((1.0 + np.sqrt(X)) / 2.0) ** 2 * pressure_area / 2.0
         drag = TRUTH["CDX"] * (1.0 - X) * pressure_area / 2.0
         y = side * 4.0 / (3.0 * np.pi) * a.half_span
@@ -193,37 +190,10 @@ def test_wings_that_are_alike_are_one_and_computed_once(card):
     assert steps(*model_and_values(card)) == 2
 
 
-def test_either_wing_lags_by_itself_and_without_lag_gives_the_mean(card):
-    s, lag = signals(), 20.0
-    model, v = model_and_values(card, tau1=lag)
-    static, _ = model_and_values(card, tau1=0.0)
-    before = static.flow(v | {"tau1": jnp.asarray(0.0)}, s, card.aircraft)
-    after = model.flow(v, s, card.aircraft)
-    tau = lag * card.aircraft.chord / s["airspeed"]
-    right, left = (
-        lagged(before["X"] + side * before["X_difference"] / 2.0, tau, s["dt"], s["start"]) for side in (1.0, -1.0)
-    )
-    np.testing.assert_allclose(after["X"], (right + left) / 2.0, rtol=1e-9)
-    np.testing.assert_allclose(after["X_difference"], right - left, atol=1e-12)
+def test_static_points_that_are_given_are_those_of_the_model(card):
     s, (_, v) = signals(), model_and_values(card, tau1=0.0)
     model = Model.of([*card.effects, *TELL_APART, *WINGS], {"tau1": 0.0}, BOTH)
     whole = model.flow(v, s, card.aircraft)
     given = model.flow(v, s, card.aircraft, X=model.static_separation(v, s, card.aircraft))
     for name in ("X", "X_difference", "CL", "Cl", "Cn"):
         np.testing.assert_array_equal(given[name], whole[name])
-
-
-@pytest.mark.parametrize("name", TELL_APART)
-def test_moments_follow_the_strength_of_each_cause(card, name):
-    """Derivatives of Cl and Cn by it, against central differences."""
-    s, (model, v) = signals(), model_and_values(card, {name: 0.1 * TELL_APART[name]})
-    (parameter,) = CATALOGUE[name].parameters
-
-    def moments(x):
-        known = model.flow(v | {parameter.name: x}, s, card.aircraft)
-        return jnp.stack([known["Cl"], known["Cn"], known["CL"]])
-
-    at, h = jnp.asarray(0.1 * TELL_APART[name]), 1e-6
-    _, slope = jax.jvp(moments, (at,), (jnp.ones_like(at),))
-    assert np.abs(slope[0]).max() > 1e-4
-    np.testing.assert_allclose(slope, (moments(at + h) - moments(at - h)) / (2.0 * h), atol=2e-8)

@@ -22,8 +22,8 @@ from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments, simulate
 from bayes_aero.dynamics.system import integrate
 from bayes_aero.errors import InputError
-from bayes_aero.model.joined_channels import join
 from bayes_aero.model.model import Model
+from bayes_aero.model.observations import join
 from bayes_aero.physics.aircraft import NO_AIRCRAFT
 
 FLIGHTS = {

@@ -1,4 +1,4 @@
-"""Probability of staying inside a tolerance, and what structure and flown region make of it: closed forms."""
+"""Probability of staying inside a tolerance, what structure, flown region and more records make of it: closed forms."""
 
 import itertools
 from dataclasses import replace
@@ -9,14 +9,18 @@ from linear_cards import record_of
 from scipy.optimize import linprog
 from scipy.stats import norm
 
+from bayes_aero.diagnosis.design import Information
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
+from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
-from bayes_aero.model.joined_channels import join
-from bayes_aero.qualification.flights import HoldOut
-from bayes_aero.qualification.qualify import Region, Uncertain, nearest, qualify
+from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import FLIGHT, Envelope
+from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
+from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict
-from bayes_aero.qualification.structure import BLOCK_SECONDS, Structure
+from bayes_aero.report.qualification import further_sentences
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
 
 FREE = {"az0": -9.8, "azde": 1.0}
 SD, COUNT, N = 0.5, 1000, 60
@@ -202,27 +206,21 @@ def box(k):
     return np.array(list(itertools.product((-1.0, 1.0), repeat=k)))
 
 
-@pytest.mark.parametrize("k", [1, 2, 4, 6])
-def test_the_nearest_point_of_a_box_is_the_clipped_sample(k):
-    rng = np.random.default_rng(0)
-    for sample in 3.0 * rng.standard_normal((20, k)):
-        assert nearest(box(k), sample) == pytest.approx(np.clip(sample, -1.0, 1.0), abs=1e-9)
+RNG = np.random.default_rng(0)
+FAR = np.array([1e3, 0.5, -1e3])
 
 
-@pytest.mark.parametrize("k", [2, 3, 6])
-def test_the_nearest_point_of_a_simplex(k):
-    """Of the standard simplex, corners e_i, to the origin: all components 1/k, distance 1/sqrt(k)."""
-    found = nearest(np.eye(k), np.zeros(k))
-    assert found == pytest.approx(np.full(k, 1.0 / k), abs=1e-9)
-    assert np.linalg.norm(found) == pytest.approx(1.0 / np.sqrt(k), rel=1e-9)
+@pytest.mark.parametrize(("points", "sample", "expected"), [
+    *((box(k), x, np.clip(x, -1, 1)) for k in (1, 2, 4, 6) for x in 3.0 * RNG.standard_normal((20, k))),
+    *((np.eye(k), np.zeros(k), np.full(k, 1.0 / k)) for k in (2, 3, 6)),  # the standard simplex, 1/sqrt(k) away
+    (np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0]), [0.5, 0.5]),  # a segment in the plane
+    (np.array([[2.0, 3.0]]), np.array([-1.0, 5.0]), [2.0, 3.0]), (box(3), FAR, [1.0, 0.5, -1.0]),
+])  # fmt: skip
+def test_the_nearest_point_of_a_hull(points, sample, expected):
+    assert nearest(points, sample) == pytest.approx(expected, abs=1e-6 if sample is FAR else 1e-9)
 
 
-def test_a_hull_without_volume_and_linear_programming():
-    """A segment in the plane, a single point, and a far sample."""
-    assert nearest(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([1.0, 0.0])) == pytest.approx([0.5, 0.5])
-    assert nearest(np.array([[2.0, 3.0]]), np.array([-1.0, 5.0])) == pytest.approx([2.0, 3.0])
-    assert nearest(box(3), np.array([1e3, 0.5, -1e3])) == pytest.approx([1.0, 0.5, -1.0], abs=1e-6)
-    # A sample is inside if some convex combination of the points is the sample.
+def test_a_sample_is_inside_if_linear_programming_finds_a_convex_combination_that_is_it():
     rng = np.random.default_rng(0)
     points = rng.standard_normal((60, 4))
     for sample in 1.2 * rng.standard_normal((40, 4)):
@@ -254,3 +252,79 @@ def test_a_region_tells_share_distance_time_and_channels():
     assert region.channels == ("alpha", "beta", "airspeed")
     slipping = channels(alpha=[0.1], beta=[np.radians(2.0)], airspeed=[90.0])
     assert region.outside("slip", "recorded", np.zeros(1), slipping).distance == pytest.approx(2.0)
+
+
+# What more records make of a probability to pass: normal errors in closed form, and what no record decides
+DRAWS, SAMPLES = 20000, 3
+
+
+def constant_error(rng, sd=1.0):
+    """Errors of two parameters, the first of which shifts an output by itself; all else of this deviation."""
+    errors = rng.standard_normal((DRAWS, 2))
+    by_parameters = np.repeat(errors[:, :1], SAMPLES, axis=1)
+    rest = np.repeat(sd * rng.standard_normal((DRAWS, 1)), SAMPLES, axis=1)
+    return errors, OpenTest(FlightKind.NEXT, "stall", "theta", 2.0, by_parameters, rest)
+
+
+@pytest.mark.parametrize("told", [(0.0, 0.0), (1.0, 0.0), (8.0, 0.0), (0.0, 50.0)])
+@pytest.mark.parametrize("rest", [0.0, 0.7])
+def test_the_probability_with_more_information_is_that_of_a_narrower_normal(told, rest):
+    """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is told of another parameter changes nothing."""
+    errors, test = constant_error(np.random.default_rng(3), rest)
+    one, first = _Linear.of(test, errors), np.cov(errors, rowvar=False)
+    found = one.probability(errors, _shrunk(errors, first, np.diag(told)))
+    sd = np.sqrt(1.0 / (1.0 + told[0]) + rest**2)
+    assert found == pytest.approx(2.0 * norm.cdf(2.0 / sd) - 1.0, abs=0.01)
+
+
+def test_a_record_s_precision_is_that_of_its_own_estimates():
+    """Least squares under coloured noise: the inverse of (X'X)^-1 X'VX (X'X)^-1."""
+    rng = np.random.default_rng(5)
+    X = rng.standard_normal((60, 2))
+    V = 0.9 ** np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
+    told = Information(("b", "a"), X.T @ X, X.T @ V @ X, np.zeros(2))
+    bread = np.linalg.inv(X.T @ X)
+    scale = np.array([2.0, 0.5])
+    own = np.linalg.inv(bread @ X.T @ V @ X @ bread)[::-1, ::-1] * np.outer(scale, scale)
+    np.testing.assert_allclose(_precision(told, ("a", "b"), scale), own, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def simulated(card, model):
+    return join([simulate_stall(0, card=card)], card, FLIGHT), {name: TRUTH[name] for name in model.names}
+
+
+def test_points_make_a_tolerance_that_parameters_leave_open_pass(simulated, card, model):
+    """The drag at zero lift, known to .02, leaves airspeed open; a record tells it far better."""
+    flights, values = simulated
+    rng = np.random.default_rng(6)
+    errors = np.zeros((4000, len(model.names)))
+    errors[:, model.names.index("CD0")] = 0.02 * rng.standard_normal(4000)
+    by_parameters = np.repeat(80.0 * errors[:, [model.names.index("CD0")]], SAMPLES, axis=1)
+    noise = np.repeat(0.2 * rng.standard_normal((4000, 1)), SAMPLES, axis=1)
+    tests = [OpenTest(FlightKind.AGAIN, "stall", "airspeed", 1.5, by_parameters, noise)]
+    found = further_flights(tests, model.names, errors, flights, model, values, card.envelope)
+    (one,) = found.tests
+    assert one.present == pytest.approx(2.0 * norm.cdf(1.5 / np.hypot(1.6, 0.2)) - 1.0, abs=0.03)
+    assert one.known == 1.0
+    assert len(found.points) == 1  # one is enough
+    assert found.points[0].expected[0] > 0.95
+    assert "V of stall" in further_sentences(found)[1]
+
+
+def test_what_the_structure_leaves_open_no_record_decides_and_points_need_accelerometers(simulated, model):
+    flights, values = simulated
+
+    def further(rest, flights):
+        errors, test = constant_error(np.random.default_rng(7), rest)
+        wide = np.hstack([errors, np.zeros((DRAWS, len(model.names) - 2))])
+        return further_flights([test], model.names, wide, flights, model, values, Envelope())
+
+    found = further(1.5, flights)
+    assert not found.points
+    assert not found.tests[0].decidable
+    (sentence,) = further_sentences(found)
+    assert sentence.startswith("Undecided even if the parameters were known: θ of stall on the next flight.")
+    blind = replace(flights, channels={n: x for n, x in flights.channels.items() if n != "az"})
+    with pytest.raises(InputError, match="az was not recorded"):
+        further(0.0, blind)

@@ -14,9 +14,8 @@ from report_samples import flight
 from rich.console import Console
 
 import bayes_aero as ba
-from bayes_aero.diagnosis.settings import DEFAULT
-from bayes_aero.diagnosis.trajectories.results import GustHistory, ProcessNoise
-from bayes_aero.diagnosis.view.results import Compared, HoldoutScores
+from bayes_aero.diagnosis.candidate_set import DEFAULT
+from bayes_aero.diagnosis.trajectory_result import Compared, GustHistory, HoldoutScores, ProcessNoise
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus
 from bayes_aero.inference.scores import Scores

@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from out_of_catalogue import unknown
 
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind, Stage
@@ -14,9 +13,9 @@ from bayes_aero.flight.checks import check_record
 from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.identify import identify
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.model.derived_channels import with_sums
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, marks, observe
+from bayes_aero.model.records import with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records
 from bayes_aero.simulate.synthetic_record import synthetic
@@ -142,17 +141,6 @@ def test_disturbances_colour_the_coefficients(card):
         assert np.corrcoef(residual[1:], residual[:-1])[0, 1] == pytest.approx(rho, abs=0.06)
 
 
-@pytest.mark.parametrize(("name", "column"), [("bank_moment", "Cm"), ("periodic", None), ("altitude_bump", "CL")])
-def test_effects_of_no_catalogue_are_in_the_flight(name, column, card):
-    """What is flown differs from the card's model in the coefficient that the effect acts on."""
-    (flight,) = hidden_flights({}, seed=2, manoeuvres=1, beyond=unknown(name), **QUIET)
-    sizes = {name: rms(x) for name, x in beyond_the_model(flight, card).items()}
-    assert sizes["CD"] < 1e-12
-    assert max(sizes.values()) > 0.004
-    if column:
-        assert sizes[column] == max(sizes.values())
-
-
 def test_draws_lie_within_the_stated_sizes():
     rng = np.random.default_rng(0)
     for name, effect in CATALOGUE.items():
@@ -165,19 +153,16 @@ def test_draws_lie_within_the_stated_sizes():
     assert {e.kind for e in CATALOGUE.values()} >= {Kind.MEASUREMENT, Kind.PROPULSION, Kind.MASS}
 
 
-def test_what_cannot_be_hidden_is_said():
-    with pytest.raises(InputError, match="cannot fly effect canard_lift: it has no canard"):
-        hidden_records({"canard_lift": {"CLdc": 0.5}}, seed=0)
-    with pytest.raises(InputError, match="no effect 'gremlins'"):
-        hidden_records({"gremlins": {}}, seed=0)
-    with pytest.raises(InputError, match="has the parameters mass_scale"):
-        hidden_records({"mass_scale": {"mass": 1.0}}, seed=0)
-    with pytest.raises(InputError, match="leaves its envelope"):
-        hidden_records({"alpha_squared_moment": {"Cma2": 8.0}}, seed=0)
-    with pytest.raises(InputError, match="no noise 'pink'"):
-        hidden_records({}, seed=0, noise="pink")
-    with pytest.raises(InputError, match="ask for 1 to 100 s"):
-        hidden_records({}, seed=0, seconds=500.0)
+@pytest.mark.parametrize(("hidden", "options", "said"), [
+    ({"canard_lift": {"CLdc": 0.5}}, {}, "cannot fly effect canard_lift: it has no canard"),
+    ({"gremlins": {}}, {}, "no effect 'gremlins'"),
+    ({"mass_scale": {"mass": 1.0}}, {}, "has the parameters mass_scale"),
+    ({"alpha_squared_moment": {"Cma2": 8.0}}, {}, "leaves its envelope"), ({}, {"noise": "pink"}, "no noise 'pink'"),
+    ({}, {"seconds": 500.0}, "ask for 1 to 100 s"),
+])  # fmt: skip
+def test_what_cannot_be_hidden_is_said(hidden, options, said):
+    with pytest.raises(InputError, match=said):
+        hidden_records(hidden, seed=0, **options)
 
 
 @pytest.mark.parametrize("seconds", [30.0, 100.0])

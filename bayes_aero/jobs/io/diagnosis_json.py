@@ -8,25 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    Cause,
-    CausesInBand,
-    Diagnosis,
-    FoundTerm,
-    ParameterChange,
-    Tested,
-)
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre, Trajectories
-from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
+from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, ParameterChange, Tested
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, SimulatedManoeuvre, Trajectories, View
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.consistency_json import consistency_results
 from bayes_aero.jobs.provenance import named_pairs, picked
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.tables.diagnosis_tables import screen_table
 from bayes_aero.report.text.diagnosis import sentences

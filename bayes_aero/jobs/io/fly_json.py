@@ -8,15 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
-    Disagreement,
-    Motion,
-    ProcessNoise,
-    TrajectoryFit,
-)
+from bayes_aero.diagnosis.trajectory_result import Disagreement, Motion, ProcessNoise, TrajectoryFit
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.jobs.io.consistency_json import consistency_results

@@ -10,7 +10,7 @@ from typing import Any
 import xarray as xr
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.trajectories.results import SimulatedManoeuvre
+from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.inference.results import (
     FrequencyFit,
     GPReport,

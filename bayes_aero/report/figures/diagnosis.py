@@ -14,15 +14,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
-from bayes_aero.diagnosis.result import FLIGHT_PATH
-from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.diagnosis.view.results import Fitted, Ranking, View
+from bayes_aero.diagnosis.trajectory_result import Fitted, Ranking, Trajectories, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.tables.diagnosis_tables import SPLITS
 from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, size_text
+from bayes_aero.residuals.base import FLIGHT_PATH
 
 PROFILES = 3  # channels shown for each coefficient
 COPY = 0.95  # correlation beyond which two channels tell the same

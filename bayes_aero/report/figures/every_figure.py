@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.view.results import View
+from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.errors import failure
 from bayes_aero.inference.results import Identification
 from bayes_aero.progress import Progress

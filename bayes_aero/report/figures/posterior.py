@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import ProcessNoise
+from bayes_aero.diagnosis.trajectory_result import ProcessNoise
 from bayes_aero.inference.results import Identification, Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour

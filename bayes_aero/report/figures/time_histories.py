@@ -10,13 +10,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectories.results import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
-from bayes_aero.diagnosis.view.results import View
+from bayes_aero.diagnosis.trajectory_result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Identification
 from bayes_aero.inference.scores import score
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
-from bayes_aero.diagnosis.view.results import DiagnosisView, Ranking, View
+from bayes_aero.diagnosis.result import COEFFICIENTS, CausesInBand, Diagnosis
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
 from bayes_aero.flight.card import Card
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import design
@@ -29,6 +28,7 @@ from bayes_aero.report.text.check import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, findings, sentences
 from bayes_aero.report.text.fly import simulation_gain, trajectory_sentences
 from bayes_aero.report.text.phrases import WORDS, several
+from bayes_aero.residuals.base import INNOVATIONS, TRAJECTORIES
 
 CONTEXT = ("alpha", "elevator", "stabilizer", "thrust", "airspeed")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")

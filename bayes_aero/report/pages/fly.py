@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectories.results import (
+from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
     START,
     Motion,
@@ -20,8 +20,7 @@ from bayes_aero.diagnosis.trajectories.results import (
 )
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health import HealthFinding
-from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.report.colours import COLOURS

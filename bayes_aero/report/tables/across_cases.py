@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.diagnosis.view.results import LEVELS, DiagnosisView, HoldoutScores, View
+from bayes_aero.diagnosis.trajectory_result import LEVELS, DiagnosisView, HoldoutScores, View
 from bayes_aero.inference.results import Identification
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import NotDrawn, grid_of, housed

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
-from bayes_aero.diagnosis.view.results import HoldoutScores, Ranking
+from bayes_aero.diagnosis.result import Cause, Diagnosis
+from bayes_aero.diagnosis.trajectory_result import HoldoutScores, Ranking
 from bayes_aero.report.tables.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash
 from bayes_aero.report.text.phrases import WORDS, for_people, from_to, several, size_text
+from bayes_aero.residuals.base import INNOVATIONS
 
 SPLITS = {
     "manoeuvre": "each manoeuvre predicted from the others",

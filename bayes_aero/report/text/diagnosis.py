@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis, ParameterChange
-from bayes_aero.diagnosis.trajectories.results import Trajectories
-from bayes_aero.diagnosis.view.results import DiagnosisView
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Trajectories
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.report.text.check import joint_text

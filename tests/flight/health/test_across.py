@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_aero.model.derived_channels import with_sums
+from bayes_aero.model.records import with_sums
 
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import card, changed, flight, smooth

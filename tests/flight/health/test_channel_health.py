@@ -13,8 +13,7 @@ from scipy.ndimage import uniform_filter1d
 sys.path.insert(0, str(Path(__file__).parent))
 from flights import NOISE, UNITS, G, card, changed, flight, put, smooth
 
-from bayes_aero.diagnosis.candidate_set import too_short
-from bayes_aero.diagnosis.settings import DEFAULT
+from bayes_aero.diagnosis.candidate_set import DEFAULT, too_short
 from bayes_aero.dynamics.path import path_states
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.health import channel_health
@@ -22,7 +21,7 @@ from bayes_aero.flight.health.channel import frozen, interpolated_period, satura
 from bayes_aero.flight.health.refuted import refuted
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.model.joined_channels import despiked, join
+from bayes_aero.model.observations import despiked, join
 from bayes_aero.physics.kinematics import PATH_CORE
 
 TRIALS = Path(__file__).parents[3].parent / "shared" / "trials"

@@ -1,0 +1,662 @@
+"""Which candidate explains what the model leaves, and how often noise alone would look as good.
+
+Candidates are ranked by how much of the residual they explain. Whether that is more than chance is judged by the
+estimate over a deviation that knows the residual's colour, and the largest such score in noise-only replicates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import chdtrc, ndtr, ndtri, stdtr
+
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
+from bayes_aero.diagnosis.selection_state import (
+    TINY,
+    RegressionFit,
+    SelectionState,
+    inverse,
+    partialled,
+)
+from bayes_aero.inference.covariance import (
+    ORDER,
+    autoregression,
+    cluster_covariance,
+    filtered_noise,
+    jackknife_covariance,
+    nats,
+    stationary_coefficients,
+    stationary_series,
+    variance_inflation,
+)
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS
+
+# --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
+
+
+TOGETHER = 10  # colours that columns are filtered for at a time: of more, fresh memory takes longer than arithmetic
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """r[t] = sum phi_i r[t-i] + e[t], per output; `sigma` (c,) is the deviation of e, `phi` (c, ORDER)."""
+
+    phi: Float[np.ndarray, "c p"]
+    sigma: Float[np.ndarray, " c"]
+
+    def simulate(self, count: int, folds: Sequence[slice], m: int, rng: np.random.Generator) -> np.ndarray:
+        """`count` noise records (count, m, c); each fold begins anew, blocks outside the folds are zero."""
+        return self.coloured(white_noise(count, folds, len(self.sigma), rng), folds, m)
+
+    def coloured(
+        self, white: Float[np.ndarray, "t f r c"], folds: Sequence[slice], m: int
+    ) -> Float[np.ndarray, "r m c"]:
+        """The noise records that this colour makes of `white_noise`."""
+        out = np.zeros((white.shape[2], m, len(self.sigma)))
+        if not len(out):
+            return out
+        noise = stationary_series(self.phi.T[:, None, None, :], self.sigma * white)
+        for k, fold in enumerate(folds):
+            out[:, fold] = np.moveaxis(noise[: fold.stop - fold.start, k], 0, 1)
+        return out
+
+    def meat(
+        self, S: Float[np.ndarray, "m c k"], variance: Float[np.ndarray, " c"], folds: Sequence[slice]
+    ) -> Float[np.ndarray, "k k"]:
+        """sum_ij S_i' R^-1 Rvv(i-j) R^-1 S_j under this colour: the middle of the corrected covariance."""
+        # S filtered backwards by the autoregression gives it as a plain product. Source: as `inference.covariance`.
+        return Middle(S, variance, folds, [np.arange(S.shape[2])]).under_each([self], [0])[1][0][0]
+
+
+def white_noise(
+    count: int, folds: Sequence[slice], outputs: int, rng: np.random.Generator
+) -> Float[np.ndarray, "t f r c"]:
+    """Of unit deviation, behind `count` noise records: the folds side by side, for one loop over time."""
+    longest = max(fold.stop - fold.start for fold in folds)
+    white = np.zeros((longest, len(folds), count, outputs))
+    for k, fold in enumerate(folds):
+        drawn = rng.standard_normal((count, fold.stop - fold.start, outputs))
+        white[: drawn.shape[1], k] = np.moveaxis(drawn, 1, 0)
+    return white
+
+
+class SharedNoise:
+    """`white_noise` of one seed, drawn once for what corrects autocorrelations and for what p-values count."""
+
+    def __init__(self, seed: int, folds: Sequence[slice], outputs: int, settings: DiagnosisSettings) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._of = folds, outputs
+        self._counts = settings.correction_replicates, settings.replicates
+
+    @cached_property
+    def correction(self) -> Float[np.ndarray, "t f r c"]:
+        """Behind the `correction_replicates`."""
+        return white_noise(self._counts[0], *self._of, self._rng)
+
+    @cached_property
+    def replicates(self) -> Float[np.ndarray, "t f r c"]:
+        """Behind the `replicates`, which are drawn after the others."""
+        _ = self.correction
+        return white_noise(self._counts[1], *self._of, self._rng)
+
+
+class Middle:
+    """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours.
+
+    The columns of each fold and output, divided by the output's variance, stand side by side, the last block first."""
+
+    def __init__(
+        self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
+    ) -> None:
+        self.width = S.shape[2]
+        self.places = places
+        pieces = [(fold, c) for fold in folds for c in range(S.shape[1])]
+        longest = max(fold.stop - fold.start for fold in folds)
+        self.used, rows = [], []  # columns of a piece that are not all zero
+        for fold, c in pieces:
+            part = S[fold, c]
+            used = np.flatnonzero(np.any(part != 0.0, axis=0))
+            rest = np.zeros((longest - len(part), len(used)))
+            self.used.append(used)
+            rows.append(np.concatenate([rest, part[::-1, used] / variance[c]]))
+        self.rows = np.concatenate(rows, axis=1)
+        self.output = np.repeat([c for _, c in pieces], [len(used) for used in self.used])
+        self.begin = np.cumsum([0, *(len(used) for used in self.used)])
+
+    def under_each(
+        self, colours: Sequence[Autocorrelation], wide: Sequence[int]
+    ) -> tuple[Float[np.ndarray, "r k"], list[np.ndarray]]:
+        """Under each of r colours, the diagonal over all columns (r, k), and the whole (r, w, w) of sets `wide`."""
+        diagonal = np.zeros((len(colours), self.width))
+        whole = [np.zeros((len(colours), len(self.places[j]), len(self.places[j]))) for j in wide]
+        for first in range(0, len(colours), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            phi = np.stack([colour.phi[self.output].T for colour in colours[part]], axis=1)
+            sigma = np.stack([colour.sigma[self.output] for colour in colours[part]])
+            shaped = filtered_noise(phi, sigma * self.rows[:, None, :])  # the columns as each colour filters them
+            squares = np.einsum("trn,trn->rn", shaped, shaped)
+            for used, begin in zip(self.used, self.begin, strict=False):
+                diagonal[part, used] += squares[:, begin : begin + len(used)]
+                for total, j in ((total, j) for total, j in zip(whole, wide, strict=True) if len(self.places[j]) > 1):
+                    at = np.searchsorted(used, self.places[j])
+                    here = np.flatnonzero(np.append(used, -1)[at] == self.places[j])
+                    rows = np.moveaxis(shaped[:, :, begin + at[here]], 0, 2)
+                    total[part, here[:, None], here] += rows @ np.moveaxis(rows, 1, 2)
+        for total, j in zip(whole, wide, strict=True):
+            if len(self.places[j]) == 1:
+                total[:, 0] = diagonal[:, self.places[j]]
+        return diagonal, whole
+
+
+def autocorrelation_of(residual: Float[np.ndarray, "m c"], folds: Sequence[slice]) -> Autocorrelation:
+    """Least-squares autoregression of each output's residual within folds, its roots kept inside `ROOT`."""
+    return autocorrelations_of(residual[None], folds)[0]
+
+
+def autocorrelations_of(residuals: Float[np.ndarray, "r m c"], folds: Sequence[slice]) -> list[Autocorrelation]:
+    """`autocorrelation_of` of r records at once."""
+    each = [
+        autoregression([np.ascontiguousarray(residuals[:, fold, c]) for fold in folds])
+        for c in range(residuals.shape[2])
+    ]
+    phi, sigma = (np.stack(parts, axis=1) for parts in zip(*each, strict=True))
+    return [Autocorrelation(p, s) for p, s in zip(phi, sigma, strict=True)]
+
+
+def unbiased(colour: Autocorrelation, again: Sequence[Autocorrelation]) -> Autocorrelation:
+    """The colour corrected for what re-estimation on simulated noise does to it (Kilian 1998): it looks faster."""
+    # Coefficients are shifted by their mean bias, their roots drawn inside `ROOT`; sigma is divided by its mean ratio.
+    shift = colour.phi - np.mean([c.phi for c in again], axis=0)
+    phi = stationary_coefficients(colour.phi + shift)
+    ratio = np.mean([c.sigma for c in again], axis=0) / colour.sigma
+    return Autocorrelation(phi, colour.sigma / ratio)
+
+
+def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " n"]) -> float:
+    """Correlation of neighbouring samples, within manoeuvres."""
+    parts = [r - r.mean() for r in (residual[manoeuvre == k] for k in range(int(manoeuvre[-1]) + 1))]
+    return float(sum(np.sum(r[1:] * r[:-1]) for r in parts) / sum(np.sum(r**2) for r in parts))
+
+
+# --- The noise that a diagnosis leaves: its colour, growth and outliers.
+
+# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
+# third through the filter, and weak colour (0.5 from sample to sample) little more.
+COLOURED = 0.36
+
+
+@dataclass(frozen=True)
+class NoiseReport:
+    """Colour, growth with separation and outliers of the residuals, by coefficient."""
+
+    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
+    deviation: Mapping[str, float]
+    noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
+    outliers: Mapping[str, int]  # repaired samples by channel
+    of_innovations: bool = False  # `lag1` is then that of neighbouring samples, which white noise leaves at 0
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """Outputs whose residuals are correlated beyond what the filters of the reconstruction make."""
+        if self.of_innovations:
+            return tuple(name for name, r in self.lag1.items() if abs(r) > COLOURED_INNOVATIONS)
+        return tuple(name for name, r in self.lag1.items() if r > COLOURED)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Which of colored, buffet, outliers are present."""
+        found = {
+            "colored": bool(self.coloured),
+            "buffet": max(self.noise_growth.values()) > 1.5,
+            "outliers": sum(self.outliers.values()) > 0,
+        }
+        return tuple(name for name, there in found.items() if there)
+
+
+# --- Candidates with the model projected out: what each would explain, how sure that is, and how far two are apart.
+
+
+class PartialledRegression:
+    """Candidate columns with the active ones projected out, under the variances of the present fit."""
+
+    def __init__(self, state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> None:
+        self.wanted = np.unique(np.concatenate(blocks))
+        self.place = [np.searchsorted(self.wanted, block) for block in blocks]
+        S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
+        self.inside = state.inside
+        A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
+        cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
+        self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
+        self.information = np.einsum("mci,c,mcj->ij", self.P, weight, self.P, optimize=True)
+        self.bread = [inverse(self.information[np.ix_(place, place)]) for place in self.place]
+        self.weight = weight
+        self.folds = state.folds
+        self.middle = Middle(self.P, fit.variance, state.folds, self.place)
+
+    def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
+        """Right sides of the normal equations of any number of records."""
+        return np.tensordot(residual * self.weight, self.P, 2)
+
+    def scores(
+        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"] | None = None
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """First-order estimate and its covariance for each block: under a colour, or by how far stretches disagree,
+        whatever the colour, where that makes it less sure."""
+        right = self.right(residual)
+        whole = self.middle.under_each([colour], range(len(self.place)))[1]
+        estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
+        covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
+        for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
+            if stretch is not None:
+                P = self.P[:, :, place]
+                rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
+                between = bread @ cluster_covariance(rows, stretch) @ bread
+                if not equivalent(estimate, covariances[j]) < equivalent(estimate, between):
+                    covariances[j] = between
+        return estimates, covariances
+
+    def deviance(
+        self, residual: Float[np.ndarray, "m c"], block: int | None = None, estimate: np.ndarray | float = 0.0
+    ) -> float:
+        """n log det of the whole covariance of what a block leaves at its first-order estimate."""
+        # It stays the same when an output is exchanged for its sum with a share of another; the product of the
+        # variances does not.
+        left = residual if block is None else residual - self.P[:, :, self.place[block]] @ estimate
+        left = left[self.inside]
+        return float(len(left) * np.linalg.slogdet(left.T @ left / len(left))[1])
+
+    def largest(
+        self, noises: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
+    ) -> Float[np.ndarray, " r"]:
+        """The largest score that any block reaches in each of r records."""
+        alone = np.array([place[0] for place in self.place if len(place) == 1], int)
+        wide = [j for j, place in enumerate(self.place) if len(place) > 1]
+        right = self.right(noises)
+        diagonal, whole = self.middle.under_each(colours, wide)
+        # Of a single parameter the information cancels.
+        scores = np.abs(right[:, alone]) / np.sqrt(np.maximum(diagonal[:, alone], TINY))
+        best = np.max(scores, axis=1, initial=0.0)
+        for j, meats in zip(wide, whole, strict=True):
+            bread, own = self.bread[j], right[:, self.place[j]]
+            each = [equivalent(bread @ r, bread @ meat @ bread) for r, meat in zip(own, meats, strict=True)]
+            best = np.maximum(best, each)
+        return best
+
+    def apart(
+        self,
+        residual: Float[np.ndarray, "m c"],
+        estimates: Sequence[np.ndarray],
+        own: int,
+        colour: Autocorrelation,
+        stretch: Int[np.ndarray, " m"] | None,
+    ) -> Float[np.ndarray, " j"]:
+        """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
+        explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
+        D = np.stack([part - explained[own] for part in explained], axis=2)
+        return inflation_along(D, self.weight, self.folds, colour, residual - explained[own], stretch)
+
+
+def inflation_along(
+    D: Float[np.ndarray, "m c j"],
+    weight: Float[np.ndarray, " c"],
+    folds: Sequence[slice],
+    colour: Autocorrelation,
+    left: Float[np.ndarray, "m c"] | None = None,
+    stretch: Int[np.ndarray, " m"] | None = None,
+) -> Float[np.ndarray, " j"]:
+    """Variance inflation along j directions under a colour, or by how far stretches of what is `left` disagree."""
+    variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
+    if stretch is not None and left is not None:
+        rows = np.einsum("mcj,c,mc->mj", D, weight, left, optimize=True)
+        # where that is more
+        variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
+    return variance_inflation(variance, np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True))
+
+
+def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
+    score = equivalent(estimate, covariance)
+    return as_normal(score, freedom) if freedom else score
+
+
+def as_normal(score: float, freedom: int) -> float:
+    """Student's score as the normal one of the same tail probability."""
+    return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
+
+
+def largest_p_value(estimate: np.ndarray, covariance: np.ndarray, freedom: int, among: int) -> float:
+    """p-value of the largest of `among` estimates (Bonferroni), its covariance from `freedom` + 1 blocks."""
+    return min(1.0, 2.0 * among * float(ndtr(-as_normal(equivalent(estimate, covariance), freedom))))
+
+
+def equivalent(estimate: np.ndarray, covariance: np.ndarray) -> float:
+    """Wald statistic as the standard score of one parameter with the same tail probability."""
+    if len(estimate) == 1:
+        return abs(float(estimate[0])) / math.sqrt(max(float(covariance[0, 0]), 1e-300))
+    wald = float(estimate @ inverse(covariance) @ estimate)
+    tail = float(chdtrc(len(estimate), wald))
+    return -float(ndtri(max(tail, 1e-304) / 2.0)) if tail < 1.0 else 0.0
+
+
+# --- Noise of coefficients that grows as the flow separates.
+
+
+def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
+    """Growth of each coefficient's noise with separation, 1 + b (1 - X), b >= 0; flight-path outputs have none."""
+    coefficients = state.responses.model.coefficients
+    if not set(state.outputs) & set(coefficients):
+        return np.ones_like(state.residual)
+    _, known = state.responses.evaluate(state.theta)
+    apart = state.responses.separated(known)
+    residual = state.left(fit) * state.noise_growth
+    colour = autocorrelation_of(residual, state.folds)
+    noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
+    for c, name in enumerate(state.outputs):
+        if name not in coefficients or np.ptp(apart) < 0.05:
+            continue
+        size, x = [], []
+        for fold in state.folds:
+            r = residual[fold, c]
+            past = np.stack([r[ORDER - i : len(r) - i] for i in range(1, ORDER + 1)])
+            size.append(np.abs(r[ORDER:] - colour.phi[c] @ past))
+            x.append(apart[fold][ORDER:])
+        innovation = np.concatenate(size)
+        slope, level = np.polyfit(np.concatenate(x), np.minimum(innovation, 10 * np.median(innovation)), 1)
+        if level > 0.0:
+            noise_growth[:, c] = 1.0 + max(0.0, slope / level) * apart
+    return noise_growth
+
+
+# --- Scores of all candidates, and noise-only replicates.
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """One candidate against the present model."""
+
+    effect: str
+    columns: tuple[int, ...]
+    value: float | None
+    gain: float  # the deviance it takes away
+    score: float  # its estimate in standard deviations that know the colour; of several parameters the equivalent
+    variance_inflation: float  # of its parameters, the largest
+    log_bayes: float  # log Bayes factor of estimate and deviation under the effect's prior
+    step: tuple[float, ...]
+    sd: tuple[float, ...]
+    together: float = math.nan  # what it would take away if the outputs' noise were allowed to correlate
+    # Along the difference between what it explains and what the addition explains that was taken out (see `screen`).
+    variance_inflation_apart: float = math.nan
+
+    def nats(self, other: CandidateScore) -> float:
+        """Log likelihood by which this addition, which was taken out, explains more than `other`."""
+        # What tells the two from each other is the residual along the difference d of what they explain. Its variance
+        # is d'Sd where white residuals would leave s2 d'd: the log likelihood ratio is the white one over that of both.
+        return nats(self.gain - other.gain, other.variance_inflation_apart)
+
+
+@dataclass(frozen=True)
+class ScreeningResult:
+    """Scores of the candidates, the most explaining first, and the largest score of each noise-only replicate."""
+
+    candidate_scores: tuple[CandidateScore, ...]
+    colour: Autocorrelation
+    nulls: Float[np.ndarray, " r"]
+
+    def p_value(self, score: float) -> float:
+        """Share of noise-only replicates in which some candidate scores at least as high."""
+        return float((1 + np.sum(self.nulls >= score)) / (1 + len(self.nulls)))
+
+    def threshold(self, level: float) -> float:
+        """The score above which the p-value is at most `level`; not a number without replicates, or with too few."""
+        above = int(level * (1 + len(self.nulls)))
+        return float(np.sort(self.nulls)[-above]) if 0 < above <= len(self.nulls) else math.nan
+
+    def of(self, effect: str) -> CandidateScore | None:
+        """The best standing of one effect."""
+        return next((s for s in self.candidate_scores if s.effect == effect), None)
+
+
+def screen(
+    state: SelectionState,
+    fit: RegressionFit,
+    *,
+    seed: int,
+    nulls: bool = True,
+    without: str | None = None,
+    noise: SharedNoise | None = None,
+) -> ScreeningResult:
+    """Fit every candidate, all active parameters free; draw noise-only replicates (`nulls`) under the present model.
+
+    `without` takes one addition out first, to first order: it is then a candidate like the others, and each of
+    them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
+    """
+    if without is not None:
+        state = state.without([without])
+        fit = state.fit()
+    residual, blocks = state.left(fit), [b for b in state.blocks if b[0] not in state.active]
+    if not blocks:
+        return ScreeningResult((), autocorrelation_of(residual, state.folds), np.zeros(0))
+    projected = PartialledRegression(state, fit, [b[1] for b in blocks])
+    noise = SharedNoise(seed, state.folds, residual.shape[1], state.settings) if noise is None else noise
+    colour = autocorrelation_of(residual, state.folds)
+    # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
+    drawn = without_active(state, fit, colour.coloured(noise.correction, state.folds, len(residual)))
+    colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
+    stretch, freedom = state.responses.stretch, state.responses.freedom
+    estimates, covariances = projected.scores(residual, colour, stretch)
+    gains = _gains(state, fit, [b[1] for b in blocks])
+    before = projected.deviance(residual)
+    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
+    apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
+    found = []
+    for j, (effect, own, value) in enumerate(blocks):
+        variance = np.maximum(np.diag(covariances[j]), 0.0)
+        inflation = variance_inflation(variance, np.diag(projected.bread[j]))
+        step = gains[1][j][: len(own)]
+        possible, prior = _possible(state, effect, value, step), state.precision[own] / state.variance_inflation
+        found.append(
+            CandidateScore(
+                effect=effect,
+                columns=tuple(int(i) for i in own),
+                value=value,
+                gain=float(gains[0][j]) if possible else 0.0,
+                score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
+                variance_inflation=float(np.max(inflation)),
+                log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own], prior),
+                step=tuple(float(x) for x in step),
+                sd=tuple(float(x) for x in np.sqrt(variance)),
+                together=before - projected.deviance(residual, j, estimates[j]),
+                variance_inflation_apart=math.nan if apart is None else float(apart[j]),
+            )
+        )
+    largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
+    return ScreeningResult(tuple(sorted(found, key=lambda s: -s.gain)), colour, largest)
+
+
+def _possible(state: SelectionState, effect: str, value: float | None, step: Float[np.ndarray, " w"]) -> bool:
+    """Whether a candidate moves to the side of the present value on which it was tried, if it was."""
+    if value is None:
+        return True
+    parameter = next(s.parameter for s in state.scans if s.effect == effect)
+    return bool(step[0] * (value - state.theta[state.full.columns([parameter])[0]]) > 0.0)
+
+
+def null_scores(
+    state: SelectionState,
+    fit: RegressionFit,
+    projected: PartialledRegression,
+    colour: Autocorrelation,
+    noise: SharedNoise,
+) -> Float[np.ndarray, " r"]:
+    """The largest score of any candidate in each noise-only replicate of this colour."""
+    noises = without_active(state, fit, colour.coloured(noise.replicates, state.folds, len(state.residual)))
+    return projected.largest(noises, autocorrelations_of(noises, state.folds))
+
+
+def explained_shares(
+    state: SelectionState, fit: RegressionFit, colour: Autocorrelation, seed: int, count: int
+) -> Float[np.ndarray, " r"]:
+    """Largest share of one output's variance that any block, acting on one output, explains in each noise record."""
+    projected = PartialledRegression(state, fit, [block[1] for block in state.blocks])
+    output = [int(np.argmax(np.abs(state.S[:, :, block[1]]).sum(axis=(0, 2)))) for block in state.blocks]
+    drawn = colour.simulate(count, state.folds, len(state.residual), np.random.default_rng(seed))
+    noises = without_active(state, fit, drawn)
+    total, right = np.sum(noises**2, axis=1) / fit.variance, projected.right(noises)
+    shares = [
+        np.einsum("ri,ij,rj->r", right[:, place], bread, right[:, place], optimize=True) / total[:, c]
+        for place, bread, c in zip(projected.place, projected.bread, output, strict=True)
+    ]
+    return np.max(shares, axis=0)
+
+
+def without_active(
+    state: SelectionState, fit: RegressionFit, residual: Float[np.ndarray, "*r m c"]
+) -> Float[np.ndarray, "*r m c"]:
+    """What is left of noise records when the active columns are fitted to them."""
+    B = state.scaled[:, :, fit.columns]
+    step = np.tensordot(residual, B / fit.variance[:, None], 2) @ inverse(fit.normal)
+    return residual - np.tensordot(step, B, (-1, 2))
+
+
+def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
+    columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(own) for own in blocks)
+    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
+    step, _, _, deviance = state.products.fit_many(rows, state.mean, state.precision)
+    return fit.deviance - deviance, step[:, len(columns) :]
+
+
+def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:
+    """log N(estimate; mean, covariance + prior) - log N(estimate; 0, covariance)."""
+
+    def log_normal(x: np.ndarray, covariance: np.ndarray) -> float:
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        _, determinant = np.linalg.slogdet(covariance / np.outer(size, size) + 1e-11 * np.eye(len(x)))
+        return -0.5 * (x @ inverse(covariance) @ x + determinant) - np.sum(np.log(size))
+
+    wide = covariance + np.diag(1.0 / np.maximum(precision, 1e-30))
+    return float(log_normal(estimate - mean, wide) - log_normal(estimate, covariance))
+
+
+def uncertainty(
+    state: SelectionState, fit: RegressionFit, colour: Autocorrelation | None = None
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of the active columns' estimates that coloured residuals leave (default colour: that of the fit)."""
+    colour = colour or autocorrelation_of(state.left(fit), state.folds)
+    bread = inverse(fit.normal)
+    return bread @ colour.meat(state.scaled[:, :, fit.columns], fit.variance, state.folds) @ bread
+
+
+def block_jackknife_covariance(
+    state: SelectionState, fit: RegressionFit
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    """Active columns but those with which windows begin, and the covariance of their estimates from how far these move
+    when a part of the flights is left out (see `jackknife_covariance`)."""
+    stretch = state.responses.jackknife_blocks
+    assert stretch is not None
+    columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
+    left = state.left(fit)
+    parts = []  # information of each stretch on these columns, its beginning free, and what it adds to the right side
+    for k in range(int(stretch.max()) + 1):
+        here = (stretch == k) & state.inside
+        S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
+        S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
+        right = np.einsum("mci,c,mc->i", S, weight, left[here])
+        parts.append((np.einsum("mci,c,mcj->ij", S, weight, S), right))
+    whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
+    moves = np.array([inverse(whole - information) @ right for information, right in parts])
+    return columns, jackknife_covariance(moves)
+
+
+def jackknife_errors(
+    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"] | None
+) -> Float[np.ndarray, " k"]:
+    """Standard error of each of the fit's columns by `block_jackknife_covariance`, less than which none is; zero where
+    there are no `blocks`."""
+    found = np.zeros(len(fit.columns))
+    if blocks is not None:
+        columns, covariance = block_jackknife_covariance(state, fit)
+        found[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
+    return found
+
+
+def jackknife_p_value(
+    state: SelectionState, fit: RegressionFit, columns: Int[np.ndarray, " k"], size: Float[np.ndarray, " k"], among: int
+) -> float:
+    """p-value of an addition of this `size` by how far it moves without each block, Bonferroni over `among`."""
+    own, covariance = block_jackknife_covariance(state, fit)
+    at = [int(np.flatnonzero(own == c)[0]) for c in columns]
+    blocks = state.responses.jackknife_blocks
+    assert blocks is not None
+    return largest_p_value(size, covariance[np.ix_(at, at)], int(blocks.max()), among)
+
+
+# --- A candidate judged under the colour that is left once it is in.
+# With the candidate out, slow structure that it explains passes for slow noise, under which anything goes: one
+# manoeuvre has few independent swings to tell the two apart. With it in, the noise looks faster than it is, more so
+# for the best of many candidates. The noise-only replicates make the same choice and pay the same price.
+
+
+class RefitScore:
+    """One candidate's score, log Bayes factor and p-value under its own colour."""
+
+    def __init__(self, state: SelectionState, standing: CandidateScore, noise: SharedNoise) -> None:
+        wider = state.fit_columns(state.wider(standing.columns))
+        self.state = state
+        self.fit = state.fit_columns(state.columns(), held=wider.variance)
+        blocks = [b[1] for b in state.blocks if b[0] not in state.active]
+        self.projected = PartialledRegression(state, self.fit, blocks)
+        self.noise = noise
+        found = autocorrelation_of(state.left(wider), state.folds)
+        noises = self._noises(found, noise.correction)
+        self.colour = unbiased(found, self._left(noises, self._leaders(noises)))
+        own = next(j for j, columns in enumerate(blocks) if tuple(columns) == standing.columns)
+        (estimate,), (covariance,) = self._judged(own, state.left(self.fit)[None], [self.colour])
+        self.score = equivalent(estimate, covariance)
+        at = np.array(standing.columns, int)
+        self.log_bayes = log_bayes(estimate, covariance, state.mean[at], state.precision[at] / state.variance_inflation)
+
+    def p_value(self) -> float:
+        """Share of noise-only replicates whose most explaining candidate scores at least as high."""
+        noises = self._noises(self.colour, self.noise.replicates)
+        leaders = self._leaders(noises)
+        colours, scores = self._left(noises, leaders), np.zeros(len(noises))
+        for j in {j for j, _ in leaders}:
+            at = [k for k, (leader, _) in enumerate(leaders) if leader == j]
+            judged = self._judged(j, noises[at], [colours[k] for k in at])
+            scores[at] = [equivalent(*pair) for pair in zip(*judged, strict=True)]
+        return float((1 + np.sum(scores >= self.score)) / (1 + len(scores)))
+
+    def _noises(self, colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, "r m c"]:
+        """Noise records of a colour, the active columns taken out."""
+        drawn = colour.coloured(white, self.state.folds, len(self.state.residual))
+        return without_active(self.state, self.fit, drawn)
+
+    def _leaders(self, noises: Float[np.ndarray, "r m c"]) -> list[tuple[int, Float[np.ndarray, " _"]]]:
+        """The candidate that explains most of each noise record, and its estimate."""
+        right = self.projected.right(noises)
+        pairs = list(zip(self.projected.place, self.projected.bread, strict=True))
+        gains = np.array([np.einsum("ri,ij,rj->r", right[:, p], B, right[:, p], optimize=True) for p, B in pairs])
+        best = np.argmax(gains, axis=0)
+        return [(int(j), pairs[j][1] @ r[pairs[j][0]]) for j, r in zip(best, right, strict=True)]
+
+    def _left(
+        self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
+    ) -> list[Autocorrelation]:
+        """The colour of each noise record once its leader is taken out."""
+        P, place = self.projected.P, self.projected.place
+        left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
+        return autocorrelations_of(np.array(left), self.state.folds)
+
+    def _judged(
+        self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
+    ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
+        """Estimate and covariance of one block in each of r records."""
+        bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]
+        middle = Middle(P, self.fit.variance, self.state.folds, [np.arange(P.shape[2])])
+        right = np.tensordot(residuals * self.projected.weight, P, 2)
+        return right @ bread, bread @ middle.under_each(colours, [0])[1][0] @ bread

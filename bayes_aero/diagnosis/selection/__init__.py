@@ -1,1 +1,0 @@
-"""Forward selection, backward elimination, cross-validation."""

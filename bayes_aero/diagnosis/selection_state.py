@@ -1,0 +1,546 @@
+"""Where a selection stands: parameters, which effects are in, the problem linearised there, and its regression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, folds_of
+from bayes_aero.parameter import departure
+from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.residuals.base import ResidualModel
+
+# --- Regression of residuals on sensitivities from inner products alone, so that thousands of fits cost seconds.
+# Estimation is the published one: independent residuals, one variance per output, re-estimated (cost det R). Its
+# uncertainty is not: `screening.uncertainty` gives the covariance that coloured residuals leave it.
+
+
+ROUNDS = 5  # alternations between parameters and variances
+
+
+@dataclass(frozen=True)
+class RegressionFit:
+    """k active columns, c outputs: the step from the linearisation point and the outputs' variances."""
+
+    columns: Int[np.ndarray, " k"]
+    step: Float[np.ndarray, " k"]
+    normal: Float[np.ndarray, "k k"]
+    variance: Float[np.ndarray, " c"]
+    deviance: float  # sum over outputs of n log(variance), plus the prior's quadratic form
+
+    def places(self, columns: Sequence | np.ndarray) -> list[int]:
+        """Where each of these columns stands among the active ones."""
+        return [int(np.flatnonzero(self.columns == column)[0]) for column in columns]
+
+
+@dataclass(frozen=True)
+class Products:
+    """Inner products of [residual, sensitivities] by fold and output: (f, c, K+1, K+1), and samples per fold (f,)."""
+
+    gram: Float[np.ndarray, "f c k k"]
+    count: Int[np.ndarray, " f"]
+
+    @classmethod
+    def of(cls, residual: Float[np.ndarray, "m c"], S: Float[np.ndarray, "m c k"], folds: Sequence[slice]) -> Products:
+        """Each fold is a contiguous stretch of blocks."""
+        data = np.moveaxis(np.concatenate([residual[:, :, None], S], axis=2), 1, 0)
+        gram = np.stack([data[:, fold].transpose(0, 2, 1) @ data[:, fold] for fold in folds])
+        return cls(gram, np.array([fold.stop - fold.start for fold in folds]))
+
+    def over(self, folds: Sequence[int]) -> Products:
+        """The chosen folds summed into one."""
+        chosen = list(folds)
+        return Products(self.gram[chosen].sum(axis=0, keepdims=True), self.count[chosen].sum(keepdims=True))
+
+    def without(self, fold: int) -> Products:
+        """All folds but one summed into one."""
+        return self.over([f for f in range(len(self.count)) if f != fold])
+
+    def only(self, columns: Int[np.ndarray, " k"]) -> Products:
+        """These columns alone, numbered anew in their order."""
+        at = np.append(0, np.asarray(columns) + 1)
+        return Products(self.gram[:, :, at[:, None], at[None, :]], self.count)
+
+    @cached_property
+    def total(self) -> Float[np.ndarray, "c k k"]:
+        """Inner products summed over folds."""
+        return self.gram.sum(axis=0)
+
+    def shifted(self, columns: Int[np.ndarray, " k"], by: Float[np.ndarray, " k"]) -> Products:
+        """The same after a step `by` in `columns`: the residual becomes residual - S by."""
+        gram, at = self.gram.copy(), np.asarray(columns) + 1
+        gram[..., 0, :] -= np.einsum("fckl,k->fcl", gram[..., at, :], by)
+        gram[..., :, 0] -= np.einsum("fckl,l->fck", gram[..., :, at], by)
+        return Products(gram, self.count)
+
+    def fit_many(
+        self,
+        columns: Int[np.ndarray, "j k"],
+        mean: Float[np.ndarray, " K"],
+        precision: Float[np.ndarray, " K"],
+        held: Float[np.ndarray, " c"] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Fit j sets of columns at once, each with the normal prior (`mean`, `precision`) of its steps.
+
+        Variances are found with the steps, unless they are `held`.
+
+        Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,)."""
+        gram, n = self.total, float(self.count.sum())
+        j, k = columns.shape
+        full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
+        part = np.moveaxis(gram[:, full[:, :, None], full[:, None, :]], 0, 1)  # j c k+1 k+1
+        least = np.maximum(ROUNDING * part[:, :, 0, 0] / n, TINY)  # records without noise leave less than rounding does
+        own, centre = precision[columns], mean[columns]
+
+        def stepped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Step and normal matrix for (j, k+1, k+1) products of samples that are divided by their deviations."""
+            normal = information[:, 1:, 1:] + np.eye(k) * own[:, None, :]
+            scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), TINY))
+            scaled = normal * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(k)
+            right = (information[:, 1:, 0] + own * centre) * scale
+            return scale * np.linalg.solve(scaled, right[:, :, None])[:, :, 0], normal
+
+        def variance_of(step: np.ndarray) -> np.ndarray:
+            """Mean squares (j, c) that a step of all outputs (j, 1, k), or one of each (j, c, k), leaves."""
+            v = np.concatenate([np.ones((*step.shape[:2], 1)), -step], axis=2)
+            return np.maximum((v[:, :, None, :] @ (part @ v[:, :, :, None]))[:, :, 0, 0] / n, least)
+
+        def settled(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+            for _ in range(ROUNDS if held is None else 1):
+                step, normal = stepped(np.einsum("jc,jckl->jkl", 1.0 / variance, part))
+                variance = variance_of(step[:, None, :]) if held is None else variance
+            deviance = n * np.log(variance).sum(axis=1) + np.sum(own * (step - centre) ** 2, axis=1)
+            return step, normal, variance, deviance
+
+        if held is not None:
+            return settled(np.tile(held, (j, 1)))
+        # Where a form is wrong, the variances may settle with one output given up for another. So they begin as what is
+        # there, and as what each output alone can be fitted to.
+        begin = np.maximum(part[:, :, 0, 0] / n, TINY)
+        alone = [stepped(part[:, c] / begin[:, c, None, None])[0] for c in range(part.shape[1])]
+        first, second = settled(begin), settled(variance_of(np.stack(alone, axis=1)))
+        better = second[3] < first[3]
+        step, normal, variance, deviance = (
+            np.where(better.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(first, second, strict=True)
+        )
+        return step, normal, variance, deviance
+
+    def fit(
+        self,
+        columns: Int[np.ndarray, " k"],
+        mean: np.ndarray,
+        precision: np.ndarray,
+        held: Float[np.ndarray, " c"] | None = None,
+    ) -> RegressionFit:
+        """One set of columns."""
+        step, normal, variance, deviance = self.fit_many(columns[None], mean, precision, held)
+        return RegressionFit(columns, step[0], normal[0], variance[0], float(deviance[0]))
+
+
+def partialled(
+    X: Float[np.ndarray, "m c j"], B: Float[np.ndarray, "m c b"], weight: Float[np.ndarray, " c"]
+) -> Float[np.ndarray, "m c j"]:
+    """What weighted least squares on the columns `B` leaves of each of the columns `X`."""
+    cross, own = (np.einsum("mci,c,mcj->ij", B, weight, other, optimize=True) for other in (X, B))
+    return X - B @ (inverse(own) @ cross)
+
+
+TINY = 1e-300
+NOTHING = 1e-130  # least information that is inverted: a covariance of it, and its square, are still numbers
+ROUNDING = 1e-14  # of a sum of squares, of what is left of it
+RIDGE = 1e-11  # relative to the information's unit diagonal: keeps collinear columns finite, far below any noise
+
+
+def inverse(matrix: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Inverse of a symmetric positive matrix whose scales differ by many orders."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), NOTHING))
+    return np.linalg.inv(matrix * np.outer(scale, scale) + RIDGE * np.eye(len(matrix))) * np.outer(scale, scale)
+
+
+# --- Where the criticism stands: parameters, which effects are in, and the problem linearised there.
+
+
+WIDE = 10.0  # times the residual's deviation, the prior one of an offset of a manoeuvre
+LARGEST = 1e100  # of a sensitivity: a simulation that has diverged says nothing, and its square has no number
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One value at which a candidate without a slope at neutral is tried."""
+
+    effect: str
+    parameter: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Component:
+    """A function of a `channel` (or of time, or a term) in a `coefficient`, that is no effect of the catalogue."""
+
+    coefficient: str
+    channel: str
+    basis: Float[np.ndarray, "m c w"]  # what it adds to each output
+
+    @property
+    def label(self) -> str:
+        """What it is called beside others."""
+        return f"{self.coefficient} over {self.channel}"
+
+
+@dataclass(frozen=True)
+class SelectionState:
+    """Parameters `theta` (all of the full model's), residuals and sensitivities there.
+
+    Outputs are those of one stage of the criticism: the coefficients, or the flight path. Columns beyond the
+    parameters: the flight-path offsets, active always; a column for every scanned value of a candidate that has no
+    slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
+    """
+
+    full: CandidateModel
+    responses: ResidualModel
+    outputs: tuple[str, ...]
+    theta: Float[np.ndarray, " k"]
+    residual: Float[np.ndarray, "m c"]
+    S: Float[np.ndarray, "m c K"]
+    noise_growth: Float[np.ndarray, "m c"]
+    folds: tuple[slice, ...]
+    products: Products
+    mean: Float[np.ndarray, " K"]
+    precision: Float[np.ndarray, " K"]
+    active: tuple[str, ...]  # names of the effects that are in, beyond the card's
+    scans: tuple[Scan, ...]
+    nuisance: int = 0  # columns between the parameters and the scans
+    variance_inflation: float = 1.0  # priors count so many times against the white likelihood
+    apart: tuple[str, ...] = ()  # coefficients with a constant of their own in every manoeuvre, among the nuisance
+    components: tuple[Component, ...] = ()  # candidates in place of effects
+    chosen: tuple[Component, ...] = ()  # components that are in
+
+    @property
+    def settings(self) -> DiagnosisSettings:
+        """Thresholds of the diagnosis."""
+        return self.full.settings
+
+    def least_share(self, share: float) -> float:
+        """A least share of the variance of means over `FILTER_STEP` samples, as of these: noise averages out."""
+        return share * self.responses.averaged / FILTER_STEP
+
+    @cached_property
+    def kept_outputs(self) -> list[int]:
+        """Places of the outputs among those of the responses."""
+        return [self.responses.outputs.index(name) for name in self.outputs]
+
+    @property
+    def departure(self) -> Float[np.ndarray, " k"]:
+        """How far each parameter is from neutral, to first order (see `departure`)."""
+        away = [departure(x, p.neutral) for x, p in zip(self.theta, self.full.model.free, strict=True)]
+        return np.where(self.theta == self.full.neutral_vector, 0.0, away)
+
+    @cached_property
+    def inside(self) -> Bool[np.ndarray, " m"]:
+        """Blocks that belong to a fold: neither products nor fits have seen the others."""
+        found = np.zeros(len(self.S), bool)
+        for fold in self.folds:
+            found[fold] = True
+        return found
+
+    @property
+    def offsets(self) -> Int[np.ndarray, " o"]:
+        """Columns of what is free in every fit and no parameter."""
+        return len(self.theta) + np.arange(self.nuisance)
+
+    @property
+    def begins(self) -> Int[np.ndarray, " o"]:
+        """Those of `offsets` with which integrals, windows or simulations begin."""
+        return self.offsets[: self.nuisance - len(self.apart) * len(self.responses.flights.lengths)]
+
+    @property
+    def scanned(self) -> dict[Scan, Float[np.ndarray, "m c 1"]]:
+        """Sensitivity to each scanned value."""
+        begin = len(self.theta) + self.nuisance
+        return {scan: self.S[:, :, begin + i : begin + i + 1] for i, scan in enumerate(self.scans)}
+
+    @property
+    def component_columns(self) -> list[Int[np.ndarray, " w"]]:
+        """Columns of each component that is a candidate."""
+        widths = [c.basis.shape[2] for c in (*self.chosen, *self.components)]
+        begins = len(self.theta) + self.nuisance + len(self.scans) + np.cumsum([0, *widths])
+        return [np.arange(a, b) for a, b in pairwise(begins)][len(self.chosen) :]
+
+    @property
+    def blocks(self) -> list[tuple[str, Int[np.ndarray, " w"], float | None]]:
+        """Every way in which a candidate that reaches the outputs may enter: name, columns, and any scanned value."""
+        if self.components:
+            return [(c.label, own, None) for c, own in zip(self.components, self.component_columns, strict=True)]
+        begin, scanned = len(self.theta) + self.nuisance, {scan.effect for scan in self.scans}
+        found: list[tuple[str, np.ndarray, float | None]] = [
+            (scan.effect, np.array([begin + number]), scan.value) for number, scan in enumerate(self.scans)
+        ]
+        names = (effect.name for effect in self.full.candidates if effect.name not in scanned)
+        found += [(name, self.full.own_columns(name), None) for name in names]
+        return [block for block in found if np.any(self.S[:, :, block[1]] != 0.0)]
+
+    def columns(self, effects: Sequence[str] | None = None) -> Int[np.ndarray, " a"]:
+        """Columns of the card's effects, of `effects` (default: those that are in), and the offsets."""
+        names = (*self.full.base, *(self.active if effects is None else effects))
+        own = self.full.columns([p for n in names for p in self.full.parameters_of(n) if p in self.full.model.names])
+        begin = len(self.theta) + self.nuisance + len(self.scans)
+        chosen = begin + np.arange(sum(c.basis.shape[2] for c in self.chosen))
+        return np.concatenate([own[np.any(self.S[:, :, own] != 0.0, axis=(0, 1))], self.offsets, chosen])
+
+    def wider(self, columns: Sequence[int] | np.ndarray) -> Int[np.ndarray, " k"]:
+        """The active columns and these."""
+        return np.concatenate([self.columns(), np.array(columns, int)])
+
+    def fit(self) -> RegressionFit:
+        """Regression with the effects that are in on all folds."""
+        return self.fit_columns(self.columns())
+
+    def fit_columns(self, columns: Int[np.ndarray, " k"], held: Float[np.ndarray, " c"] | None = None) -> RegressionFit:
+        """Regression with these columns on all folds; with variances it finds, or `held` ones."""
+        return self.products.fit(columns, self.mean, self.precision, held)
+
+    def left(self, fit: RegressionFit) -> Float[np.ndarray, "m c"]:
+        """Residuals that a fit leaves, divided by the noise_growth."""
+        return (self.residual - self.S[:, :, fit.columns] @ fit.step) / self.noise_growth
+
+    def with_components(
+        self, components: Sequence[Component], chosen: Sequence[Component], folds: Sequence[slice] | None = None
+    ) -> SelectionState:
+        """The state in which components are the candidates in place of effects; those `chosen` are in."""
+        folds, extra = self.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
+        S = np.concatenate([self.S[:, :, :-1], *extra, self.S[:, :, -1:]], axis=2)
+        width, size = S.shape[2] - self.S.shape[2], float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
+        flat = np.full(width, self.variance_inflation / (10 * size) ** 2)
+        precision = np.concatenate([self.precision[:-1], flat, [1.0]])
+        mean = np.concatenate([self.mean[:-1], np.zeros(width), [0.0]])
+        products = Products.of(self.residual / self.noise_growth, S / self.noise_growth[:, :, None], folds)
+        return replace(
+            self, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
+            components=tuple(components), chosen=tuple(chosen),
+        )  # fmt: skip
+
+    def share_of(self, own: Int[np.ndarray, " k"]) -> float:
+        """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""
+        return float(np.max(1.0 - self.fit_columns(self.wider(own)).variance / self.fit().variance))
+
+    def without(self, effects: Sequence[str]) -> SelectionState:
+        """The state with some of its additions at neutral, to first order."""
+        if not effects:
+            return self
+        own = self.full.own_columns(*effects)
+        away, theta, mean = self.departure[own], self.theta.copy(), self.mean.copy()
+        theta[own], mean[own] = self.full.neutral_vector[own], mean[own] + away
+        residual = self.residual + self.S[:, :, own] @ away
+        active = tuple(e for e in self.active if e not in effects)
+        products = self.products.shifted(own, -away)
+        return replace(self, theta=theta, mean=mean, residual=residual, products=products, active=active)
+
+    @cached_property
+    def scaled(self) -> Float[np.ndarray, "m c K"]:
+        """Sensitivities divided by the noise_growth."""
+        return self.S / self.noise_growth[:, :, None]
+
+
+def linearised(
+    full: CandidateModel,
+    responses: ResidualModel,
+    outputs: tuple[str, ...],
+    theta: Float[np.ndarray, " k"],
+    active: tuple[str, ...] = (),
+    noise_growth: Float[np.ndarray, "m c"] | None = None,
+    variance_inflation: float = 1.0,
+    known: SelectionState | None = None,
+    apart: tuple[str, ...] = (),
+) -> SelectionState:
+    """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
+
+    Candidates that are not active and have no slope at neutral are tried at their scanned values. What is `known` of
+    the same responses at the same parameters is not computed again. Coefficients `apart` have an offset in every
+    manoeuvre, free in every fit.
+    """
+
+    keep = [responses.outputs.index(name) for name in outputs]
+    if known is not None and np.array_equal(known.theta, theta):
+        residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
+    else:
+        residual, S = responses.linearise(theta)
+        residual, S, scanned = residual[:, keep], S[:, keep], {}
+    constants = [constants_of_manoeuvres(full, responses.manoeuvre, outputs, S, name) for name in apart]
+    scans, extra = [], [np.concatenate([responses.offsets(theta, outputs), *constants], axis=2)]
+    for effect in full.candidates:
+        if effect.name in active:
+            continue
+        for name, values in effect.scan.items():
+            at = int(full.columns([name])[0])
+            for value in values:
+                scans.append(Scan(effect.name, name, value))
+                if scans[-1] in scanned:
+                    extra.append(scanned[scans[-1]])
+                    continue
+                there = theta.copy()
+                there[at] = value
+                other = np.asarray(responses.evaluate(there)[0])[:, keep]
+                extra.append(((residual - other) / (value - theta[at]))[:, :, None])
+    S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
+    S = np.where(np.abs(S) < LARGEST, S, 0.0)
+    noise_growth = np.ones_like(residual) if noise_growth is None else noise_growth
+    folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
+    mean, precision = full.prior(range(len(theta)), theta)
+    precision = variance_inflation * precision
+    of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
+    nothing = np.zeros(extra[0].shape[2])
+    # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
+    size = [_spread(residual, ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
+    flat = np.concatenate(
+        [nothing[len(size) :], variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))]
+    )
+    mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
+    precision = np.concatenate([precision, flat, precision[of_scans], [1.0]])
+    products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
+    return SelectionState(
+        full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
+        tuple(scans), extra[0].shape[2], variance_inflation, apart,
+    )  # fmt: skip
+
+
+def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
+    """The size of a constant that moves the outputs by the deviation of their residuals."""
+    here = np.any(ones != 0.0, axis=1)
+    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
+    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
+
+
+def constants_of_manoeuvres(
+    full: CandidateModel,
+    manoeuvre: Int[np.ndarray, " m"],
+    outputs: Sequence[str],
+    S: Float[np.ndarray, "m c k"],
+    name: str,
+) -> Float[np.ndarray, "m c o"]:
+    """Sensitivity to a coefficient's constant in every manoeuvre: of itself, or of flown outputs to the model's one."""
+    if name in outputs:
+        return manoeuvre_constants(manoeuvre, outputs, name)
+    here = manoeuvre[:, None] == np.arange(int(manoeuvre[-1]) + 1)
+    column = np.where(np.abs(S) < LARGEST, S, 0.0)[:, :, full.columns([constant_of(name)])]
+    return column * here[:, None, :]
+
+
+def constant_of(coefficient: str) -> str:
+    """The parameter that is a coefficient's constant."""
+    return f"{coefficient}0"
+
+
+def manoeuvre_constants(
+    manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], name: str
+) -> Float[np.ndarray, "m c o"]:
+    """A column of ones in one output for every manoeuvre."""
+    S = np.zeros((len(manoeuvre), len(outputs), int(manoeuvre[-1]) + 1))
+    S[np.arange(len(manoeuvre)), outputs.index(name), manoeuvre] = 1.0
+    return S
+
+
+def moved(
+    state: SelectionState,
+    theta: Float[np.ndarray, " k"],
+    active: tuple[str, ...] | None = None,
+    apart: tuple[str, ...] | None = None,
+) -> SelectionState:
+    """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
+    active, apart = state.active if active is None else active, state.apart if apart is None else apart
+    noise = state.noise_growth, state.variance_inflation
+    return linearised(state.full, state.responses, state.outputs, theta, active, *noise, state, apart)
+
+
+# --- Parameters fitted to the residuals of any folds by Gauss-Newton.
+
+
+REFITS = 8
+ENOUGH = 0.05  # of the deviance
+
+
+def refitted(state: SelectionState) -> tuple[SelectionState, RegressionFit]:
+    """The state at the optimum of all active parameters, and the fit there."""
+    state = moved(state, optimum(state, range(len(state.folds))))
+    return state, state.fit()
+
+
+def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> Float[np.ndarray, " k"]:
+    """Gauss-Newton on all active parameters, fitted to the chosen folds, each step kept inside the bounds."""
+    bounds = np.array([p.bounds for p in state.full.model.free])
+    columns = state.columns()
+    at = columns[columns < len(state.theta)]
+
+    def stepped(share: float) -> Float[np.ndarray, " k"]:
+        after = theta.copy()
+        after[at] = np.clip(theta[at] + share * fit.step[: len(at)], bounds[at, 0] + 1e-9, bounds[at, 1] - 1e-9)
+        return after
+
+    def deviance_at(theta: Float[np.ndarray, " k"]) -> float:
+        """The deviance of `local_fit` without its regression, from the residuals alone."""
+        residual = np.asarray(state.responses.evaluate(theta)[0])[:, state.kept_outputs]
+        none = np.arange(0)
+        mean, precision = state.full.prior(at, theta)
+        prior = state.variance_inflation * float(np.sum(precision * mean**2))
+        return _fit_at(state, theta, none, folds, (residual, state.S[:, :, none]))[1] + prior
+
+    theta, (fit, value) = state.theta, _fit_at(state, state.theta, at, folds, (state.residual, state.S[:, :, at]))
+    # A step that does not lower the deviance is shortened. The last step is one that would gain less than `ENOUGH`.
+    for number in range(most):
+        if number:
+            fit, value = local_fit(state, theta, at, folds)
+        if value - fit.deviance < ENOUGH:
+            return stepped(1.0)
+        for share in (1.0, 0.5, 0.2, 0.05):
+            trial = stepped(share)
+            lower = deviance_at(trial)  # of many trials, few are steps and need derivatives
+            if lower < value:
+                break
+        else:
+            break
+        theta = trial
+        if value - lower < ENOUGH:
+            break
+    return theta
+
+
+def local_fit(
+    state: SelectionState,
+    theta: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " a"],
+    folds: Sequence[int],
+    held: Float[np.ndarray, " c"] | None = None,
+) -> tuple[RegressionFit, float]:
+    """Regression on the columns `at` at `theta`, and the deviance there; with variances it finds, or `held` ones."""
+    residual, S = (x[:, state.kept_outputs] for x in state.responses.linearise(theta, at))
+    return _fit_at(state, theta, at, folds, (residual, np.where(np.isfinite(S), S, 0.0)), held)
+
+
+def _fit_at(
+    state: SelectionState,
+    theta: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " a"],
+    folds: Sequence[int],
+    linear: tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c a"]],
+    held: Float[np.ndarray, " c"] | None = None,
+) -> tuple[RegressionFit, float]:
+    """The same from residuals at `theta` and sensitivities to the columns `at` (`linear`)."""
+    residual, S = linear
+    beside = state.columns()
+    beside = beside[beside >= len(state.theta)]  # offsets, and components that are in
+    S = np.concatenate([S, state.S[:, :, beside]], axis=2)
+    products = Products.of(
+        residual / state.noise_growth, S / state.noise_growth[:, :, None], [state.folds[f] for f in folds]
+    )
+    mean, precision = state.full.prior(at, theta)
+    precision = state.variance_inflation * precision
+    mean, precision = np.append(mean, state.mean[beside]), np.append(precision, state.precision[beside])
+    free = np.arange(S.shape[2])
+    only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
+    return products.fit(free, mean, precision, held), only.deviance + float(
+        np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
+    )

@@ -1,0 +1,652 @@
+"""Names for unexplained structure: terms in place of the functions by which it was found, and of causes beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from bayes_aero.diagnosis.accuracy import LeftOut, Size, holdout_deviance_gain, truncated
+from bayes_aero.diagnosis.components import (
+    SAME,
+    SEPARATED,
+    ProductTerm,
+    TermColumn,
+    Trial,
+    chance_of,
+    columns_of,
+    is_periodic,
+    likeness,
+    null_shares,
+    polynomials,
+    term_of,
+)
+from bayes_aero.diagnosis.result import FoundTerm, UnexplainedStructure
+from bayes_aero.diagnosis.screening import (
+    CandidateScore,
+    PartialledRegression,
+    ScreeningResult,
+    SharedNoise,
+    autocorrelation_of,
+    inflation_along,
+    jackknife_errors,
+    jackknife_p_value,
+    screen,
+    uncertainty,
+)
+from bayes_aero.diagnosis.selection import Extension
+from bayes_aero.diagnosis.selection_state import (
+    Component,
+    Products,
+    RegressionFit,
+    SelectionState,
+    moved,
+    optimum,
+    refitted,
+)
+from bayes_aero.diagnosis.unexplained import Left, constants_of, superfluous
+from bayes_aero.effect import Kind
+from bayes_aero.inference.covariance import nats
+from bayes_aero.progress import Progress
+
+# --- Which form has unexplained structure: forward selection of terms by what they predict of left-out folds.
+# Of what coefficients leave, noise-only replicates say what is beyond chance. Where a model meets the record in flight,
+# terms are screened by what they make of the residuals to first order, and must be beyond chance by how far they move
+# when a part of the flights is left out: a window of trajectories, or some seconds of innovations.
+
+
+NEAR = 0.5  # of the best term's gain, below which no other is compared with it; our choice
+AS_GOOD = 0.1  # of what the function gains, what terms may gain less: it bends as it likes; our choice
+SWING = {"CL": 0.01, "CD": 0.001, "Cm": 0.002, "CY": 0.01, "Cl": 0.001, "Cn": 0.001}
+"""The least change of a coefficient worth modelling, as in the catalogue."""
+
+
+@dataclass(frozen=True)
+class SelectedTerm:
+    """A term that was added, with the deviance that it gains on left-out folds, and those that are as good."""
+
+    column: TermColumn
+    gain: float
+    share: float
+    inflation: float
+    weight: float
+    others: tuple[tuple[ProductTerm, float], ...]
+    p_value: float
+    among: int  # terms of which it was chosen
+    elsewhere: tuple[str, ...] = ()  # terms of other coefficients that explain as much
+
+    @property
+    def cost(self) -> float:
+        """Nats of a parameter and of the choice of a term."""
+        return 1.0 + float(np.log(self.among))
+
+
+def components_of(found: Sequence[SelectedTerm]) -> list[Component]:
+    """What selected terms add to the outputs."""
+    return [one.column.component for one in found]
+
+
+def terms_of_coefficient(
+    state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
+) -> list[SelectedTerm]:
+    """Terms that describe what is left of a coefficient as well as the functions of channels by which it was found, the
+    first added first; none where none predict as well. `state` has all in that was selected from the catalogue."""
+    columns, found, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
+    for number in range(settings.terms_most):
+        one, _, trial = leader(state, columns, [f.column for f in found])
+        if nats(one.gain, one.inflation) < settings.ambiguous or one.share < settings.unnamed_share:
+            break
+        own = trial.component_columns[trial.components.index(one.column.component)]
+        wider = trial.fit_columns(trial.wider(own))
+        colour = autocorrelation_of(trial.left(wider), trial.folds)
+        p = chance_of(one.share, null_shares(trial, colour, wider.variance, seed + number))
+        if p > settings.unnamed_false_alarm_rate:
+            break
+        found.append(replace(one, p_value=p))
+    found = reconsidered(state, found)
+    if not found:
+        return []
+
+    def gain(components: Sequence[Component]) -> float:
+        """Deviance of left-out folds that components gain together."""
+        wide = state.with_components((), components)
+        return holdout_deviance_gain(wide, wide.columns(), state.columns())
+
+    inflation, least = max(one.inflation for one in found), gain(functions)
+    missed = nats(least - gain(components_of(found)), inflation)
+    return found if missed < max(settings.ambiguous, AS_GOOD * nats(least, inflation)) else []
+
+
+def reconsidered(state: SelectionState, found: Sequence[SelectedTerm]) -> list[SelectedTerm]:
+    """The terms that are still worth their place beside all others, with what each gains there."""
+    left = list(found)
+    for one in found:
+        trial = Trial(state, one.column.component, components_of([f for f in left if f is not one]))
+        at, least = left.index(one), state.least_share(state.settings.unnamed_share)
+        worth = trial.share >= least and trial.gain > 0.0
+        left[at : at + 1] = [replace(one, share=trial.share, gain=trial.gain)] if worth else []
+    return left
+
+
+def leader(
+    state: SelectionState, columns: Sequence[TermColumn], chosen: Sequence[TermColumn]
+) -> tuple[SelectedTerm, float, SelectionState]:
+    """The best term beside those chosen, the nats that it explains, and the state in which the others stand."""
+    labels = {c.component.label for c in chosen}
+    open_ones = [c for c in columns if c.component.label not in labels]
+    trial = state.with_components([c.component for c in open_ones], [c.component for c in chosen])
+    fit = trial.fit()
+    order, lost, inflation = _ranked(trial, fit)
+    weights = weights_of(lost, [open_ones[j].term.cost for j in order])
+    equal = [i for i in range(len(order)) if lost[i] < state.settings.ambiguous]
+    first = max(equal, key=lambda i: weights[i])
+    others = [(open_ones[order[i]].term, float(weights[i])) for i in equal if i != first]
+    others.sort(key=lambda other: -other[1])
+    column = trial.component_columns[order[first]]
+    own = trial.wider(column)
+    explained = nats(fit.deviance - trial.fit_columns(own).deviance, inflation)
+    one = SelectedTerm(
+        open_ones[order[first]], holdout_deviance_gain(trial, own), trial.share_of(column), inflation,
+        float(weights[first]), tuple(others), float("nan"), len(columns),
+    )  # fmt: skip
+    return one, explained, trial
+
+
+def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
+    """Terms that gain at least half of what the best one does, the best first; by how many nats each explains less; and
+    the variance inflation of the best."""
+    projected = PartialledRegression(trial, fit, trial.component_columns)
+    place = np.array([p[0] for p in projected.place])
+    bread, right = np.array([b[0, 0] for b in projected.bread]), projected.right(trial.left(fit))[place]
+    n = float(trial.products.count.sum())
+    gains = -n * np.log1p(-np.minimum(right**2 * bread / n, 1.0 - 1e-9))
+    order = [int(j) for j in np.argsort(-gains, kind="stable") if gains[j] >= NEAR * gains.max()]
+    best = trial.fit_columns(trial.wider(trial.component_columns[order[0]]))
+    colour = autocorrelation_of(trial.left(best), trial.folds)
+    # Two terms are told from each other by the residual along the difference of what they explain.
+    made = projected.P[:, :, place[order]] * (bread * right)[order]
+    apart = np.concatenate([made[:, :, :1], made[:, :, :1] - made[:, :, 1:]], axis=2)
+    inflation = inflation_along(apart, projected.weight, trial.folds, colour)
+    lost = [0.0, *(nats(gains[order[0]] - gains[j], x) for j, x in zip(order[1:], inflation[1:], strict=True))]
+    return order, np.array(lost), float(inflation[0])
+
+
+def weights_of(lost: Float[np.ndarray, " j"], costs: Sequence[int]) -> Float[np.ndarray, " j"]:
+    """Posterior probabilities of terms, of which each factor halves the prior one."""
+    log = -lost - np.log(2.0) * np.array(costs)
+    weights = np.exp(log - log.max())
+    return weights / weights.sum()
+
+
+def sized(state: SelectionState, found: Sequence[SelectedTerm]) -> tuple[FoundTerm, ...]:
+    """All terms fitted together, beside the parameters of the model."""
+    whole = state.with_components((), components_of(found))
+    fit = whole.fit()
+    errors = jackknife_errors(whole, fit, state.responses.jackknife_blocks)
+    deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
+    own = slice(len(fit.columns) - len(found), None)
+    rows = zip(found, fit.step[own], deviation[own], strict=True)
+    return tuple(
+        FoundTerm(
+            coefficient=one.column.component.coefficient,
+            term=one.column.term,
+            size=(float(size) / one.column.scale, float(sd) / one.column.scale),
+            share=one.share,
+            gain=nats(one.gain, one.inflation),
+            weight=one.weight,
+            others=one.others,
+            least=SWING[one.column.component.coefficient] / max(one.column.spread, 1e-12),
+        )
+        for one, size, sd in rows
+    )
+
+
+# --- Where a model meets the record in flight.
+
+
+class _Screened(NamedTuple):
+    """The terms of one coefficient that are not chosen, screened beside those that are."""
+
+    columns: Sequence[TermColumn]
+    state: SelectionState
+    screening: ScreeningResult
+
+    def column(self, standing: CandidateScore) -> TermColumn:
+        return next(c for c in self.columns if c.component.label == standing.effect)
+
+
+def terms_of_flights(state: SelectionState, seed: int) -> list[SelectedTerm]:
+    """Terms of all coefficients, the first added first."""
+    library = [columns_of(state, name) for name in state.responses.model.coefficients]
+    left = list[SelectedTerm]()
+    for number in range(state.settings.unnamed_most):
+        one = _next(state, library, left, seed + number)
+        if one is None:
+            break
+        left.append(one)
+    left = reconsidered(state, left)
+    while left:  # those of which, beside the others, nothing sure is left go out, the least sure first
+        scores = [abs(one.size[0]) / one.size[1] for one in sized(state, left)]
+        if min(scores) >= state.settings.least_score:
+            break
+        left.pop(scores.index(min(scores)))
+    return left
+
+
+def _next(
+    state: SelectionState, library: Sequence[Sequence[TermColumn]], found: Sequence[SelectedTerm], seed: int
+) -> SelectedTerm | None:
+    """The best term beside those found; None where none is beyond chance, large enough and useful."""
+    noise = SharedNoise(seed, state.folds, len(state.outputs), state.settings)
+    chosen, screened = [one.column for one in found], []
+    for columns in library:
+        left = [c for c in columns if c not in chosen]
+        trial = state.with_components([c.component for c in left], components_of(found))
+        screened.append(_Screened(left, trial, screen(trial, trial.fit(), seed=0, nulls=False, noise=noise)))
+    tried = state.settings.candidates_tried
+    leaders = [(one, standing) for one in screened for standing in one.screening.candidate_scores[:tried]]
+    leaders.sort(key=lambda leader: -leader[1].score)
+    among = sum(len(one.columns) for one in screened)
+    for one, standing in leaders:
+        p = _chance(one.state, standing, among)
+        if p <= state.settings.unnamed_false_alarm_rate:
+            return _weighed(state, screened, components_of(found), one.column(standing), p)
+    return None
+
+
+def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> float:
+    """The chance that noise alone lets some term of the library, of `among`, look as good as one does; 1 where it is
+    too small to be worth a verdict, or gains nothing on left-out folds."""
+    settings, own = trial.settings, np.array(standing.columns, int)
+    alone = len(trial.responses.flights.lengths) == 1
+    least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
+    if trial.share_of(own) < least or standing.log_bayes <= 0.0:
+        return 1.0
+    wide = trial.wider(own)
+    if nats(holdout_deviance_gain(trial, wide), standing.variance_inflation) < settings.ambiguous:
+        return 1.0
+    # No stationary colour holds in windows, with a term in or out; and innovations are white only as far as the noise
+    # of the filter is right. So it is how far the estimate moves without each part of the flights, Bonferroni over the
+    # library.
+    wider = trial.fit_columns(wide)
+    return jackknife_p_value(trial, wider, own, wider.step[-1:], among)
+
+
+def _weighed(
+    state: SelectionState, screened: Sequence[_Screened], chosen: Sequence[Component], first: TermColumn, p: float
+) -> SelectedTerm:
+    """The term of the most weight among those of any coefficient that explain about as much as the leader `first`, with
+    those of its coefficient, and names of those of others."""
+    gains = {t.column(s).component.label: (t.column(s), s.gain) for t in screened for s in t.screening.candidate_scores}
+    best = gains[first.component.label][1]
+    near = [(c, gain) for c, gain in gains.values() if gain >= NEAR * best]
+    near.sort(key=lambda pair: pair[0] is not first)  # the leader is the first
+    trial = state.with_components([c.component for c, _ in near], chosen)
+    fit = trial.fit()
+    colour = autocorrelation_of(trial.left(trial.fit_columns(trial.wider(trial.component_columns[0]))), trial.folds)
+    # What tells two of them apart is the residual along the difference of what they explain.
+    projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
+    right = projected.right(residual)
+    estimates = [bread @ right[place] for bread, place in zip(projected.bread, projected.place, strict=True)]
+    apart = projected.apart(residual, estimates, 0, colour, trial.responses.jackknife_blocks)
+    lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
+    weights = weights_of(lost - lost.min(), [c.term.cost for c, _ in near])
+    close = np.flatnonzero(lost - lost.min() < state.settings.ambiguous)
+    rivals = sorted([(near[i][0], float(weights[i])) for i in close], key=lambda rival: -rival[1])
+    (column, weight), component = rivals[0], rivals[0][0].component
+    own = [rival for rival in rivals if rival[0].component.coefficient == component.coefficient]
+    one = Trial(state, component, chosen)
+    standing = screen(one.state, one.state.fit(), seed=0, nulls=False).candidate_scores[0]
+    others = tuple((rival.term, x) for rival, x in own[1:])
+    elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != component.coefficient)
+    return SelectedTerm(column, one.gain, one.share, standing.variance_inflation, weight, others, p, 1, elsewhere)
+
+
+class Forms(NamedTuple):
+    """Terms that were found, and what they are instead of."""
+
+    terms: tuple[FoundTerm, ...]
+    replaced: tuple[str, ...]  # causes of which little is left beside them
+    idle: tuple[str, ...] = ()  # coefficients whose offsets between manoeuvres the terms explain
+    rivals: Mapping[str, tuple[str, float]] = MappingProxyType({})  # terms as good as a cause; nats they explain less
+    sizes: Mapping[str, Size] = MappingProxyType({})  # of parameters of causes that are left, beside the terms
+    functions: tuple[tuple[Component, float], ...] = ()  # polynomials beside the terms, and their shares
+    unknown: tuple[UnexplainedStructure, ...] = ()  # the structure that terms of flights describe
+
+
+NOTHING = Left((), ())
+SHOWN = 4  # parts of a form that are listed beside a cause
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What explains the flights: a state with its additions and offsets, terms, and polynomials for what is left."""
+
+    state: SelectionState
+    terms: tuple[SelectedTerm, ...] = ()
+    functions: tuple[Component, ...] = ()
+
+    @property
+    def wide(self) -> SelectionState:
+        """The state with the terms in."""
+        return self.state.with_components((), self.components)
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """Terms and polynomials."""
+        return (*components_of(self.terms), *self.functions)
+
+    @cached_property
+    def fitted(self) -> tuple[RegressionFit, Float[np.ndarray, "m c"]]:
+        """The fit of `wide` and what it leaves, from the columns that are in alone."""
+        state, own, columns = self.state, [one.basis for one in self.components], self.state.columns()
+        S = np.concatenate([state.S[:, :, columns], *own], axis=2) / state.noise_growth[:, :, None]
+        residual, more = state.residual / state.noise_growth, S.shape[2] - len(columns)
+        size = float(np.median(np.std(residual, axis=0)))
+        precision = np.append(state.precision[columns], np.full(more, state.variance_inflation / (10 * size) ** 2))
+        mean = np.append(state.mean[columns], np.zeros(more))
+        best = Products.of(residual, S, state.folds).fit(np.arange(S.shape[2]), mean, precision)
+        return best, residual - S @ best.step
+
+    @cached_property
+    def cost(self) -> float:
+        """Nats of its parameters, and of the choices that they are."""
+        state, own = self.state, {e.name: e for e in self.state.full.candidates}
+        causes = sum(len(own[name].parameters) + np.log(len(own)) for name in state.active)
+        offsets = len(state.apart) * (len(state.responses.flights.lengths) - 1)
+        functions = sum(f.basis.shape[2] + 1.0 for f in self.functions)
+        return float(causes + offsets + functions + sum(one.cost for one in self.terms))
+
+    def less(self, item: str | SelectedTerm) -> _Model:
+        """Without a term, a cause, or the offsets of a coefficient; the others as they were."""
+        state = self.state
+        if isinstance(item, SelectedTerm):
+            return replace(self, terms=tuple(one for one in self.terms if one is not item))
+        if item in state.apart:
+            return replace(self, state=moved(state, state.theta, apart=tuple(n for n in state.apart if n != item)))
+        return replace(self, state=truncated(state, [name for name in state.active if name != item]))
+
+    def beyond(self, other: _Model) -> float:
+        """Nats by which it explains more than another, the costs of both counted."""
+        # What tells the two apart is the residual along the difference of what they explain.
+        state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
+        better = int(fits[1].deviance < fits[0].deviance)
+        D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
+        colour, blocks = autocorrelation_of(lefts[better], state.folds), state.responses.jackknife_blocks
+        (inflation,) = inflation_along(D, weight, state.folds, colour, lefts[better], blocks)
+        return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
+
+    def degrades(self, other: _Model) -> bool:
+        """Whether hold-out data are predicted worse than by another."""
+        before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
+        return self.state.settings.degrades(*after.gain(before))
+
+
+def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
+    """Terms for all structure that is `left`; periods have none."""
+    functions: dict[str, list[Component]] = {}
+    for function in left.functions:
+        if not is_periodic(function):
+            functions.setdefault(function.coefficient, []).append(function)
+
+    def sought(state: SelectionState) -> list[SelectedTerm]:
+        found = [terms_of_coefficient(state, name, own, seed=seed) for name, own in functions.items()]
+        return [one for terms in found for one in terms]
+
+    instead = contest(extension, left)
+    if instead.terms or instead.replaced:
+        return instead
+    causes = [name for name in extension.causes if name not in left.replaced]
+    state = extension.state.without([name for name in left.replaced if name in extension.state.active])
+    found = sought(state)
+    if not found:
+        return instead
+    replaced = superfluous(state, causes, components_of(found))
+    if replaced:  # terms are sought again without causes that only stood in for one
+        state = state.without(replaced)
+        found = sought(state)
+    return instead._replace(terms=sized(state, found), replaced=replaced if found else ())
+
+
+def flown_forms(extension: Extension, *, seed: int, progress: Progress | None = None) -> Forms:
+    """Terms of all coefficients for what an extended model leaves of trajectories or innovations."""
+    if progress:
+        progress("terms", 0.0)
+    instead, state = contest(extension), extension.state
+    if instead.terms or instead.replaced:
+        return instead._replace(unknown=described((), instead))
+    found, replaced = terms_of_flights(state, seed), ()
+    if found and (replaced := superfluous(state, extension.causes, components_of(found))):
+        bare = state.without(replaced)
+        again = terms_of_flights(bare, seed)
+        state, found, replaced = (bare, again, replaced) if again else (state, found, ())
+    shown = [(one, one.column.component) for one in found]
+    unknown = [UnexplainedStructure(c.coefficient, c.channel, f.share, f.p_value, f.elsewhere) for f, c in shown]
+    forms = instead._replace(terms=sized(state, found), replaced=replaced) if found else instead
+    return forms._replace(unknown=described(unknown, instead))
+
+
+def described(unknown: Sequence[UnexplainedStructure], found: Forms) -> tuple[UnexplainedStructure, ...]:
+    """Structure by the first function that shows it, where terms describe all of it."""
+    known = {term.coefficient: term for term in reversed(found.terms)}
+    first = {u.coefficient: u for u in reversed(unknown)}
+    more = [UnexplainedStructure(c, t.term.name, t.share, float("nan")) for c, t in known.items() if c not in first]
+    more += [
+        UnexplainedStructure(function.coefficient, function.channel, share, float("nan"))
+        for function, share in found.functions
+        if function.coefficient not in {**first, **known}
+    ]
+    return (*(u for u in unknown if u.coefficient not in known or u is first[u.coefficient]), *more)
+
+
+def contest(extension: Extension, left: Left = NOTHING) -> Forms:
+    """Terms in place of causes, and of offsets between manoeuvres, that only stood in for them; and those that explain
+    as well as causes that are left.
+
+    A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does, and
+    differ between manoeuvres at different states, as offsets do. Terms are sought without all of them; then everything
+    is in, and what does not earn its cost goes out, the least useful first. A term of the library that is an effect of
+    the aerodynamics is no rival of it; beside other terms of its coefficient it is one of them.
+
+    Args:
+        extension: by the catalogue.
+        left: structure, and causes that are replaced already.
+    """
+    state, causes = extension.state, extension.causes
+    aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
+    columns = {name: term_of(state, name) for name in causes if name in aerodynamic}
+    named = {name: c.component for name, c in columns.items() if c is not None and _is_smooth(c.term)}
+    rest = [name for name in causes if name not in named]
+    if not (rest or state.apart):
+        return Forms((), ())
+    start, named_only = _Model(state), _without(state, rest, ())
+    reached = _reached(named_only, state, {f.coefficient for f in left.functions})
+    named = {name: component for name, component in named.items() if component.coefficient in reached}
+    models = list[_Model]()
+    for apart in ((), state.apart) if state.apart else ((),):
+        terms = _beside(_without(state, [*rest, *named], apart), reached, (), rest, state)
+        by_name = {
+            name: [f for f in components_of(terms) if f.coefficient == c.coefficient] for name, c in named.items()
+        }
+        alone = [name for name, own in by_name.items() if [f.label for f in own] in ([], [named[name].label])]
+        same = {named[name].label for name in alone}
+        out = [*(name for name in named if name not in alone), *left.replaced]
+        more = tuple(one for one in terms if one.column.component.label not in same)
+        models += [_Model(_without(state, out, state.apart), more)] if more else []
+    curves = [one for coefficient in reached for one in polynomials(named_only, coefficient)]
+    bare = [replace(model, state=_without(model.state, rest, ())) for model in models]
+    wholes, items = [_fitted(_curved(model, curves)) for model in bare], [*rest, *state.apart]
+    tried = [_eliminated(model, items, whole.functions) for model, whole in zip(models, wholes, strict=True)]
+    best = _best(start, tried)
+    if best is start:
+        tried.append(_eliminated(_one_by_one(start, rest), items, curves))
+        best = _best(start, tried)
+    idle = _idle(replace(best, functions=()), curves)
+    rivals = _rivals(best, [name for name in rest if name in best.state.active], [*wholes, *tried])
+    functions = [*best.functions, *(f for f in idle.values() if f not in best.functions)]
+    shares = [(f, Trial(best.state, f, [c for c in best.components if c is not f]).share) for f in functions]
+    least = state.least_share(state.settings.unnamed_share)
+    shown = tuple((f, share) for f, share in shares if share >= least)
+    if best is start:
+        return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shown)
+    gone = tuple(name for name in causes if name not in best.state.active)
+    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *_negligible(best))
+    terms, sizes = sized(best.state, best.terms), _sizes(best, [name for name in causes if name not in gone])
+    return Forms(terms, gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shown)
+
+
+def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ...]) -> SelectionState:
+    """The state without some of its additions and of its offsets, at the optimum of what is left."""
+    kept = tuple(name for name in state.active if name not in effects)
+    return refitted(moved(state, state.full.at_neutral(state.theta, effects), kept, apart))[0]
+
+
+def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
+    """Coefficients that lack something without what is contested: all, where the residuals are no coefficients."""
+    if state.outputs != state.responses.model.coefficients:
+        return list(state.responses.model.coefficients)
+    more = float(state.products.count.sum()) * np.log(bare.fit().variance / state.fit().variance)
+    lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
+    return [n for n, lacks in zip(state.outputs, lacking, strict=True) if lacks or n in shown or n in state.apart]
+
+
+def _is_smooth(term: ProductTerm) -> bool:
+    """Whether it is a function of the state of motion: memory and separated flow are none."""
+    return all(f.code is not None and f is not SEPARATED for f in term.factors)
+
+
+def _beside(
+    state: SelectionState,
+    reached: Sequence[str],
+    chosen: Sequence[SelectedTerm],
+    effects: Sequence[str],
+    full: SelectionState,
+) -> list[SelectedTerm]:
+    """Smooth terms, no other form of `effects`, that earn their cost beside those chosen, the best first."""
+    found = list(chosen)
+    for name in reached:
+        columns = [c for c in columns_of(state, name) if _is_smooth(c.term) and likeness(full, effects, c) <= SAME]
+        for _ in range(state.settings.terms_most):
+            one, explained, _ = leader(state, columns, [f.column for f in found])
+            if explained <= one.cost:
+                break
+            found.append(one)
+    return found
+
+
+def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
+    """With the functions that earn their cost."""
+    for one in curves:
+        wider = replace(model, functions=(*model.functions, one))
+        model = wider if wider.beyond(model) > 0.0 else model
+    return model
+
+
+def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
+    """Coefficients whose offsets a polynomial explains as well, and that."""
+    found, least = dict[str, Component](), -model.state.settings.ambiguous
+    for name in model.state.apart:
+        own = [(_fitted(_instead(model, name, [f])).beyond(model), f) for f in curves if f.coefficient == name]
+        gain, best = max(own, key=lambda pair: pair[0])
+        found |= {name: best} if gain > least else {}
+    return found
+
+
+def _negligible(model: _Model) -> list[str]:
+    """Coefficients whose offsets, beside the terms, are smaller than what is worth modelling."""
+    columns, step = list(model.state.columns()), model.fitted[0].step
+    places = {n: [columns.index(column) for column in constants_of(model.state, n)] for n in model.state.apart}
+    return [name for name, at in places.items() if np.ptp(step[at]) < SWING[name]]
+
+
+def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model:
+    """With functions in place of a cause or of offsets."""
+    return replace(model.less(item), functions=tuple(functions))
+
+
+def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
+    """Without what does not earn its cost, the least useful first: causes and offsets `items` must explain more than
+    functions in their place, terms more than nothing."""
+    while True:
+        inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
+        trials = [model.less(item) for item in (*inside, *model.terms)]
+        rivals = [*(_instead(model, item, curves) for item in inside), *trials[len(inside) :]]
+        gains = [rival.beyond(model) for rival in rivals]
+        if not gains or max(gains) <= 0.0:
+            return _curved(model, curves)
+        best = trials[int(np.argmax(gains))]
+        model = best if best.state is model.state else _fitted(best)
+
+
+def _fitted(model: _Model) -> _Model:
+    """With the parameters at the optimum beside the terms."""
+    state = model.wide
+    return replace(model, state=moved(model.state, optimum(state, range(len(state.folds)))))
+
+
+def _best(start: _Model, models: Sequence[_Model]) -> _Model:
+    """The model that explains most of those that take the place of the first, if it is decisively better; or that."""
+
+    def takes_its_place(model: _Model) -> bool:
+        """Whether terms are there in place of something, are identified within manoeuvres, as causes must be, and
+        predict hold-out data no worse."""
+        inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
+        fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
+        there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0
+        return bool(fewer) and there and not inside.degrades(start)
+
+    able = [model for model in models if model.beyond(start) > start.state.settings.decisive]
+    able = [model for model in able if takes_its_place(model)]
+    return max(able, key=lambda model: model.beyond(start), default=start)
+
+
+def _less_one(best: _Model, name: str) -> _Model:
+    """With terms, and functions, in place of one cause."""
+    state = _without(best.state, [name], best.state.apart)
+    reached = _reached(state, best.state, ())
+    terms = tuple(_beside(state, reached, best.terms, [name], best.state))
+    curves = [one for coefficient in reached for one in polynomials(state, coefficient)]
+    return _curved(_Model(state, terms, best.functions), curves)
+
+
+def _one_by_one(model: _Model, causes: Sequence[str]) -> _Model:
+    """With terms in place of one cause after another, as long as they are decisively better."""
+    while True:
+        others = [_less_one(model, name) for name in causes if name in model.state.active]
+        better = [(gain, other) for other in others if (gain := other.beyond(model)) > model.state.settings.decisive]
+        if not better:
+            return model
+        model = max(better, key=lambda pair: pair[0])[1]
+
+
+def _rivals(best: _Model, causes: Sequence[str], others: Sequence[_Model]) -> dict[str, tuple[str, float]]:
+    """Forms of `others`, or in place of one cause, that explain as well as causes, and by how many nats less."""
+    settings, found = best.state.settings, dict[str, tuple[str, float]]()
+    for other in (*others, *(_less_one(best, name) for name in causes)):
+        gone = [name for name in causes if name not in other.state.active]
+        had = {one.label for one in best.components}
+        own = [one.label for one in other.components if one.label not in had]
+        if not (gone and own) or (lost := best.beyond(other)) >= settings.ambiguous or other.degrades(best):
+            continue
+        form = ", ".join(own[:SHOWN]) + (f" and {len(own) - SHOWN} more" if len(own) > SHOWN else "")
+        found |= {name: (f"a form ({form})", lost) for name in gone if name not in found or lost < found[name][1]}
+    return found
+
+
+def _sizes(model: _Model, causes: Sequence[str]) -> dict[str, Size]:
+    """Parameters of causes beside terms and polynomials, to first order."""
+    wide = model.wide
+    fit, free = wide.fit(), wide.full.model.free
+    sds = np.sqrt(np.diag(uncertainty(wide, fit)))
+    step, sd = (dict(zip(fit.columns, x, strict=True)) for x in (fit.step, sds))
+    own = [int(column) for column in wide.full.own_columns(*causes) if column in step]
+    return {
+        free[c].name: Size(float(np.clip(x, *free[c].bounds)), float(sd[c]), free[c].unit, not low < x < high)
+        for c in own
+        for x, (low, high) in [(wide.theta[c] + step[c], free[c].bounds)]
+    }

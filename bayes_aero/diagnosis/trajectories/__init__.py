@@ -1,1 +1,0 @@
-"""Trajectories before and after the extension of a model."""

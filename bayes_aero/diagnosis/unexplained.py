@@ -1,0 +1,617 @@
+"""Structure that no effect of the catalogue explains but that a recorded channel, a period or the change of a parameter
+does.
+
+A smooth function of each channel, a sinusoid, or the change, is a candidate like an effect. It is taken for real
+only if its score is beyond noise-only replicates and it predicts data left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import chdtrc
+
+from bayes_aero.diagnosis.accuracy import Size, holdout_deviance_gain, recording_noise
+from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, manoeuvres
+from bayes_aero.diagnosis.components import Trial, chance_of, families, in_batches, null_shares, parts_of, term_of
+from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening import (
+    Autocorrelation,
+    ScreeningResult,
+    SharedNoise,
+    autocorrelation_of,
+    autocorrelations_of,
+    inflation_along,
+    screen,
+    unbiased,
+    uncertainty,
+    without_active,
+)
+from bayes_aero.diagnosis.selection import Extension, removed
+from bayes_aero.diagnosis.selection_state import (
+    TINY,
+    Component,
+    Products,
+    RegressionFit,
+    SelectionState,
+    inverse,
+    moved,
+    optimum,
+)
+from bayes_aero.effect import Kind, Stage
+from bayes_aero.inference.covariance import ORDER, nats
+
+# --- A parameter of the model that takes another value during the records: is there one beyond chance, and where.
+# The largest gain over all parameters and moments is compared with that in noise-only replicates, which make the same
+# choice. Then the change must explain enough and predict parts of the manoeuvres that it was not fitted to.
+
+
+@dataclass(frozen=True)
+class SpanChange:
+    """The change of the parameter in `column` over a span."""
+
+    column: int
+    span: Span
+    component: Component  # what it adds
+    unit: float  # what a step of one is of the component
+    at: tuple[int, int]  # its place in the scan (span, parameter) that found it
+
+
+@dataclass(frozen=True)
+class FoundComponent:
+    """A component that is taken for real, and the state in which it was found."""
+
+    state: SelectionState
+    component: Component
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class FoundChange(FoundComponent):
+    """A change of a parameter that is beyond chance, with what it was judged by."""
+
+    change: SpanChange
+    scan: ChangeScan
+    residual: Float[np.ndarray, "m c"]
+    folds: tuple[slice, ...]
+    colour: Autocorrelation
+    gain: float  # deviance that it takes away
+    gained: float  # deviance of the parts left out
+
+
+def sought_change(
+    state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
+) -> FoundChange | None:
+    """The change that explains most of what the active effects and the `chosen` components leave, if it is real.
+
+    It must gain more than `least` deviance on parts left out. Without it the other parameters were fitted to both
+    values of the changed one, so the problem is linearised again where they are with the change beside them.
+    """
+    settings, alone = state.settings, len(state.responses.flights.lengths) == 1
+    first = _promising(state, chosen, least) if testable(state) else None
+    if first is None:
+        return None
+    state = _beside(state, [*chosen, first[0].component])
+    folds = manoeuvres(state.responses.manoeuvre)
+    whole = state.with_components((), chosen, folds)
+    wider = Trial(state, first[0].component, chosen, folds).fit
+    # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
+    held = whole.fit_columns(whole.columns(), held=wider.variance)
+    scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
+    change = _change(state, scan, _leader(scan, scan.estimates(residual))[0])
+    trial, gained = Trial(state, change.component, chosen, folds), holdout_gain_of(state, change.component, chosen)
+    enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
+    if not enough or _by_noise(trial, change, scan):
+        return None
+    colour, p = _p_value(whole, held, scan, trial.state.left(trial.fit), seed)
+    if p > settings.change_false_alarm_rate:
+        return None
+    gain = whole.fit().deviance - trial.fit.deviance
+    known = state, change.component, trial.share, p
+    return FoundChange(*known, change, scan, residual, folds, colour, gain, gained)
+
+
+def testable(state: SelectionState) -> bool:
+    """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
+    parts = parts_of(state, state.settings.change_parts)
+    long = all(part.stop - part.start > ORDER for part in parts)
+    return state.outputs == state.responses.model.coefficients and long and bool(len(_free(state)) and _over(state))
+
+
+def _promising(
+    state: SelectionState, chosen: Sequence[Component], least: float
+) -> tuple[SpanChange, ChangeScan] | None:
+    """The change that explains most to first order, if that is worth another look."""
+    folds = manoeuvres(state.responses.manoeuvre)
+    whole = state if not chosen and folds == state.folds else state.with_components((), chosen, folds)
+    fit, columns = whole.fit(), _free(state)
+    # What noise of the recorded size adds to the sensitivities, scaled as those are. Added once more it adds as much as
+    # the noise that is there already, as in `accuracy.noise_effect`.
+    flights, rng = state.responses.flights, np.random.default_rng(0)
+    added = {n: sd * rng.standard_normal(flights.n) for n, sd in recording_noise(flights).items()}
+    noisy = flights.channels | {name: flights.channels[name] + x for name, x in added.items()}
+    slopes = state.responses.with_channels(noisy).linearise(state.theta, columns)[1][:, state.kept_outputs]
+    noise = slopes / state.noise_growth[:, :, None] - state.scaled[:, :, columns]
+    scan = ChangeScan(whole, fit, columns, _over(state), noise)
+    leader, gain = _leader(scan, scan.estimates(whole.left(fit)))
+    if gain < state.settings.least_share * len(state.residual):
+        return None
+    change = _change(state, scan, leader)
+    return (change, scan) if holdout_gain_of(state, change.component, chosen) > least else None
+
+
+def _by_noise(trial: Trial, change: SpanChange, scan: ChangeScan) -> bool:
+    """Whether one value, made too small by noise on either side of the change, explains it."""
+    # To first order a share s of noise takes s of a value away; what lies between a value and that with twice as much
+    # given back may be its truth.
+    (at,) = trial.fit.places([change.column])
+    elsewhere = float(trial.state.theta[change.column] + trial.fit.step[at])
+    values = elsewhere + change.unit * float(trial.fit.step[-1]), elsewhere
+    shares = scan.noise_shares[:, change.at[0], change.at[1]]
+    least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
+    return bool(np.max(least) <= np.min(most))
+
+
+def _beside(state: SelectionState, components: Sequence[Component]) -> SelectionState:
+    """The state at the optimum of all active parameters, these components free beside them."""
+    place = len(state.theta) + state.nuisance
+    columns = np.concatenate([c.basis for c in components], axis=2)
+    S = np.concatenate([state.S[:, :, :place], columns, state.S[:, :, place:]], axis=2)
+    mean, precision = (np.insert(x, [place] * columns.shape[2], 0.0) for x in (state.mean, state.precision))
+    nuisance = state.nuisance + columns.shape[2]
+    wide = replace(state, S=S, mean=mean, precision=precision, nuisance=nuisance)
+    return moved(state, optimum(wide, range(len(state.folds))))
+
+
+def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequence[Component]) -> float:
+    """Deviance that a component gains on parts of the manoeuvres that were left out, each predicted from the others."""
+    return Trial(state, component, chosen, parts_of(state, state.settings.change_parts)).gain
+
+
+def _free(state: SelectionState) -> Int[np.ndarray, " p"]:
+    """Columns of the aerodynamic parameters that are free in the model."""
+    moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
+    own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
+    return np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
+
+
+def _over(state: SelectionState) -> list[Span]:
+    least = max(1, round(state.settings.change_least / state.responses.seconds))
+    return spans(state.responses.manoeuvre, least, state.settings.change_begins)
+
+
+def _leader(scan: ChangeScan, estimates: Float[np.ndarray, "n p"]) -> tuple[tuple[int, int], float]:
+    """The change that takes most deviance away, and how much."""
+    gains = scan.gains(estimates)
+    span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    return (int(span), int(parameter)), float(gains[span, parameter])
+
+
+def _change(state: SelectionState, scan: ChangeScan, at: tuple[int, int]) -> SpanChange:
+    span, column = scan.over[at[0]], int(scan.columns[at[1]])
+    basis = np.zeros((*state.residual.shape, 1))
+    basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
+    unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
+    component = Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis)
+    return SpanChange(column, span, component, unit, at)
+
+
+def _p_value(
+    state: SelectionState, fit: RegressionFit, scan: ChangeScan, left: Float[np.ndarray, "m c"], seed: int
+) -> tuple[Autocorrelation, float]:
+    """The colour of the noise that is `left` with the change in, and how often noise alone shows as much of one."""
+    noise = SharedNoise(seed, state.folds, left.shape[1], state.settings)
+
+    def drawn(colour: Autocorrelation, white: Float[np.ndarray, "t f r c"]) -> Float[np.ndarray, "r m c"]:
+        return without_active(state, fit, colour.coloured(white, state.folds, len(state.residual)))
+
+    def without_leader(residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "m c"]:
+        estimates = scan.estimates(residual)
+        leader, _ = _leader(scan, estimates)
+        return residual - scan.explained(*leader, float(estimates[leader]))
+
+    def statistic(residual: Float[np.ndarray, "m c"]) -> float:
+        """Deviance that the leader takes away over what it leaves."""
+        gain = _leader(scan, scan.estimates(residual))[1]
+        return gain / (float(np.sum(residual**2 * scan.weight)) - gain)
+
+    # What was chosen as the best of many makes the noise look faster than it is; replicates measure by how much.
+    found = autocorrelation_of(left, state.folds)
+    again = np.array([without_leader(one) for one in drawn(found, noise.correction)])
+    colour = unbiased(found, autocorrelations_of(again, state.folds))
+    nulls = np.array([statistic(one) for one in drawn(colour, noise.replicates)])
+    return colour, float((1 + np.sum(nulls >= statistic(state.left(fit)))) / (1 + len(nulls)))
+
+
+# --- Every moment at which a parameter may take another value, all parameters at once, from cumulated products.
+# The direction of a change is the parameter's sensitivity from that moment on, the free parameters of the model
+# projected out. Inner products of such directions are differences of sums over time, so a record of minutes costs
+# milliseconds.
+# What a parameter acts through is recorded with noise, which makes its value too small: where a slope is attenuated
+# by noise alone, the parameter has not changed.
+
+NOTHING = 1e-9  # of the information of the whole parameter, below which a change of it moves nothing
+NOISY = 0.5  # share of noise beyond which a value is that of noise
+
+
+class Span(NamedTuple):
+    """Blocks over which a parameter has another value, [begin, end); `manoeuvre` is the number of that of the first."""
+
+    manoeuvre: int
+    begin: int
+    end: int
+
+
+def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]:
+    """From a block on, to the end of its manoeuvre or of all later ones; between manoeuvres, from the begin of a later
+    one on, or in one of the middle alone.
+
+    `least` blocks at either end of a manoeuvre are not divided; about `most` begins are tried.
+    """
+    count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
+    found = []
+    for k in range(count):
+        own = np.flatnonzero(manoeuvre == k)
+        first, last = int(own[0]), int(own[-1]) + 1
+        begins = [*([first] if k else []), *range(first + least, last - least + 1, -(-m // most))]
+        # The records may be of one flight, where a change lasts, or of several, where it does not.
+        ends = {m} if k == count - 1 else {last, m}
+        found += [Span(k, begin, end) for begin in begins for end in sorted(ends)]
+    return found
+
+
+class ChangeScan:
+    """Directions of the changes of p parameters (`columns` of the state) over each of n spans; `noise` is what
+    recording noise adds to the sensitivities, scaled as those are."""
+
+    def __init__(
+        self,
+        state: SelectionState,
+        fit: RegressionFit,
+        columns: Int[np.ndarray, " p"],
+        over: Sequence[Span],
+        noise: Float[np.ndarray, "m c p"],
+    ) -> None:
+        self.columns, self.over, self.noise, self.weight = columns, over, noise, 1.0 / fit.variance
+        self._S, self._B = state.scaled[:, :, columns], state.scaled[:, :, fit.columns]
+        self._begin, self._end = (np.array([getattr(span, side) for span in over]) for side in ("begin", "end"))
+        self._weighed = self._S * self.weight[:, None]
+        own = self._summed(np.sum(self._S * self._weighed, axis=1))
+        cross = self._summed(np.matmul(np.moveaxis(self._weighed, 1, 2), self._B))
+        self._shares = cross @ inverse(fit.normal)  # n p k
+        information = own - np.sum(self._shares * cross, axis=2)
+        whole = np.sum(self._S * self._weighed, axis=(0, 1))
+        self.noise_shares = self._noise_shares(fit, own, cross)
+        noisy = np.any(self.noise_shares > NOISY, axis=0)
+        self._idle = noisy | (information <= NOTHING * whole)  # what the model can do as well
+        self.information = np.where(self._idle, 1.0, information)
+
+    def _noise_shares(
+        self, fit: RegressionFit, own: Float[np.ndarray, "n p"], cross: Float[np.ndarray, "n p k"]
+    ) -> Float[np.ndarray, "2 n p"]:
+        """Share of noise in what tells the value of each parameter within each span, and in what tells it elsewhere."""
+
+        def form(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+            return np.sum((x @ others) * y, axis=1)
+
+        added = np.einsum("mcp,c->mp", self.noise**2, self.weight)
+        within = self._summed(added)
+        noise = np.stack([within, np.sum(added, axis=0) - within])
+        # By it least squares makes that value too small. All other parameters have one value, fitted beside both.
+        whole = np.sum(self._S * self._weighed, axis=(0, 1))
+        shared, found = inverse(fit.normal), np.zeros_like(noise)
+        for p, column in enumerate(self.columns):
+            (at,) = fit.places([column])
+            others = shared - np.outer(shared[:, at], shared[at]) / shared[at, at]  # without the parameter itself
+            total = np.einsum("mc,mck->k", self._weighed[:, :, p], self._B)
+            inside, outside = cross[:, p], total - cross[:, p]
+            a, b = own[:, p] - form(inside, inside), whole[p] - own[:, p] - form(outside, outside)
+            c = -form(inside, outside)
+            told = np.stack([a - c**2 / np.maximum(b, TINY), b - c**2 / np.maximum(a, TINY)])
+            found[:, :, p] = noise[:, :, p] / np.maximum(told, TINY)
+        return found
+
+    def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
+        """Sums over each span."""
+        total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
+        return total[self._end] - total[self._begin]
+
+    def estimates(self, residual: Float[np.ndarray, "m c"]) -> Float[np.ndarray, "n p"]:
+        """First-order estimate of each change; zero where it moves nothing that the model cannot."""
+        weighed = residual * self.weight
+        beside = self._shares @ np.einsum("mck,mc->k", self._B, weighed)
+        right = self._summed(np.einsum("mcp,mc->mp", self._S, weighed)) - beside
+        return np.where(self._idle, 0.0, right / self.information)
+
+    def gains(self, estimates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
+        """Deviance that each change takes away, variances held."""
+        return estimates**2 * self.information
+
+    def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
+        """What a change of this size takes away of the residual, scaled as that is."""
+        found = -self._B @ self._shares[span, parameter]
+        here = slice(self._begin[span], self._end[span])
+        found[here] += self._S[here, :, parameter]
+        return estimate * found
+
+
+# --- What is reported of a change: the parameter before and after, when, and what else explains as much.
+
+NEAREST = 200  # moments that are compared with the best one, those that explain most
+
+
+def told(
+    state: SelectionState, found: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
+) -> ParameterChange:
+    """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
+    change, span = found.change, found.change.span
+    begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
+    before, after, size = _sizes(state, change, chosen)
+    nearest, rivals, inflation = _as_good(state, found)
+    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
+    known = [] if election is None else election.candidate_scores
+    effects = [s.effect for s in known if nats(found.gain - s.gain, inflation) < state.settings.ambiguous]
+    return ParameterChange(
+        parameter=parameter.name,
+        unit=parameter.unit,
+        manoeuvre=state.responses.flights.names[span.manoeuvre],
+        at=(span.begin - begin) * seconds,
+        interval=(max(nearest[0] - 1 - begin, 0) * seconds, (nearest[1] + 1 - begin) * seconds),
+        lasts=span.end == len(state.residual),
+        before=before,
+        after=after,
+        size=size,
+        share=found.share,
+        p_value=found.p_value,
+        gain=nats(found.gained, inflation),
+        ambiguous_with=tuple(dict.fromkeys([*rivals, *effects])),
+    )
+
+
+Value = tuple[float, float]
+
+
+def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
+    """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
+    whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
+    fit = whole.fit()
+    covariance = uncertainty(whole, fit)
+    widths = [c.basis.shape[2] for c in chosen]
+    own = len(fit.columns) - sum(widths) + sum(widths[: [c is change.component for c in chosen].index(True)])
+    (at,) = fit.places([change.column])
+    combinations = np.zeros((3, len(fit.columns)))
+    combinations[[0, 1], at], combinations[[1, 2], own] = 1.0, change.unit
+    sd = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", combinations, covariance, combinations), 0.0))
+    values = combinations @ fit.step + state.theta[change.column] * np.array([1.0, 1.0, 0.0])
+    before, after, size = ((float(x), float(s)) for x, s in zip(values, sd, strict=True))
+    return before, after, size
+
+
+def _as_good(state: SelectionState, found: FoundChange) -> tuple[tuple[int, int], list[str], float]:
+    """First and last block from which the change may as well begin; other parameters that explain about as much; and
+    the variance inflation of the change itself."""
+    scan, settings, (span, parameter) = found.scan, state.settings, found.change.at
+    estimates = scan.estimates(found.residual)
+    gains, own = scan.gains(estimates), scan.over[span]
+    same = [i for i, one in enumerate(scan.over) if (one.manoeuvre, one.end) == (own.manoeuvre, own.end)]
+    same = sorted(same, key=lambda i: -gains[i, parameter])[:NEAREST]
+    best = np.argmax(gains, axis=0)
+    others = [(int(best[p]), p) for p in range(len(scan.columns)) if p != parameter]
+    places = [(span, parameter), *((i, parameter) for i in same), *others]
+
+    def explained(place: tuple[int, int]) -> Float[np.ndarray, "m c"]:
+        return scan.explained(*place, float(estimates[place]))
+
+    # Two changes are told from each other by the residual along the difference of what they explain.
+    leader = explained((span, parameter))
+    apart = np.stack([leader, *(leader - explained(place) for place in places[1:])], axis=2)
+    inflation = inflation_along(apart, scan.weight, found.folds, found.colour)
+    lost = [nats(float(gains[span, parameter] - gains[p]), float(x)) for p, x in zip(places, inflation, strict=True)]
+    times = [scan.over[i].begin for i, x in zip(same, lost[1:], strict=False) if x <= settings.change_interval]
+    names = [state.full.model.names[scan.columns[p]] for _, p in others]
+    rivals = sorted((x, name) for x, name in zip(lost[1 + len(same) :], names, strict=True) if x < settings.ambiguous)
+    return (min(times), max(times)), [name for _, name in rivals], float(inflation[0])
+
+
+@dataclass(frozen=True)
+class Left:
+    """What the catalogue does not explain."""
+
+    unknown: tuple[UnexplainedStructure, ...]
+    replaced: tuple[str, ...]  # named causes that were only its proxies
+    changes: tuple[ParameterChange, ...] = ()
+    functions: tuple[Component, ...] = ()  # by which the structure was found
+
+
+def unexplained(extension: Extension, *, seed: int) -> Left:
+    """Look at what the extended model leaves; then whether a component explains a named cause better than itself."""
+    state, found = extension.state, list[FoundComponent]()
+    for number in range(max(state.settings.unnamed_most, len(state.outputs))):
+        one = _best(state, [f.component for f in found], seed + number)
+        if one is None:
+            break
+        found.append(one)
+        state = one.state
+    if found:
+        replaced = superfluous(state, extension.causes, [f.component for f in found])
+        over = {(f.component.coefficient, f.component.channel) for f in found}
+        lines = {n: term_of(state, n) for n in replaced}  # terms of a channel, of which a function of it has all
+        line = {n for n, t in lines.items() if t and any((t.component.coefficient, x) in over for x in t.term.channels)}
+        return _left(extension, found, tuple(name for name in replaced if name not in line))
+    # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
+    # coefficients together: they were then stand-ins for something that is in no catalogue.
+    proxies = [] if not extension.causes else [_changing_in(extension, seed), _standing_in(extension)]
+    margins = [proxy for proxy in proxies if proxy is not None]
+    if not margins:
+        return Left((), ())
+    return _left(extension, [max(margins, key=lambda margin: margin[0])[1]], extension.causes)
+
+
+def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
+    """Each coefficient not among the `idle` ones, which terms explain, whose constant differs between manoeuvres beyond
+    chance, and additions that explain it as well."""
+    state, found = extension.state, []
+    for name in (n for n in state.apart if n not in idle):
+        fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
+        less, fit = fewer.fit(), state.fit()
+        ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
+        gain = less.deviance - fit.deviance
+        rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
+        at = fit.places(constants_of(state, name))
+        from_first = np.eye(len(at))[1:] - np.eye(len(at))[0]
+        covariance = uncertainty(state, fit)[np.ix_(at, at)]
+        size, covariance = from_first @ fit.step[at], from_first @ covariance @ from_first.T
+        p = float(chdtrc(len(size), size @ inverse(covariance) @ size))
+        if p > state.settings.block_false_alarm_rate:
+            continue
+        deviation = np.sqrt(np.diag(covariance))
+        names = state.responses.flights.names[1:]
+        offsets = {n: (float(x), float(sd)) for n, x, sd in zip(names, size, deviation, strict=True)}
+        share = float(np.max(1.0 - fit.variance / less.variance))
+        found.append(UnexplainedStructure(name, "manoeuvre", share, p, tuple(dict.fromkeys(rivals)), offsets))
+    return tuple(found)
+
+
+def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
+    """The columns of a coefficient's constants, in the order of the manoeuvres."""
+    width, number = len(state.responses.flights.lengths), state.apart.index(name)
+    first = len(state.offsets) - width * (len(state.apart) - number)
+    return state.offsets[first : first + width]
+
+
+def _left(extension: Extension, found: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
+    """What was found, as it is reported."""
+    unknown, changes, chosen = [], [], [f.component for f in found]
+    bare = found[-1].state.without([name for name in replaced if name in found[-1].state.active])
+    last = extension.steps[-1] if extension.steps else None
+    election = None if last is None or last.chosen is not None else last.screening
+    for one in found:
+        if isinstance(one, FoundChange):
+            change = told(bare, one, chosen, election)
+            if not (change.between and set(change.ambiguous_with) & _constants(bare)):
+                changes.append(change)
+        else:
+            of = one.component
+            unknown.append(UnexplainedStructure(of.coefficient, of.channel, one.share, one.p_value))
+    functions = tuple(one.component for one in found if not isinstance(one, FoundChange))
+    return Left(tuple(unknown), replaced, tuple(changes), functions)
+
+
+def _constants(state: SelectionState) -> set[str]:
+    """Parameters of the model that are a constant of a coefficient with offsets between manoeuvres."""
+    # What these explain as well is no change, for the drag due to lift follows an offset of the lift.
+    outputs = [state.outputs.index(name) for name in state.apart]
+    S = state.S[:, outputs][:, :, : len(state.theta)]
+    constant = np.any((np.ptp(S, axis=0) <= 1e-6 * np.abs(S).max(axis=0)) & (np.abs(S).max(axis=0) > 0.0), axis=0)
+    return {name for name, own in zip(state.full.model.names, constant, strict=True) if own}
+
+
+def superfluous(state: SelectionState, causes: Sequence[str], chosen: Sequence[Component]) -> tuple[str, ...]:
+    """Named causes of which little is left once the components are in: they had stood in for them."""
+    wide, least = state.with_components((), chosen), state.least_share(state.settings.unnamed_share)
+    dropped, deviance, count = [], wide.fit().deviance, float(wide.products.count.sum())
+    for name in causes:
+        rest = removed(state, name).with_components((), chosen).fit().deviance
+        if 1.0 - np.exp(-max(rest - deviance, 0.0) / count) < least:
+            dropped.append(name)
+    return tuple(dropped)
+
+
+def withdrawn(found: Extension, names: Sequence[str], sizes: Mapping[str, Size]) -> Extension:
+    """Causes `names` of which little is left beside what is unexplained become nuisances; `sizes` are the others'."""
+    causes = tuple(name for name in found.causes if name not in names)
+    minor = (*found.minor, *(name for name in found.causes if name in names))
+    return replace(found, causes=causes, minor=minor, sizes={**found.sizes, **sizes})
+
+
+def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
+    """The component, or the change of a parameter, that explains what is left, is beyond chance and predicts what was
+    left out. Of both, the one that predicts it better."""
+    smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
+    if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
+        return change
+    return smooth
+
+
+def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
+    """The best function of a channel or of time."""
+    tried = state.settings.unnamed_tried
+    for folds, components, least in families(state):
+        batches, leaders = in_batches(state, components, folds), []
+        for batch in batches:
+            trials = state.with_components(batch, chosen, folds)
+            scores = screen(trials, trials.fit(), seed=seed, nulls=False).candidate_scores[:tried]
+            leaders += [(standing.score, next(c for c in batch if c.label == standing.effect)) for standing in scores]
+        leaders.sort(key=lambda leader: -leader[0])
+        for _, component in leaders[:tried]:
+            trial = Trial(state, component, chosen, folds)
+            if trial.gain <= 0.0 or trial.share < least:
+                continue
+            # How often noise alone lets some component explain so large a share.
+            noise = trial.colour, trial.fit.variance, seed
+            nulls = [null_shares(state.with_components(batch, chosen, folds), *noise) for batch in batches]
+            p = chance_of(trial.share, np.max(nulls, axis=0))
+            if p <= state.settings.unnamed_false_alarm_rate:
+                return FoundComponent(state, component, trial.share, p)
+    return None
+
+
+def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent] | None:
+    """A change in place of the causes, and by how much more than they must it predicts."""
+    state = extension.state
+    bare = state.without(extension.causes)
+    if not testable(bare):
+        return None
+    parts = parts_of(state, state.settings.change_parts)
+    products = Products.of(bare.residual / bare.noise_growth, bare.scaled, parts)
+    own = state.full.own_columns(*extension.causes)
+    known = holdout_deviance_gain(replace(bare, products=products, folds=parts), np.append(bare.columns(), own))
+    found = sought_change(bare, (), seed=seed, least=max(known, 0.0))
+    if found is None:
+        return None
+    margin = _margin(state, found.gained, known)
+    return (margin, found) if margin > 0.0 else None
+
+
+def _margin(state: SelectionState, gained: float, known: float) -> float:
+    """Deviance by which a component predicts more than it must to take the place of causes that gain `known`."""
+    return gained - state.settings.stand_in * max(known, 0.0) - 6.0 * state.variance_inflation
+
+
+def _standing_in(extension: Extension) -> tuple[float, FoundComponent] | None:
+    """The same of a function, of whose share a part must be left where the causes are in."""
+    # A cause that is a proxy leaves a part of what it stands in for. The true one leaves nothing, and still predicts
+    # less than a function of its own channel where the parameters of the model beside it extrapolate.
+    state = extension.state
+    own = state.full.own_columns(*state.active)
+    best = None
+    parts = [(f, batch, least) for f, every, least in families(state) for batch in in_batches(state, every, f)]
+    for folds, components, least in parts:
+        trial = state.with_components(components, (), folds)
+        bare = trial.columns(())
+        products = trial.products.shifted(own, -state.departure[own])
+        taken_out = replace(trial, products=products, active=())
+        known = holdout_deviance_gain(taken_out, np.concatenate([bare, own]), bare)
+        width = max(len(columns) for columns in trial.component_columns)
+        dummy = trial.S.shape[2] - 1
+        rows = [np.append(np.append(bare, c), np.full(width - len(c), dummy)) for c in trial.component_columns]
+        deviance = products.fit_many(np.array(rows, int), trial.mean, trial.precision)[3]
+        for i in np.argsort(deviance)[: state.settings.unnamed_tried]:
+            columns = trial.component_columns[i]
+            gained = holdout_deviance_gain(taken_out, np.concatenate([bare, columns]), bare)
+            margin = _margin(state, gained, known)
+            share = taken_out.share_of(columns)
+            left = trial.share_of(columns) if margin > 0.0 and share >= least else 0.0
+            if left > 0.0 and left_beside(share, left, state.settings) and (best is None or margin > best[0]):
+                best = (margin, FoundComponent(state, components[i], share, float("nan")))
+    return best
+
+
+def left_beside(alone: float, beside: float, settings: DiagnosisSettings) -> bool:
+    """Whether the share that a function explains `beside` its causes is no small part of that `alone`, without them."""
+    return beside >= (settings.stand_in - 1.0) * alone

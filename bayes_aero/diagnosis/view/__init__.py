@@ -1,1 +1,0 @@
-"""What is shown of a diagnosis: everything computed, as plain data for tables, figures and pages."""

@@ -1,0 +1,390 @@
+"""Benchmarks: ranks and coverage, rivals, claims that are counted, studies that go on, stated probabilities."""
+
+import csv
+import importlib
+import os
+import subprocess
+import sys
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import verify
+from calibration import (
+    DRAWS,
+    Replicate,
+    band_of,
+    calibration_table,
+    covariance,
+    process_replicate,
+    rank,
+    stall_replicate,
+)
+from interval_coverage import coverage_study
+from qualification import CUBIC, DT, NOISE, OUTPUTS, N, aircraft, flight
+from qualification import TRUTH as FLOWN
+from scipy.stats import binomtest, multivariate_normal
+from seed_rivals import INNER, Problem, one_step, problems
+from studies import resumed
+from verify import CLAIMS, LEVEL, ROUND, Claim, Side, begin, count, enter, flights, fly, line_of, mark
+
+from bayes_aero.errors import InputError
+from bayes_aero.inference.gp.kernel import Priors, ReducedData
+from bayes_aero.inference.gp.posterior import log_density
+from bayes_aero.simulate.demo import TRUTH
+
+
+def test_ranks_have_the_closed_form_of_quantiles_and_uniform_ones_stay_in_their_band():
+    draws = np.arange(1000.0)[:, None] / 1000.0
+    draws = np.random.default_rng(0).permutation(draws)
+    assert rank(np.array([-1.0]), draws)[0] == 0
+    assert rank(np.array([2.0]), draws)[0] == DRAWS
+    assert abs(rank(np.array([0.25]), draws)[0] - 0.25 * DRAWS) < 3.0 * np.sqrt(0.25 * 0.75 * DRAWS)
+    # 95 % simultaneous: of 200 sets, 190 are expected inside, with a deviation of 3.1.
+    rng = np.random.default_rng(3)
+    inside = sum(band_of(list(map(int, rng.integers(0, DRAWS + 1, 100)))).inside for _ in range(200))
+    assert 178 <= inside <= 199
+
+
+def test_ranks_of_a_posterior_too_narrow_or_shifted_leave_the_band():
+    rng = np.random.default_rng(4)
+    truth, n = rng.standard_normal(300), 300
+    data = truth + rng.standard_normal(n)
+    mean, sd = data / 2.0, np.sqrt(0.5)  # of the posterior, in closed form
+
+    def ranks(shift, width):
+        return [
+            int(rank(np.array([t]), (m + shift + width * sd * rng.standard_normal((DRAWS, 1))))[0])
+            for t, m in zip(truth, mean, strict=True)
+        ]
+
+    assert band_of(ranks(0.0, 1.0)).inside
+    assert not band_of(ranks(0.0, 0.6)).inside
+    assert not band_of(ranks(0.4, 1.0)).inside
+
+
+@pytest.mark.verify
+def test_both_engines_rank_a_truth_alike(thinned, model):
+    """Same truth and data: two ranks among 99 draws differ by a deviation of at most 7; five are allowed."""
+    few = thinned.thinned(4)
+    ours, theirs = (stall_replicate(model, few, engine, 2) for engine in ("emcee", "NUTS"))
+    assert len(ours.ranks) == 20
+    for name, own in ours.ranks.items():
+        assert 0 <= own <= DRAWS
+        assert abs(own - theirs.ranks[name]) < 35, name
+
+
+def test_a_sample_function_has_the_covariance_that_the_engine_assumes():
+    """Against the engine's own kernel matrix through its log likelihood."""
+    rng = np.random.default_rng(2)
+    x, theta, y = rng.standard_normal((12, 2)), rng.normal(-0.5, 0.3, 7), rng.standard_normal(12)
+    exact = multivariate_normal(np.zeros(12), covariance(theta, x)).logpdf(y)
+    assert log_density(theta, ReducedData.of(x, y), Priors.flat()).value == pytest.approx(exact, abs=1e-8)
+
+
+@pytest.mark.verify
+def test_a_process_replicate_ranks_every_hyperparameter():
+    x = np.random.default_rng(5).standard_normal((40, 1))
+    found = process_replicate(x, ("alpha",), 1)
+    assert set(found.ranks) == {"constant", "linear[alpha]", "signal", "length_scale[alpha]", "noise"}
+    assert all(0 <= k <= DRAWS for k in found.ranks.values())
+
+
+def test_the_table_counts_coverage_in_closed_form():
+    ranks = np.arange(DRAWS + 1)
+    table = calibration_table([Replicate(int(k), {"a": int(k)}, "converged") for k in ranks])
+    row = table.loc["a"]
+    assert row["mean rank"] == pytest.approx(0.5)
+    assert row["in 50 %"] == pytest.approx(0.5)
+    assert row["in 90 %"] == pytest.approx(0.9)
+    assert bool(row["inside band"])
+
+
+COLOURED = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004, "rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
+
+
+@pytest.mark.verify
+def test_coverage_under_coloured_noise(thinned, model):
+    """rho = 0.95: the AR(1) posterior covers, Cramer-Rao bounds and the white posterior do not.
+
+    Sixty replicates of each of eight cells of colour and rate: benchmarks/interval_coverage.py.
+    """
+    found = coverage_study(model, thinned, TRUTH, COLOURED, replicates=20, seed=17, white=4, max_steps=600)
+    share = found.table().loc["all"]
+    assert 0.91 <= share["AR(1) posterior"] <= 0.98
+    assert share["CRB"] < 0.6
+    assert share["white posterior"] < 0.6
+    assert share["corrected CRB"] > 0.8
+
+
+PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
+
+
+def rows_of(text):
+    """Cells of every row of the tables, by the contender's name."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:2] == "| "]
+    return {cells[0]: cells[1:] for cells in lines}
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory, model, thinned):
+    folder = tmp_path_factory.mktemp("peers")
+    noise = np.random.default_rng(3).standard_normal(thinned.measured.shape) * [0.02, 0.004, 0.008]
+    with pytest.MonkeyPatch.context() as patch:
+        for path in (PEERS.parent, PEERS):
+            patch.syspath_prepend(path)
+        problem = importlib.import_module("problem")
+        asked = {"of": [], "sizes": [60], "quick": True}
+        problem.lay_down(model, replace(thinned, measured=thinned.measured + noise), folder, asked)
+    settings = os.environ | {"PYTHONPATH": str(PEERS.parents[1]), "JAX_COMPILATION_CACHE_DIR": str(folder / "programs")}
+    command = [sys.executable, str(PEERS), "--quick", "--blocks", "fits", "--folder", str(folder)]
+    command += ["--out", str(folder / "table.md")]
+    ended = subprocess.run(command, env=settings, capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return (folder / "table.md").read_text(), ended.stdout
+
+
+def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(quick):
+    written, printed = quick
+    assert written == printed
+    rows = rows_of(written)
+    for name in ("bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm"):
+        assert float(rows[name][2]) < 1e-2, (name, rows[name])  # nats above the best
+    assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it does without JAX
+
+
+SEED = 11
+
+
+@pytest.mark.parametrize("kind", list(INNER))
+def test_the_inner_holdout_is_a_part_of_the_training_part(kind):
+    m = 300
+    flights = SimpleNamespace(
+        inputs=np.zeros((m, 4)), states=np.zeros((m, 4)), measured=np.zeros((m, 3)),
+        manoeuvre=np.repeat([0, 1], [180, 120]), state=SimpleNamespace(responses=SimpleNamespace(seconds=0.2)),
+    )  # fmt: skip
+    found = problems(flights, kind)
+    held_out = sum((~p.train).astype(int) for p in found)
+    assert held_out.max() == 1
+    for p in found:
+        assert not np.any(p.inner & ~p.train)
+        assert 0.2 < p.inner.sum() / p.train.sum() < 0.4
+        if kind == "manoeuvre":
+            assert len(np.unique(p.manoeuvre[p.train])) == 1
+
+
+def test_a_one_step_network_finds_the_parameter_that_flew_the_states():
+    pytest.importorskip("sklearn", reason="scikit-learn comes with the `bench` extra")
+    rng = np.random.default_rng(SEED)
+    m, true = 600, 0.7
+    control = np.repeat(rng.standard_normal(m // 10), 10)
+    x = np.zeros(m)
+    for k in range(m - 1):
+        x[k + 1] = 0.9 * x[k] + 0.2 * true * control[k]
+    measured = (true * control)[:, None]
+    train = np.arange(m) < 400
+    inner = train & (np.arange(m) >= 300)
+    problem = Problem(control[:, None], measured, x[:, None], np.zeros(m, int), train, inner)
+    guess = one_step(problem, SEED, lambda theta: theta[0] * control[:, None], np.array([0.2]), ([-5.0], [5.0]))
+    np.testing.assert_allclose(guess.mean, measured, atol=0.01 * true * np.abs(control).max())
+
+
+README = Path(__file__).parents[2] / "benchmarks" / "README.md"
+COUNTS = [(0, 1), (1, 1), (0, 16), (3, 16), (5, 16), (16, 16), (7, 40), (191, 200), (200, 200)]
+CLAIM = Claim("named", "", Side.AT_LEAST, 0.95)
+
+
+@pytest.mark.parametrize(("hits", "of"), COUNTS)
+@pytest.mark.parametrize(("side", "alternative"), [
+    (Side.AT_MOST, "greater"), (Side.AT_LEAST, "less"), (Side.EQUAL, "two-sided"),
+])  # fmt: skip
+def test_limits_are_those_of_clopper_and_pearson(hits, of, side, alternative):
+    exact = binomtest(hits, of, alternative=alternative).proportion_ci(LEVEL, method="exact")
+    assert replace(CLAIM, side=side).limits(hits, of) == pytest.approx((exact.low, exact.high), abs=1e-12)
+
+
+@pytest.mark.parametrize(("side", "alternative"), [(Side.AT_MOST, "greater"), (Side.AT_LEAST, "less")])
+@pytest.mark.parametrize("rate", [0.05, 0.5, 0.95])
+def test_a_claim_is_refuted_exactly_where_the_binomial_test_rejects_its_rate(side, alternative, rate):
+    claim, verdicts = Claim("", "", side, rate), set()
+    for of in (1, 4, 16, 60, 200):
+        for hits in range(of + 1):
+            rejected = binomtest(hits, of, rate, alternative=alternative).pvalue < 1.0 - LEVEL
+            assert claim.holds(hits, of) is not rejected, (hits, of)
+            verdicts.add(rejected)
+    assert verdicts == {True, False}
+
+
+def test_an_equality_is_refuted_on_both_sides():
+    """Each tail has half of the level: binomial tails of 0.005 around 190 of 200."""
+    claim = replace(CLAIM, side=Side.EQUAL)
+    for hits in range(201):
+        below, above = (binomtest(hits, 200, 0.95, alternative=tail).pvalue for tail in ("less", "greater"))
+        assert claim.holds(hits, 200) == (min(below, above) >= 0.005), hits
+    assert not claim.holds(200, 200)
+    assert not claim.holds(180, 200)
+
+
+def test_no_trials_refute_nothing_and_the_documentation_lists_every_claim_with_its_rate():
+    assert all(claim.limits(0, 0) == (0.0, 1.0) and claim.holds(0, 0) for claim in CLAIMS)
+    assert len({claim.key for claim in CLAIMS}) == len(CLAIMS)
+    text = README.read_text(encoding="utf-8")
+    table = {row[0]: row[-1].rstrip(" |") for row in (line.split(" | ") for line in text.splitlines()) if len(row) == 3}
+    for claim in CLAIMS:
+        assert table[f"| `{claim.key}`"] == f"{claim.side} {claim.rate:g}"
+
+
+def silent(kind, seed, posterior):
+    """A flight that bears out the one claim that it tries."""
+    trials = {"silence": {"false_alarms": False}, "one": {"named": True, "size_held": True}}
+    return {"kind": kind, "seed": seed, "trials": trials.get(kind, {}), "sampled": posterior}
+
+
+@pytest.fixture
+def pool():
+    with ThreadPoolExecutor(2) as opened:
+        yield opened
+
+
+def test_a_run_flies_every_kind_and_is_entered(tmp_path, pool):
+    run, folder = begin(tmp_path, "abc", rounds=3, posterior=False)
+    rows = fly(run, folder, silent, pool, workers=2, seconds=60.0)
+    assert Counter(row["kind"] for row in rows) == {kind: 3 * each for kind, each in ROUND.items()}
+    for kind, each in ROUND.items():
+        seeds = sorted(row["seed"] for row in rows if row["kind"] == kind)
+        assert seeds == list(range(run.first, run.first + 3 * each))
+    line = line_of(run, rows)
+    assert line["verdict"] == "not refuted"
+    assert (line["false_alarms"], line["named"], line["bound_held"]) == ("0/9", "9/9", "0/0")
+    assert line["seeds"] == f"{run.first} to {run.first + 11}"
+    for _ in range(2):
+        enter(line, tmp_path / "ledger.csv")
+    with (tmp_path / "ledger.csv").open() as file:
+        kept = list(csv.DictReader(file))
+    assert kept == [line, line]
+
+
+def test_an_interrupted_run_goes_on_with_its_seeds_and_no_flight_is_begun_after_the_time(tmp_path, pool):
+    run, folder = begin(tmp_path, "abc", rounds=2, posterior=True)
+    asked = []
+
+    def until_the_fourth(kind, seed, posterior):
+        asked.append((kind, seed))
+        if len(asked) == 4:
+            raise KeyboardInterrupt
+        return silent(kind, seed, posterior)
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(run, folder, until_the_fourth, pool, workers=1, seconds=60.0)
+    with (folder / "flights.jsonl").open("a") as file:
+        file.write('{"kind": "silence", "se')  # cut off
+    assert len(flights(folder)) == 3
+    assert begin(tmp_path, "abc", rounds=2, posterior=True) == (run, folder)
+    again = []
+
+    def counted(kind, seed, posterior):
+        again.append((kind, seed))
+        return silent(kind, seed, posterior)
+
+    rows = fly(run, folder, counted, pool, workers=2, seconds=60.0)
+    assert not set(again) & set(asked[:3])
+    assert len({(row["kind"], row["seed"]) for row in rows}) == len(rows) == 2 * sum(ROUND.values())
+    assert all(row["sampled"] for row in rows)
+    assert flights(folder) == rows
+    run, folder = begin(tmp_path, "abc", rounds=2, posterior=False)
+    assert fly(run, folder, silent, pool, workers=2, seconds=0.0) == []
+
+
+def test_other_code_other_rounds_and_a_finished_run_get_seeds_of_their_own(tmp_path):
+    run, folder = begin(tmp_path, "abc", rounds=2, posterior=False)
+    settings = (("def", 2, False), ("abc", 3, False), ("abc", 2, True))
+    others = [begin(tmp_path, *other)[0] for other in settings]
+    mark(run, folder, finished=True)
+    others.append(begin(tmp_path, "abc", rounds=2, posterior=False)[0])
+    assert len({run.first, *(other.first for other in others)}) == 5
+
+
+def test_a_false_claim_and_a_crash_are_in_the_verdict(tmp_path):
+    """6 alarms of 20 have a chance of 0.03 % at a rate of 5 %."""
+    run, _ = begin(tmp_path, "abc", rounds=20, posterior=False)
+    rows = [{"kind": "silence", "seed": k, "trials": {"false_alarms": k < 6}} for k in range(20)]
+    rows.append({"kind": "one", "seed": 3, "trials": {}, "refused": "too large"})
+    assert count(rows)["false_alarms"] == (6, 20)
+    line = line_of(run, rows)
+    assert (line["verdict"], line["refused"], line["flights"]) == ("refuted: false_alarms", "1", "21")
+    rows.append({"kind": "one", "seed": 4, "trials": {}, "crashed": "ValueError"})
+    assert line_of(run, rows)["verdict"] == "refuted: false_alarms, 1 crashed"
+
+
+def test_a_changed_file_is_told_beside_the_commit_but_not_the_ledger(tmp_path):
+    def git(*words):
+        verify.subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b.c", *words], cwd=tmp_path, check=True)
+
+    assert verify.commit_of(tmp_path) == "unknown"
+    git("init", "-q")
+    (tmp_path / "benchmarks").mkdir()
+    for name in ("code.py", "benchmarks/ledger.csv"):
+        (tmp_path / name).write_text("1\n")
+    git("add", ".")
+    git("commit", "-qm", "begin")
+    plain = verify.commit_of(tmp_path)
+    assert len(plain) == 10
+    (tmp_path / "benchmarks" / "ledger.csv").write_text("2\n")
+    assert verify.commit_of(tmp_path) == plain
+    (tmp_path / "code.py").write_text("2\n")
+    assert verify.commit_of(tmp_path) == f"{plain}+changes"
+
+
+def test_rows_that_are_there_are_not_run_again(tmp_path, capsys):
+    run = []
+
+    def case(seed):
+        if seed == 3:
+            raise InputError("it leaves the envelope")
+        if seed == 4 and 4 not in run:
+            run.append(4)
+            raise KeyboardInterrupt
+        run.append(seed)
+        return {"seed": seed}
+
+    path, cases = tmp_path / "study" / "rows.jsonl", {seed: partial(case, seed) for seed in (1, 2, 3, 4)}
+    with pytest.raises(KeyboardInterrupt):
+        resumed(path, cases)
+    assert run == [1, 2, 4]
+    rows = resumed(path, cases)
+    assert [row["seed"] for row in rows] == [1, 2, 4]
+    assert run == [1, 2, 4, 4]  # the first two once
+    assert "3: it leaves the envelope" in capsys.readouterr().err
+    assert len(path.read_text().splitlines()) == 3
+
+
+SEEDS = (0, 1)
+
+
+def test_the_true_aircraft_obeys_its_equations():
+    """Accelerations from noisy rates: with the cubic moment the residual of q-dot is noise and turbulence."""
+    rng = np.random.default_rng(0)
+    de = 0.04 * np.sin(2.0 * np.pi * DT * np.arange(N) / 3.0)
+    record = flight(FLOWN, de, rng, "one")
+    alpha, q = record["alpha"], record["q"]
+    q_dot = np.gradient(q, DT)
+    full = FLOWN["Malpha"] * alpha + CUBIC * alpha**3 + FLOWN["Mq"] * q + FLOWN["Mde"] * de
+    noise = NOISE["q"] / DT / np.sqrt(2.0)
+    assert np.std(q_dot - full) < 2.0 * noise
+    assert np.std(q_dot - full + CUBIC * alpha**3) > np.std(q_dot - full)
+    assert np.allclose(record["az"].mean(), 90.0 * np.mean(FLOWN["Zalpha"] * alpha + FLOWN["Zde"] * de), atol=0.05)
+
+
+def test_stated_probabilities_order_what_happens():
+    """Of the tests of two aircraft those that are stated to pass do, and those that are stated to fail do not."""
+    rows = [row for seed in SEEDS for row in aircraft(seed, 3)]
+    assert len(rows) == len(SEEDS) * 3 * 3 * len(OUTPUTS)
+    stated, passed = (np.array([row[i] for row in rows]) for i in (1, 2))
+    assert passed[stated > 0.99].mean() > 0.9
+    assert passed[stated < 0.01].mean() < 0.1
+    assert np.corrcoef(stated, passed)[0, 1] > 0.8

@@ -1,0 +1,407 @@
+"""Simulated flight: trim, equations of motion of three axes, and the inputs of manoeuvres."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import six_axes as six
+import stranger_six
+from stranger_six import Plane
+
+from bayes_aero.dynamics.pilot import (
+    SECONDS,
+    Pilot,
+    fly,
+    fly_standard,
+    multisine_inputs,
+    multisines,
+    pulses,
+    ramps,
+    rounded,
+    steps,
+    three_two_one_one,
+)
+from bayes_aero.dynamics.trim import (
+    INPUTS,
+    Condition,
+    FlightState,
+    Plant,
+    conditions,
+    lead,
+    level_speed,
+    rigid_trim,
+    trimmed,
+)
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.errors import InputError
+from bayes_aero.model.model import Model
+from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.aircraft import GRAVITY, air
+from bayes_aero.physics.coefficients import coefficients, condition_joined
+from bayes_aero.physics.filters import differentiate
+from bayes_aero.physics.kinematics import Rotation, lever_arm
+from bayes_aero.simulate.demo import PROFILES, TRUTH
+
+# Trim from the model's own coefficients, whatever its parameters are called and whichever control pitches it
+AIRSPEED, ALTITUDE = 95.0, 5200.0
+TRIM = {"Cmih": -2.0, "Cm_stick": 0.7}  # the stick pitches up as much as the demo's elevator pitches down
+
+
+def stick(v, s, a, _known):
+    """A moment at the tail arm and the lift that goes with it."""
+    return {"Cm": v["Cm_stick"] * s["elevator"], "CL_attached": -v["Cm_stick"] * a.chord / a.tail_arm * s["elevator"]}
+
+
+STICK = Effect(
+    name="stick_moment",
+    kind=Kind.AERODYNAMICS,
+    stage=Stage.ATTACHED,
+    claim="The stick pitches the aircraft up.",
+    parameters=(Parameter("Cm_stick", "1/rad", 0.0, 0.5, "moment per stick", Prior("normal", 0.5, 1.0)),),
+    channels=("elevator",),
+    increments=stick,
+    example=Example({"Cm_stick": 0.5}, {"elevator": 0.1}, {"Cm": 0.05, "CL_attached": -0.01}, "by hand"),
+    source="our choice",
+    sizes={"Cm_stick": (0.03, 3.0)},
+)
+
+
+def values():
+    return {name: jnp.asarray(x) for name, x in (TRUTH | TRIM).items()}
+
+
+def pitched_by(card, *effects):
+    """The card's model with other effects in place of the elevator's."""
+    return Model.of([*(e for e in card.effects if e != "elevator_moment"), *effects])
+
+
+def standard(model, card):
+    found = fly_standard(model, values(), card.aircraft, airspeed=AIRSPEED, altitude=ALTITUDE, dt=0.04)
+    return found.channels, found.refused
+
+
+def test_the_command_is_the_textbook_s_and_of_a_control_that_pitches_up_the_other_way(card):
+    alpha = jnp.asarray([0.05, 0.1, 0.2])
+    shares, command = lead(Model.of(card.effects), values(), card.aircraft, alpha, AIRSPEED, ALTITUDE)
+    np.testing.assert_array_equal(shares, [1.0, 0.0])
+    np.testing.assert_allclose(command, -(TRUTH["Cm0"] + TRUTH["Cma"] * alpha) / TRUTH["Cmde"], rtol=1e-14)
+    usual, refused = standard(Model.of(card.effects), card)
+    own, refused_own = standard(pitched_by(card, STICK), card)
+    assert not refused
+    assert not refused_own
+    for name, channels in usual.items():
+        np.testing.assert_allclose(own[name]["elevator"], -channels["elevator"], atol=1e-9)
+        np.testing.assert_allclose(own[name]["alpha"], channels["alpha"], atol=1e-9)
+
+
+@pytest.mark.parametrize("mach", [None, 0.3])
+def test_at_level_speed_the_attached_lift_carries_the_weight(card, mach):
+    speed = level_speed(Model.of(card.effects), values(), card.aircraft, 0.1, ALTITUDE, mach)
+    density, sound = (float(x) for x in air(jnp.asarray(ALTITUDE)))
+    CL = TRUTH["CL0"] + (TRUTH["CLa"] + TRUTH["CLaM"] * (mach or speed / sound)) * 0.1
+    lift = 0.5 * density * speed**2 * card.aircraft.wing_area * CL
+    assert lift == pytest.approx(card.aircraft.mass * GRAVITY, rel=1e-9)
+
+
+def test_a_model_is_flown_by_its_stabilizer_or_cannot_be_trimmed(card):
+    model = pitched_by(card, "stabilizer_trim")
+    flown, refused = standard(model, card)
+    assert not refused
+    doublet = flown["elevator_doublet"]
+    assert np.all(doublet["elevator"] == 0.0)
+    assert np.ptp(doublet["stabilizer"]) > np.deg2rad(3.0)
+    begin = trimmed(model, values(), card.aircraft, AIRSPEED, ALTITUDE)
+    assert doublet["alpha"][:25] == pytest.approx(begin.alpha, abs=np.deg2rad(0.1))
+    assert np.ptp(doublet["alpha"]) > np.deg2rad(1.0)
+    with pytest.raises(InputError, match="neither elevator nor stabilizer pitches it"):
+        trimmed(pitched_by(card), values(), card.aircraft, AIRSPEED, ALTITUDE)
+
+
+# Steady flight in six degrees of freedom: the equations of another simulator say that nothing changes in it
+PLANE = Plane(**six.ATTACHED, Ixy=1.5e3, Iyz=-2e3)
+SPEED, HEIGHT = 120.0, 4000.0
+
+
+def trimmed_six(effects=(*six.LONGITUDINAL, *six.LATERAL), **condition):
+    model = six.model(effects)
+    asked = Condition(condition.pop("airspeed", SPEED), HEIGHT, **condition)
+    return rigid_trim(model, six.values(PLANE, model), six.aircraft(PLANE), asked)
+
+
+def rates(found, unequal=0.0):
+    """Those of the other simulator there."""
+    V, alpha, beta = (found.state[name] for name in ("airspeed", "alpha", "beta"))
+    x = np.zeros(12)
+    x[:3] = V * np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    x[3:9] = [found.state[name] for name in ("p", "q", "r", "phi", "theta", "psi")]
+    x[9] = found.state["altitude"]
+    engines = 0.5 * found.thrust * np.array([1.0 + unequal, 1.0 - unequal])
+    return PLANE.rates(x, np.array([*(found.controls[n] for n in ("elevator", "aileron", "rudder")), *engines]))
+
+
+@pytest.mark.parametrize("condition", [
+    {}, {"climb": 0.06}, {"sideslip": 0.1}, {"unequal": 1.0}, {"sideslip": None, "bank": 0.08, "unequal": 1.0},
+    {"bank": 0.7, "turn_rate": None}, {"bank": None, "turn_rate": -0.04, "climb": -0.05},
+])  # fmt: skip
+def test_nothing_changes_in_steady_flight(condition):
+    found = trimmed_six(**condition)
+    slope = rates(found, condition.get("unequal", 0.0))
+    np.testing.assert_allclose(slope[:6], 0.0, atol=1e-6)
+    np.testing.assert_allclose(slope[6:8], 0.0, atol=1e-9)
+    assert slope[9] == pytest.approx(SPEED * np.sin(condition.get("climb", 0.0)), abs=1e-6)
+    turn = condition.get("turn_rate", 0.0)
+    assert slope[8] == pytest.approx(slope[8] if turn is None else turn, abs=1e-9)
+    if condition.get("bank") == 0.7:
+        assert slope[8] > 0.05
+    for name, state in (("sideslip", "beta"), ("bank", "phi")):
+        if condition.get(name) is not None:
+            assert found.state[state] == condition[name]
+
+
+def test_level_flight_is_found_and_what_cannot_be_held_is_refused():
+    x, controls = stranger_six.level(PLANE, SPEED, HEIGHT)
+    found = trimmed_six()
+    assert found.state["alpha"] == pytest.approx(np.arctan2(x[2], x[0]), rel=1e-6)
+    assert found.controls["elevator"] == pytest.approx(controls[0], rel=1e-5)
+    assert found.thrust == pytest.approx(controls[3] + controls[4], rel=1e-6)
+    effects = [n for n in (*six.LONGITUDINAL, *six.LATERAL) if n not in ("rudder_yaw", "rudder_roll")]
+    assert abs(trimmed_six(effects).state["phi"]) < 1e-9
+    with pytest.raises(InputError, match="no steady flight at 120 m/s and 4000 m that elevator, aileron can hold"):
+        trimmed_six(effects, unequal=1.0)
+    with pytest.raises(InputError, match="no steady flight at 30 m/s"):
+        trimmed_six(airspeed=30.0)
+    with pytest.raises(InputError, match="two of sideslip, bank and turn rate"):
+        Condition(SPEED, HEIGHT, bank=0.1)
+
+
+# The simulated flight against flight mechanics that was not taken from the simulator
+DT = 0.04
+N = 2001
+INNER = slice(20, -20)
+
+
+def pilot(n: int = N, **changes) -> Pilot:
+    return Pilot(alpha=jnp.zeros(n), thrust=jnp.zeros(n))._replace(**changes)
+
+
+def state(V, alpha, theta, q=0.0, h=3000.0, X=1.0) -> FlightState:
+    return FlightState(*(jnp.asarray(float(x)) for x in (V, alpha, theta, q, h, X)))
+
+
+def weave(n: int = N) -> tuple[np.ndarray, np.ndarray]:
+    """Bank of 30 deg and sideslip of 4 deg either way, smooth."""
+    t = np.arange(n) * DT
+    return np.deg2rad(30.0) * np.sin(0.5 * t) ** 3, np.deg2rad(4.0) * np.sin(0.7 * t + 1.0)
+
+
+BARE = Effect(
+    "bare", Kind.AERODYNAMICS, Stage.TOTAL, "Constant coefficients.", (), (),
+    lambda v, *_: {name: v[name] for name in ("CL", "CD", "Cm")}, Example({}, {}, {}, "-"), "-",
+)  # fmt: skip
+
+
+def bare(CL=0.0, CD=0.0, Cm=0.0) -> dict:
+    """Values of a model of constant coefficients; the elevator is powerless."""
+    return {name: jnp.asarray(float(x)) for name, x in {"CL": CL, "CD": CD, "Cm": Cm, "Cmde": 1.0}.items()}
+
+
+@pytest.fixture(scope="module")
+def stall(card):
+    """A stall with banks and sideslip, noise-free."""
+    model = Model.of(card.effects)
+    phi, beta = weave()
+    time = np.arange(N) * DT
+    p = pilot(
+        alpha=jnp.asarray(np.deg2rad(ramps(time, PROFILES[0]))),
+        thrust=jnp.asarray(np.interp(time, [0, 5, 8], [22e3, 22e3, 5e3])),
+        phi=jnp.asarray(phi),
+        beta=jnp.asarray(beta),
+    )
+    return fly(model, values(), card.aircraft, p, state(95, np.deg2rad(6), np.deg2rad(6), h=5200), DT)
+
+
+def test_wings_level_equations_are_the_symmetric_ones(card):
+    """Etkin's symmetric equations, written out here, at random states."""
+    model, a = Model.of(card.effects), card.aircraft
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        V, alpha, gamma, q = rng.uniform(60, 110), rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), rng.normal(0, 0.05)
+        inputs = {"alpha_led": jnp.asarray(alpha), "thrust": jnp.asarray(9e3), "command": jnp.asarray(0.01)}
+        plant = Plant(model, values(), a, (jnp.asarray(0.7), jnp.asarray(0.2), jnp.asarray(0.0)), jnp.asarray(0.0))
+        rest = dict.fromkeys(INPUTS, jnp.asarray(0.0))
+        x = jnp.stack(jax.tree.map(jnp.asarray, state(V, alpha, alpha + gamma, q)))
+        derivative, out = plant.motion(x, rest | inputs)
+        rates = FlightState(*derivative)
+        qS = 0.5 * float(air(jnp.asarray(3000.0))[0]) * V**2 * a.wing_area
+        lift, drag = qS * float(out["CL"]), qS * float(out["CD"])
+        along = (9e3 * np.cos(alpha) - drag) / a.mass - GRAVITY * np.sin(gamma)
+        assert pytest.approx(along, rel=1e-10) == rates.airspeed
+        level = q - (lift + 9e3 * np.sin(alpha)) / (a.mass * V) + GRAVITY * np.cos(gamma) / V
+        assert rates.alpha == pytest.approx(level, abs=1e-11)
+        assert rates.theta == pytest.approx(q)
+        assert rates.altitude == pytest.approx(V * np.sin(gamma))
+        assert out["ay"] == out["p"] == out["r"] == 0.0
+        Cm_cg = float(out["Cm"]) + (
+            -(drag * np.cos(alpha) - lift * np.sin(alpha)) * a.reference_point[2]
+            + (lift * np.cos(alpha) + drag * np.sin(alpha)) * a.reference_point[0]
+        ) / (qS * a.chord)
+        assert rates.q == pytest.approx((qS * a.chord * Cm_cg + 9e3 * a.engine[2]) / a.Iy, rel=1e-10)
+
+
+@pytest.mark.parametrize("degrees", [-30.0, 20.0, 45.0])
+def test_steady_level_turn(card, degrees):
+    """Lift m g/cos(bank) holds a level turn of rate g tan(bank)/V at constant speed (any flight-mechanics text).
+
+    There the bank is that of the lift, of sine cos(theta) sin(phi).
+    """
+    phi, V, alpha, h = np.deg2rad(degrees), 90.0, 0.12, 3000.0
+    a = replace(card.aircraft, accelerometer=(0.0, 0.0, 0.0), reference_point=(0.0, 0.0, 0.0))
+    theta = np.arctan(np.tan(alpha) * np.cos(phi))
+    bank = np.arcsin(np.cos(theta) * np.sin(phi))
+    turn = GRAVITY * np.tan(bank) / V
+    body = turn * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
+    qS = 0.5 * float(air(jnp.asarray(h))[0]) * V**2 * a.wing_area
+    gyro = (a.Iz - a.Ix) * body[0] * body[2] + a.Ixz * (body[2] ** 2 - body[0] ** 2)
+    values = bare(CL=a.mass * GRAVITY / np.cos(bank) / qS, Cm=-gyro / (qS * a.chord))
+    start = state(V, alpha, theta, body[1])
+    out = fly(Model.of([BARE]), values, a, pilot(50, phi=jnp.full(50, phi)), start, DT)
+    for name, value in (("airspeed", V), ("alpha", alpha), ("theta", theta), ("q", body[1]), ("altitude", h)):
+        np.testing.assert_allclose(out[name], value, rtol=1e-9, err_msg=name)
+    for name, value in (("p", body[0]), ("r", body[2]), ("psi_dot", turn), ("ay", 0.0)):
+        np.testing.assert_allclose(out[name], value, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(np.hypot(out["ax"], out["az"]), GRAVITY / np.cos(bank), rtol=1e-9)
+
+
+def test_the_record_obeys_rigid_body_kinematics_and_gives_the_coefficients_back(card, stall):
+    """Euler's and the body-axis velocity equations, from accelerations moved to the CG, against derivatives."""
+    s = stall
+    d = {
+        name: differentiate(s[name], DT)
+        for name in ("airspeed", "alpha", "beta", "theta", "phi", "altitude", "p", "q", "r")
+    }
+    rotation = Rotation(s["p"], s["q"], s["r"], d["p"], d["q"], d["r"])
+    ax, ay, az = (
+        s[f"a{k}"] - arm for k, arm in zip("xyz", lever_arm(rotation, card.aircraft.accelerometer), strict=True)
+    )
+    V, al, be, th, ph = (s[name] for name in ("airspeed", "alpha", "beta", "theta", "phi"))
+    u, v, w = V * jnp.cos(al) * jnp.cos(be), V * jnp.sin(be), V * jnp.sin(al) * jnp.cos(be)
+    p, q, r = s["p"], s["q"], s["r"]
+    found = {
+        "u": (differentiate(u, DT), r * v - q * w + ax - GRAVITY * jnp.sin(th)),
+        "v": (differentiate(v, DT), p * w - r * u + ay + GRAVITY * jnp.cos(th) * jnp.sin(ph)),
+        "w": (differentiate(w, DT), q * u - p * v + az + GRAVITY * jnp.cos(th) * jnp.cos(ph)),
+        "theta": (d["theta"], q * jnp.cos(ph) - r * jnp.sin(ph)),
+        "phi": (d["phi"], p + jnp.tan(th) * (q * jnp.sin(ph) + r * jnp.cos(ph))),
+        "h": (d["altitude"], u * jnp.sin(th) - (v * jnp.sin(ph) + w * jnp.cos(ph)) * jnp.cos(th)),
+    }
+    for name, (derivative, equation) in found.items():
+        error = float(jnp.sqrt(jnp.mean((derivative - equation)[INNER] ** 2)))
+        assert error < 2e-3 * float(jnp.std(derivative[INNER])), name
+    # What `physics.coefficients` makes of the record is what was flown, to the error of its smoothing.
+    n = len(stall["alpha"])
+    ends = jnp.full(n, DT), jnp.zeros(n, int), jnp.full(n, n - 1)
+    found = coefficients(condition_joined(stall, *ends), card.aircraft)
+    for name, limit in (("CL", 2e-3), ("CD", 1e-3), ("Cm", 1e-3)):
+        error = np.asarray(getattr(found, name) - stall[name])[INNER]
+        assert np.sqrt(np.mean(error**2)) < limit, name
+
+
+# Conditions of the stall, from signals made by hand
+def test_conditions_are_those_of_the_largest_lift_not_of_the_largest_angle():
+    """Lift peaks in the first tenth; the angle of attack in the last, with the elevator pulled further."""
+    n = 100
+    alpha, elevator, az = np.full(n, 0.1), np.full(n, -0.05), np.full(n, -9.8)
+    az[:10], elevator[:10] = -12.0, -0.15
+    alpha[-10:], elevator[-10:] = 0.4, -0.28
+    signals = {"alpha": alpha, "elevator": elevator, "az": az, "density": np.full(n, 1.0), "airspeed": np.full(n, 50.0)}
+    held = conditions(signals | {"q": np.full(n, 0.3)})
+    assert held["elevator"] == pytest.approx(-0.15)
+    assert held["q"] == 0.0
+    without = {name: x for name, x in signals.items() if name != "az"}
+    assert conditions(without)["elevator"] == pytest.approx(-0.28)
+
+
+# Shapes of inputs: what a 3-2-1-1, a later pulse and a rounded step are by definition
+TIME = np.arange(-125, 1500) * DT
+
+
+@pytest.mark.parametrize("begin", [5.0, 32.0])
+def test_a_3_2_1_1_lasts_as_many_samples_as_its_name_says(begin):
+    """Units of 0.8 s, 20 samples each: edges fall on samples, though 3 x 0.8 is not 2.4 in floating point."""
+    signal = pulses(TIME, three_two_one_one(begin, 0.8, 2.0))
+    changes = np.flatnonzero(np.diff(signal)) + 1
+    np.testing.assert_allclose(TIME[changes[0]], begin)
+    np.testing.assert_array_equal(np.diff(changes), [60, 40, 20, 20])
+    np.testing.assert_array_equal(signal[changes], [2.0, -2.0, 2.0, -2.0, 0.0])
+
+
+def test_a_later_pulse_replaces_an_earlier_one_while_it_lasts():
+    signal = pulses(TIME, [(1.0, 10.0, 1.0), (3.0, 5.0, -2.0), *steps((20.0, 4.0))])
+    at = lambda t: signal[np.searchsorted(TIME, t)]
+    assert [at(t) for t in (0.5, 2.0, 4.0, 7.0, 15.0, 59.0)] == [0.0, 1.0, -2.0, 1.0, 0.0, 4.0]
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.04, 0.5])
+def test_a_rounded_step_ends_where_the_step_ends_and_is_half_way_at_its_middle(dt):
+    time = np.arange(-10.0, 10.0, dt)
+    step = np.where(time < -0.25 * dt, 0.0, 1.0)
+    smooth = rounded(step, 2.0, dt)
+    assert len(smooth) == len(time)
+    np.testing.assert_allclose(smooth[np.abs(time) > 1.0 + dt], step[np.abs(time) > 1.0 + dt], atol=1e-12)
+    assert np.all(np.diff(smooth) > -1e-12)
+    middle = int(np.argmin(np.abs(time)))
+    assert 0.5 * (smooth[middle - 1] + smooth[middle]) == pytest.approx(0.5)  # the window is symmetric
+
+
+# Multisines: what orthogonal, flat and periodic mean, computed from the signals alone
+PERIOD, BAND = 25.0, (0.1, 1.4)
+ONE_PERIOD = np.arange(0.0, PERIOD, DT)
+
+
+def peak_factor(signal):
+    """Half the range over that of a sine of the same root mean square; 1 for a sine."""
+    return np.ptp(signal) / (2.0 * np.sqrt(2.0 * np.mean(np.square(signal))))
+
+
+@pytest.fixture(scope="module")
+def three():
+    return multisines(ONE_PERIOD, PERIOD, BAND, 3)
+
+
+def test_multisines_are_orthogonal_and_stay_so_through_any_linear_system(three):
+    shared = three @ three.T
+    np.testing.assert_allclose(shared - np.diag(np.diag(shared)), 0.0, atol=1e-10 * shared[0, 0])
+    spectra = np.abs(np.fft.rfft(three)) > 1e-6 * len(ONE_PERIOD)
+    frequencies = np.fft.rfftfreq(len(ONE_PERIOD), DT)
+    assert np.all(spectra.sum(axis=0) <= 1)
+    excited = frequencies[spectra.any(axis=0)]
+    np.testing.assert_allclose(excited, np.arange(3, 36) / PERIOD)  # every multiple of 1/T from 0.1 to 1.4 Hz
+    # Of a whole period, circular convolution with any response keeps the frequencies.
+    response = np.exp(-ONE_PERIOD)[None, :] * np.array([[1.0], [-2.0], [0.5]])
+    answers = np.fft.irfft(np.fft.rfft(three) * np.fft.rfft(response), len(ONE_PERIOD))
+    shared = answers @ answers.T
+    np.testing.assert_allclose(shared - np.diag(np.diag(shared)), 0.0, atol=1e-10 * np.max(shared))
+
+
+@pytest.mark.parametrize(("controls", "least"), [(1, 1.1), (3, 1.3)])
+def test_peaks_are_small_and_the_signal_begins_at_zero(controls, least):
+    """In phase 33 cosines have a relative peak factor of about 4; Morelli accepts up to 1.3 for a few of them."""
+    signals = multisines(np.arange(0.0, PERIOD, 0.005), PERIOD, BAND, controls)
+    np.testing.assert_allclose(signals[:, 0], 0.0, atol=1e-9)
+    for signal in signals:
+        assert peak_factor(signal) < least
+        assert np.max(np.abs(signal)) == pytest.approx(1.0, abs=1e-2)
+
+
+def test_multisines_of_the_standard_manoeuvre_and_of_a_narrow_band():
+    assert peak_factor(np.sin(2.0 * np.pi * np.arange(1000) / 1000.0)) == pytest.approx(1.0, rel=1e-6)
+    time = np.arange(0.0, SECONDS, DT)
+    signals = multisine_inputs(time, 3)
+    one, two = (signals[:, round(begin / DT) : round((begin + PERIOD) / DT)] for begin in (5.0, 30.0))
+    np.testing.assert_allclose(one, two, atol=1e-9)
+    assert not np.any(signals[:, time < 5.0 - DT / 2])
+    assert not np.any(signals[:, time > 55.0 - DT / 2])
+    with pytest.raises(InputError, match=r"1 multiples of 1/25 s, and 1 multisines need 2 above zero; widen the band"):
+        multisines(ONE_PERIOD, PERIOD, (0.1, 0.12), 1)

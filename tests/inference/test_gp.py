@@ -1,0 +1,589 @@
+"""Gaussian processes: density, priors and derivatives, the optimum, full Bayes of the hyperparameters, and `fit_gp`."""
+
+import arviz_stats
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from arviz_stats.base import array_stats
+from numpyro.infer import MCMC, NUTS
+from scipy.integrate import quad
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from bayes_aero.errors import InputError
+from bayes_aero.inference import gp as fit
+from bayes_aero.inference.gp import Prediction, fit_gp, posterior
+from bayes_aero.inference.gp.kernel import (
+    FLAT,
+    ExactPoint,
+    HyperPrior,
+    Priors,
+    ReducedData,
+    fit_emulator,
+    noise_to_signal,
+    outputs,
+    reduced_stats,
+    stats_and_gradient,
+)
+from bayes_aero.inference.gp.optimum import SD_BOUNDS, MapStatus, assemble, best_sizes, find_map, maximise, slopes
+from bayes_aero.inference.gp.posterior import (
+    K_LIMIT,
+    Budget,
+    SampleStatus,
+    Settings,
+    laplace_root,
+    log_density,
+    pareto_smooth,
+    reweight,
+    sample_posterior,
+    small_posterior,
+    thin,
+)
+from bayes_aero.processes import give_back_memory
+
+
+def covariance(theta, x):
+    """Of measurements at `x` (n, d), from the scaled logarithms of the hyperparameters; as a textbook writes it."""
+    d, e = x.shape[1], jnp.exp(jnp.asarray(theta))
+    distance = (((x[:, None] - x) / e[d + 2 : 2 * d + 2]) ** 2).sum(axis=-1)
+    k = e[0] ** 2 + (x * e[1 : d + 1] ** 2) @ x.T + e[d + 1] ** 2 * jnp.exp(-0.5 * distance)
+    return k + e[-1] ** 2 * jnp.eye(len(x))
+
+
+@pytest.fixture
+def problem():
+    """A maker of small problems drawn from the kernel itself: (data, theta) for a seed, a size, a number of inputs."""
+
+    def make(seed, n=60, d=3):
+        rng = np.random.default_rng(seed)
+        theta = rng.uniform(-0.7, 0.7, size=2 * d + 3)
+        theta[-1] -= 1.5
+        x = rng.normal(size=(n, d))
+        return ReducedData.of(x, np.linalg.cholesky(covariance(theta, x)) @ rng.normal(size=n)), theta
+
+    return make
+
+
+# The marginal likelihood against its textbook form, closed forms, finite differences and scikit-learn
+
+
+@pytest.mark.parametrize(("seed", "d"), [(0, 1), (1, 2), (2, 4)])
+def test_value_is_the_gaussian_density_of_the_full_covariance(problem, seed, d):
+    data, theta = problem(seed, n=40, d=d)
+    exact = multivariate_normal(np.zeros(data.n), covariance(theta, data.x)).logpdf(data.fy[:, -1])
+    assert log_density(theta, data, Priors.flat()).value == pytest.approx(exact, rel=1e-10)
+
+
+def test_a_covariance_that_cannot_be_factorised_is_a_status(monkeypatch):
+    """Every sample twice, and no noise to tell them apart."""
+    x = np.repeat(np.linspace(-1, 1, 30), 2)[:, None]
+    data = ReducedData.of(x, np.sin(x[:, 0]))
+    out = log_density(np.array([0.0, 0.0, 0.0, 3.0, -25.0]), data, Priors.flat())
+    assert not out.ok
+    assert np.isnan(out.value)
+    monkeypatch.setattr("bayes_aero.inference.gp.optimum.NOISE_BOUNDS", (-60.0, -50.0))
+    best = maximise(np.array([1.0, -55.0]), data, Priors(noise=HyperPrior("flat")))
+    assert best.status is MapStatus.not_positive_definite
+
+
+@pytest.mark.parametrize("priors", [Priors.flat(), Priors()], ids=["flat", "default"])
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient_is_the_finite_difference(problem, seed, priors):
+    data, theta = problem(seed + 10)
+    gradient = log_density(theta, data, priors).gradient
+    step = 1e-5 * np.eye(theta.size)
+    numeric = [
+        (log_density(theta + s, data, priors).value - log_density(theta - s, data, priors).value) / 2e-5 for s in step
+    ]
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-6)
+
+
+def test_value_and_gradient_are_scikit_learns(problem):
+    pytest.importorskip("sklearn")
+    from scikit_learn_gp import scikit_learn_model, to_scikit_learn
+
+    data, theta = problem(30, n=80, d=4)
+    ours = log_density(theta, data, Priors.flat())
+    model = scikit_learn_model(data.x, data.fy[:, -1], theta)
+    value, gradient = model.log_marginal_likelihood(to_scikit_learn(theta), eval_gradient=True)
+    assert ours.value == pytest.approx(value, rel=1e-8)
+    per = to_scikit_learn(np.ones(theta.size))  # theirs are derivatives by the logs of variances
+    np.testing.assert_allclose(ours.gradient, per * gradient, rtol=1e-6, atol=1e-8)
+
+
+# Hyperparameter priors are densities of the logarithm, and refuse nonsense
+PROPER = [
+    HyperPrior("half-normal", 0.7), HyperPrior("log-normal", 0.3, 0.8), HyperPrior("inverse-gamma", 3.0, 2.0),
+    HyperPrior("frechet", 2.0, 5.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("prior", PROPER, ids=lambda p: p.family)
+def test_priors_integrate_to_one_and_draws_follow_them(prior):
+    mass, _ = quad(lambda t: float(jnp.exp(prior.log_density(jnp.asarray(t)))), -15, 8, limit=200)
+    assert mass == pytest.approx(1.0, abs=1e-6)
+    t = np.asarray(prior.sample(jax.random.PRNGKey(4), (4000,)))
+    mean, _ = quad(lambda s: s * float(jnp.exp(prior.log_density(jnp.asarray(s)))), -15, 8, limit=200)
+    assert t.mean() == pytest.approx(mean, abs=5 * t.std() / np.sqrt(t.size))
+
+
+def test_a_frechet_prior_charges_for_what_is_shorter_than_its_scale():
+    prior = HyperPrior("frechet", 6.0, 10.0)
+    t = prior.sample(jax.random.PRNGKey(1), (20000,))
+    assert float(jnp.mean(jnp.exp(t) < 6.0)) == pytest.approx(np.exp(-1.0), abs=0.02)  # its scale is that quantile
+    at_half, at_scale = prior.log_density(jnp.log(jnp.array([3.0, 6.0])))
+    assert float(at_scale - at_half) == pytest.approx(2.0**10 - 1.0 - 10.0 * np.log(2.0))
+
+
+def test_priors_are_laid_out_as_theta_and_refuse_nonsense():
+    priors, d = Priors(), 3
+    theta = jnp.linspace(-1, 1, 2 * d + 3)
+    parts = [float(p.log_density(t)) for p, t in zip(priors.per_parameter(d), theta, strict=True)]
+    assert float(priors.log_density(theta)) == pytest.approx(sum(parts))
+    assert priors.sample(jax.random.PRNGKey(0), d, 7).shape == (7, 2 * d + 3)
+    with pytest.raises(InputError, match="positive"):
+        HyperPrior("half-normal", -1.0)
+    with pytest.raises(InputError, match="improper"):
+        FLAT.sample(jax.random.PRNGKey(0), (1,))
+    assert not Priors(noise=FLAT).proper
+
+
+# Newton's method for the sizes: its derivatives against automatic ones, its optimum against SciPy's
+INVERSE = Priors(linear=HyperPrior("inverse-gamma", 2.0, 0.5))
+PRIORS = {"house": Priors(), "quasi-steady": Priors.quasi_steady(), "flat": Priors.flat(), "inverse": INVERSE}
+
+
+def together(w, u):
+    return jnp.concatenate([w, u[:-1], (w[-1] + 0.5 * u[-1])[None]])
+
+
+def statistics_of(seed, d):
+    """Statistics of d inputs, an output with a linear and a curved part, at random length scales."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((80, d))
+    y = np.sin(2.0 * x[:, 0]) + x @ rng.uniform(0.0, 0.3, d) + rng.normal(0.0, 0.2, 80)
+    u = np.append(rng.uniform(-0.5, 2.0, d), rng.uniform(-4.0, 0.0))
+    return u, reduced_stats(u, ReducedData.of(x, y / np.sqrt(np.mean(y**2))))
+
+
+@pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
+@pytest.mark.parametrize("d", [1, 4])
+def test_derivatives_are_those_of_the_density(priors, d):
+    rng = np.random.default_rng(4132)
+    u, stats = statistics_of(rng.integers(2**31), d)
+    w = rng.uniform(-1.5, 1.0, d + 2)
+    found = slopes(w, u, stats, 80.0, priors)
+
+    def posterior(theta, logdet, gram):
+        return small_posterior(theta, logdet, gram, 80.0, priors)
+
+    arguments = (together(w, u), jnp.asarray(stats.logdet), jnp.asarray(stats.gram))
+    assert found.value == pytest.approx(float(posterior(*arguments)), rel=1e-11)
+    by_theta, by_logdet, by_gram = jax.grad(posterior, argnums=(0, 1, 2))(*arguments)
+    np.testing.assert_allclose(found.by_theta, by_theta, rtol=1e-8, atol=1e-8)
+    assert found.by_logdet == pytest.approx(float(by_logdet))
+    symmetric = np.asarray(by_gram) + np.asarray(by_gram).T
+    np.testing.assert_allclose(found.by_gram + found.by_gram.T, symmetric, rtol=1e-7, atol=1e-9)
+    in_w = jax.jit(lambda w: posterior(together(w, u), *arguments[1:]))
+    np.testing.assert_allclose(found.by_w, jax.grad(in_w)(w), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found.by_w_twice, jax.hessian(in_w)(w), rtol=1e-7, atol=1e-6)
+
+
+@pytest.mark.parametrize("priors", PRIORS.values(), ids=PRIORS)
+def test_the_optimum_is_at_least_as_good_as_that_of_scipy(priors):
+    rng = np.random.default_rng(4132)
+    for _ in range(5):
+        d = int(rng.integers(1, 6))
+        u, stats = statistics_of(rng.integers(2**31), d)
+        start = rng.uniform(-3.0, 2.0, d + 2)
+        w, found = best_sizes(start, u, stats, 80.0, priors)
+        assert np.all((w >= SD_BOUNDS[0]) & (w <= SD_BOUNDS[1]))
+
+        def negative(w, u=u, stats=stats):
+            at = slopes(w, u, stats, 80.0, priors)
+            return -at.value, -at.by_w
+
+        theirs = minimize(negative, w, jac=True, method="L-BFGS-B", bounds=[SD_BOUNDS] * w.size)
+        assert found.value >= -theirs.fun - 1e-7 * abs(theirs.fun)  # nothing higher close by
+        inside = (w > SD_BOUNDS[0] + 1e-6) & (w < SD_BOUNDS[1] - 1e-6)
+        assert np.max(np.abs(found.by_w[inside]), initial=0.0) < 1e-4 * max(1.0, 1e-3 * abs(found.value))
+
+
+@pytest.mark.parametrize("family", ["half-normal", "log-normal", "inverse-gamma", "frechet", "flat"])
+def test_slopes_of_a_prior_are_those_of_its_density(family):
+    prior = HyperPrior(family, 0.7, 1.3)
+    t = np.random.default_rng(3).uniform(-2.0, 2.0, 7)
+    value, slope, bend = prior.slopes(t)
+    np.testing.assert_allclose(value, prior.log_density(jnp.asarray(t)), rtol=1e-12, atol=1e-12)
+    first = jax.vmap(jax.grad(prior.log_density))
+    np.testing.assert_allclose(slope, first(jnp.asarray(t)), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        bend, jax.vmap(jax.grad(jax.grad(prior.log_density)))(jnp.asarray(t)), rtol=1e-9, atol=1e-12
+    )
+
+
+# Full Bayes through the stand-in equals NUTS on the exact density, and a wrong stand-in is refused
+LENGTH = Settings(250, 500, 4)
+BUDGET = Budget(exact=400, nuts=LENGTH)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A non-linear function of one input with a linear trend, 60 points: data, optimum, posterior."""
+    rng = np.random.default_rng(21)
+    x = rng.uniform(-1.7, 1.7, size=(60, 1))
+    y = 0.5 + 0.4 * x[:, 0] + 0.5 * np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=60)
+    data = ReducedData.of(x, y)
+    best = find_map(data, Priors(), starts=4, polish=1)[0]
+    return data, best, sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+
+
+def test_it_is_accepted_with_its_error_measured_and_the_same_again(case):
+    data, _, sampled = case
+    weighted = sampled.weighted
+    assert sampled.status is SampleStatus.accepted
+    assert weighted.k_hat < K_LIMIT <= 0.7
+    assert weighted.ess > 0.8 * weighted.exact.size
+    assert np.sum(np.exp(weighted.log_weight)) == pytest.approx(1.0)
+    assert np.max(sampled.chains.rhat) < 1.01
+    at = weighted.theta[1, 5]
+    assert weighted.exact[1, 5] == pytest.approx(log_density(at, data, Priors()).value, abs=1e-9)
+    data, best, sampled = case
+    again = sample_posterior(best, data, Priors(), budget=BUDGET, seed=2)
+    np.testing.assert_array_equal(again.weighted.theta, sampled.weighted.theta)
+    assert again.weighted.k_hat == sampled.weighted.k_hat
+
+
+def test_re_weighted_draws_are_those_of_nuts_on_the_exact_density(case):
+    data, best, sampled = case
+    root = laplace_root(best.theta, sampled.emulator, float(data.n), Priors())
+    exact = _nuts_on_the_exact_density(best.theta, root, data)
+    draws = np.asarray(best.theta + exact.get_samples(group_by_chain=True) @ root.T)
+    theirs = draws.reshape(-1, best.theta.size)
+    theirs_ess = np.array([array_stats.ess(c) for c in np.moveaxis(draws, -1, 0)])
+    weight = np.exp(sampled.weighted.log_weight).ravel()
+    ours = sampled.weighted.theta.reshape(-1, best.theta.size)
+    mean = weight @ ours
+    sd = np.sqrt(weight @ (ours - mean) ** 2)
+    error = np.sqrt(theirs.var(axis=0) * (1 / np.minimum(theirs_ess, len(theirs)) + 1 / sampled.weighted.ess))
+    assert np.all(np.abs(mean - theirs.mean(axis=0)) < 4.5 * error)
+    np.testing.assert_allclose(sd, theirs.std(axis=0), rtol=0.25)
+    log_density_there = -np.asarray(exact.get_extra_fields()["potential_energy"])
+    assert log_density_there.mean() == pytest.approx(weight @ sampled.weighted.exact.ravel(), abs=0.6)
+
+
+def _nuts_on_the_exact_density(theta, root, data):
+    """NumPyro's own driver on the textbook density, n^3 at every leapfrog step."""
+    x, y = jnp.asarray(data.x), jnp.asarray(data.fy[:, -1])
+
+    def potential(w):
+        at = jnp.asarray(theta) + jnp.asarray(root) @ w
+        exact = jax.scipy.stats.multivariate_normal.logpdf(y, jnp.zeros(len(y)), covariance(at, x))
+        return -exact - Priors().log_density(at)
+
+    driver = MCMC(
+        NUTS(potential_fn=potential, target_accept_prob=0.85, max_tree_depth=7, dense_mass=True),
+        num_warmup=LENGTH.warmup, num_samples=LENGTH.draws, num_chains=LENGTH.chains,
+        chain_method="vectorized", progress_bar=False,
+    )  # fmt: skip
+    starts = jax.random.normal(jax.random.PRNGKey(8), (LENGTH.chains, len(theta)))
+    driver.run(jax.random.PRNGKey(9), init_params=starts, extra_fields=("potential_energy",))
+    return driver
+
+
+@pytest.mark.forgets
+@pytest.mark.verify
+def test_it_samples_as_before_after_compiled_programs_were_given_back():
+    """As between two coefficients that one process trains."""
+    x = np.linspace(-1.5, 1.5, 30)[:, None]
+    data = ReducedData.of(x, np.sin(3.0 * x[:, 0]) + 0.1 * np.random.default_rng(3).normal(size=30))
+    best = find_map(data, Priors(), starts=2, polish=1)[0]
+    tiny = Budget(design=20, exact=20, rounds=1, extensions=0, nuts=Settings(10, 10, 2))
+    before = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
+    give_back_memory()
+    after = sample_posterior(best, data, Priors(), budget=tiny, seed=1)
+    np.testing.assert_array_equal(after.chains.theta, before.chains.theta)
+
+
+def test_a_stand_in_that_is_too_narrow_or_cannot_learn_is_refused(case, monkeypatch):
+    """Draws squeezed to a third around the optimum, with the density they then have."""
+    data, best, sampled = case
+    theta, _ = thin(sampled.chains, 400)
+    narrow = best.theta + (theta - best.theta) / 3.0
+    exact = np.array([log_density(t, data, Priors(), gradient=False).value for t in theta.reshape(-1, 5)])
+    judged = reweight(narrow, exact.reshape(theta.shape[:2]), data, Priors(), lambda _: None)
+    assert judged.k_hat > K_LIMIT
+    assert judged.status is SampleStatus.pareto_k
+    assert "Refused" in judged.status.value
+    # The emulator replaced by one that is wrong about the noise: every round fails, none is used silently.
+    data, best, _ = case
+    honest = posterior.fit_emulator
+
+    def crooked(points, level):
+        bent = [p.stats._replace(logdet=p.stats.logdet + 60.0 * p.u[-1]) for p in points]
+        return honest([p._replace(stats=s) for p, s in zip(points, bent, strict=True)], level)
+
+    monkeypatch.setattr(posterior, "fit_emulator", crooked)
+    sampled = sample_posterior(
+        best, data, Priors(), budget=Budget(exact=80, rounds=2, extensions=1, nuts=LENGTH), seed=0
+    )
+    assert sampled.status is not SampleStatus.accepted
+    assert "Refused" in sampled.status.value
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pareto_smoothing_weighs_one_gaussian_into_another(seed):
+    """E and Var of N(0.3, 1) from draws of N(0, 1.2): the sign convention of ArviZ's psislw is in this."""
+    x = 1.2 * np.random.default_rng(seed).normal(size=4000)
+    log_weight, k_hat = pareto_smooth(-0.5 * (x - 0.3) ** 2 + 0.5 * (x / 1.2) ** 2)
+    w = np.exp(log_weight)
+    assert k_hat < 0.5
+    assert w @ x == pytest.approx(0.3, abs=0.1)
+    assert w @ (x - w @ x) ** 2 == pytest.approx(1.0, abs=0.12)
+
+
+# The search finds the optimum it should, from bad starts too, and says how it ended
+def test_theta_and_derivatives_of_the_outputs_are_what_they_stand_for(problem):
+    _, theta = problem(0, d=4)
+    np.testing.assert_allclose(assemble(theta[:6], noise_to_signal(theta)), theta, atol=1e-14)
+    data, theta = problem(8, n=50, d=2)
+    u = noise_to_signal(theta)
+
+    def at(v):
+        return outputs(ExactPoint(v, *stats_and_gradient(v, data)))
+
+    numeric = [(at(u + s)[0] - at(u - s)[0]) / 2e-5 for s in 1e-5 * np.eye(u.size)]
+    np.testing.assert_allclose(at(u)[1], numeric, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_full_gradient_vanishes_at_the_optimum(problem, seed):
+    data, theta = problem(seed, n=150, d=2)
+    best = maximise(noise_to_signal(theta), data, Priors())
+    assert best.status is MapStatus.converged
+    out = log_density(best.theta, data, Priors())
+    assert out.value == pytest.approx(best.value, abs=1e-9)
+    assert np.max(np.abs(out.gradient)) < 0.02
+    assert best.value > log_density(theta, data, Priors()).value
+
+
+def test_searches_from_several_starts_end_at_the_better_optimum_or_at_a_bound():
+    """Two explanations of one record: a slow trend with much noise, or a fast wave with little."""
+    rng = np.random.default_rng(2)
+    x = np.sort(rng.uniform(-1.7, 1.7, 60))[:, None]
+    y = 0.6 * np.sin(14.0 * x[:, 0]) + 0.8 * x[:, 0] + 0.1 * rng.normal(size=60)
+    data = ReducedData.of(x, y)
+    slow = maximise(np.array([2.0, 2.0]), data, Priors())
+    found = find_map(data, Priors(), starts=12, seed=1)
+    assert found[0].value > slow.value + 10  # a single start from the slow side is poor
+    assert np.exp(found[0].u[0]) < 0.5 < np.exp(slow.u[0])
+    assert [o.value for o in found] == sorted((o.value for o in found), reverse=True)
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(80, 2))
+    data = ReducedData.of(x, np.sin(2 * x[:, 0]) + 0.1 * rng.normal(size=80))
+    best = find_map(data, Priors.flat(), starts=4, seed=0)[0]
+    assert best.status is MapStatus.at_bound
+    assert find_map(data, Priors(), starts=4, seed=0)[0].status is MapStatus.converged
+
+
+@pytest.mark.recovery
+def test_hyperparameters_drawn_from_the_prior_are_recovered(problem):
+    """log l and log sn of many kernels come back without bias, with a spread that the size of the data allows."""
+    errors = []
+    for seed in range(12):
+        data, theta = problem(100 + seed, n=250, d=2)
+        errors.append(find_map(data, Priors(), starts=4, polish=1, seed=seed)[0].theta - theta)
+    errors = np.array(errors)
+    lengths, noise = errors[:, 4:6], errors[:, -1]
+    assert abs(np.mean(noise)) < 0.05
+    assert np.std(noise) < 0.12
+    assert abs(np.mean(lengths)) < 0.3
+    assert np.median(np.abs(lengths)) < 0.4
+
+
+# The stand-in reproduces its data, its derivatives and a held-back point, and stays put outside
+@pytest.fixture
+def trained(problem):
+    data, theta = problem(7, n=80, d=2)
+    centre = noise_to_signal(theta)
+    rng = np.random.default_rng(0)
+    points = []
+    for _ in range(60):
+        u = centre + 0.15 * rng.normal(size=centre.size)
+        points.append(ExactPoint(u, *stats_and_gradient(u, data)))
+    return points, fit_emulator(points[:40], np.zeros(40))
+
+
+def test_what_the_emulator_was_trained_with_is_predicted_again(trained):
+    points, emulator = trained
+    for p in points[40:]:
+        logdet, gram, _ = emulator(jnp.asarray(p.u))
+        assert float(logdet) == pytest.approx(p.stats.logdet, abs=0.02)
+        np.testing.assert_allclose(gram, p.stats.gram, rtol=1e-2, atol=1e-2 * np.max(p.stats.gram))
+    far = jnp.asarray(points[0].u + 5.0)
+    farther = emulator.centre + 3.0 * (far - emulator.centre)
+    (a, _, near_penalty), (b, _, far_penalty) = emulator(far), emulator(farther)
+    assert float(a) == pytest.approx(float(b), abs=1.0)
+    assert float(far_penalty) < float(near_penalty) < -10
+    assert np.all(np.isfinite(jax.grad(lambda u: emulator(u)[2])(far)))
+    assert float(emulator(emulator.centre)[2]) == 0.0
+    points, _ = trained
+    few = fit_emulator(points[:8], np.zeros(8))  # 32 rows: quadratic in three variables has 10 terms, cubic 20
+    corner = np.asarray(few.coefficients)[:4, :4]
+    assert np.count_nonzero(few.coefficients) <= 10 * few.coefficients.shape[-1]
+    assert np.all(np.isfinite(corner))
+    points, emulator = trained
+    junk = [p._replace(u=p.u + 3.0) for p in points[40:50]]
+    again = fit_emulator([*points[:40], *junk], np.append(np.zeros(40), np.full(10, -1e4)))
+    at = jnp.asarray(points[55].u)
+    assert float(again(at)[0]) == pytest.approx(float(emulator(at)[0]), abs=0.05)
+    assert float(again(jnp.asarray(junk[0].u))[2]) < -10
+    points, _ = trained
+    mixed = [*points[:20], *(p._replace(gradient=None) for p in points[20:50])]
+    emulator = fit_emulator(mixed, np.zeros(50))
+    for p in points[50:]:
+        assert float(emulator(jnp.asarray(p.u))[0]) == pytest.approx(p.stats.logdet, abs=0.05)
+
+
+# `fit_gp` from the outside: predictions, coverage, units, refusals, and a tree that ArviZ reads back
+def make(seed, n=100):
+    """Two inputs in units far apart, an output with an offset and noise of sd 0.1."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, 2)) * [0.05, 9.0] + [0.15, 84.0]
+    z = (X - [0.15, 84.0]) / [0.05, 9.0]
+    return X, 1.0 + 0.3 * z[:, 0] + 0.4 * np.sin(1.5 * z[:, 1]) + 0.1 * rng.normal(size=n)
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    X, y = make(0)
+    budget = Budget(exact=80, nuts=LENGTH)  # shape and settings as above: one compilation
+    return fit_gp(X[:, 1:], y - 6 * X[:, 0], input_names=("V",), output_name="CL", starts=4, budget=budget, seed=4)
+
+
+@pytest.fixture(scope="module")
+def at_map():
+    return fit_gp(*make(0), input_names=("alpha", "V"), starts=4, sample=False)
+
+
+def test_predictions_cover_what_they_say_with_the_uncertainty_of_hyperparameters(sampled):
+    X, y = make(1, n=1500)
+    y = y - 6 * X[:, 0]
+    p = sampled.predict(X[:, 1:])
+    for level, share in p.coverage(y).items():
+        assert share == pytest.approx(level, abs=0.1 if level == 0.5 else 0.05)
+    assert np.sqrt(np.mean((p.mean - y) ** 2)) < 0.13
+    assert np.all(p.sd > p.latent_sd)
+    new = np.linspace(60.0, 110.0, 50)[:, None]
+    p = sampled.predict(new)
+    assert p.component_mean.shape == (24, 50)
+    np.testing.assert_allclose(p.mean, p.component_mean.mean(axis=0))
+    within = np.mean(p.component_sd**2, axis=0)
+    np.testing.assert_allclose(p.sd**2, within + p.component_mean.var(axis=0))
+    assert np.all(p.component_mean.std(axis=0) > 0)
+
+
+def test_map_prediction_is_the_textbook_conditional(at_map):
+    X, y = make(0)
+    new, _ = make(3, n=5)
+    hyper = at_map.map
+    names = ("constant", "linear", "signal", "length_scale", "noise")
+    theta = np.log(np.concatenate([np.atleast_1d(hyper[name]) for name in names]))
+    k = np.asarray(covariance(theta, np.concatenate([X, new]) - at_map.scaling.mean))
+    cross = k[:100, 100:]
+    p = at_map.predict(new)
+    np.testing.assert_allclose(p.mean, cross.T @ np.linalg.solve(k[:100, :100], y), rtol=1e-8)
+    variance = np.diag(k[100:, 100:] - cross.T @ np.linalg.solve(k[:100, :100], cross))
+    np.testing.assert_allclose(p.sd**2, variance, rtol=1e-8)
+    np.testing.assert_allclose(p.latent_sd**2, variance - hyper["noise"] ** 2, rtol=1e-5)
+    np.testing.assert_allclose(p.high[2] - p.low[2], 2 * 1.959964 * p.sd, rtol=1e-6)
+
+
+def test_mixture_quantiles_are_those_of_its_draws():
+    rng = np.random.default_rng(0)
+    means, latent = rng.normal(size=(6, 3)), rng.uniform(0.1, 1.0, size=(6, 3))
+    noise = rng.uniform(0.1, 0.5, size=6)
+    p = Prediction.of_mixture(means, latent, noise)
+    which = rng.integers(6, size=200_000)
+    draws = means[which] + np.sqrt(latent + noise[:, None])[which] * rng.normal(size=(200_000, 3))
+    np.testing.assert_allclose(p.mean, draws.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(p.sd, draws.std(axis=0), atol=0.02)
+    np.testing.assert_allclose(p.low[1], np.quantile(draws, 0.05, axis=0), atol=0.03)
+    np.testing.assert_allclose(p.high[2], np.quantile(draws, 0.975, axis=0), atol=0.03)
+
+
+def test_units_of_inputs_and_output_do_not_matter(at_map):
+    X, y = make(0)
+    other = fit_gp(X * [57.3, 3.6] + [1.0, 0.0], 100.0 * y, starts=4, sample=False)
+    new, _ = make(6, n=20)
+    there, here = other.predict(new * [57.3, 3.6] + [1.0, 0.0]), at_map.predict(new)
+    np.testing.assert_allclose(there.mean, 100.0 * here.mean, rtol=1e-4)
+    np.testing.assert_allclose(other.map["length_scale"], at_map.map["length_scale"] * [57.3, 3.6], rtol=1e-2)
+    np.testing.assert_allclose(other.map["linear"], 100 * at_map.map["linear"] / [57.3, 3.6], rtol=1e-2)
+    assert other.optima[0].value == pytest.approx(at_map.optima[0].value, abs=1e-3)
+
+
+def test_the_tree_is_complete_and_arviz_reads_it_back(sampled, tmp_path):
+    tree = sampled.posterior
+    assert sampled.status is SampleStatus.accepted
+    assert {"posterior", "prior", "sample_stats", "proposal", "stand_in"} <= set(tree.children)
+    assert list(tree["posterior"]["length_scale"].coords["input"].values) == ["V"]
+    assert tree.attrs["k_hat"] == sampled.k_hat < tree.attrs["k_limit"]
+    weights = np.exp(tree["proposal"]["log_weight"])
+    assert float(weights.sum()) == pytest.approx(1.0)
+    tree.to_netcdf(tmp_path / "gpr.nc", engine="h5netcdf")
+    back = xr.open_datatree(tmp_path / "gpr.nc", engine="h5netcdf")
+    np.testing.assert_array_equal(back["posterior"]["noise"], tree["posterior"]["noise"])
+    table = arviz_stats.summary(back, var_names=["noise", "length_scale"])
+    assert {"noise", "length_scale[V]"} == set(table.index)
+    back.close()
+
+
+def test_a_fit_without_sampling_says_so_and_takes_jax_arrays(at_map):
+    assert at_map.status is SampleStatus.not_sampled
+    assert at_map.posterior is None
+    assert np.isnan(at_map.k_hat)
+    X, y = make(0)
+    again = fit_gp(jnp.asarray(X), jnp.asarray(y), starts=4, sample=False)
+    assert again.optima[0].value == at_map.optima[0].value
+    with pytest.raises(InputError, match="alpha, V"):
+        at_map.predict(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda X, y: (X[:6], y[:6]), "6 samples cannot"),
+        (lambda X, y: (np.tile(X, (81, 1)), np.tile(y, 81)), "8000"),
+        (lambda X, y: (np.where(np.arange(100)[:, None] == 7, np.nan, X), y), "x0 is not finite at sample 7"),
+        (lambda X, y: (X * [0.0, 1.0], y), "x0 does not vary"),
+        (lambda X, y: (X, 0.0 * y), "zero at every"),
+    ],
+    ids=["few", "many", "nan", "constant", "zero"],
+)
+def test_what_cannot_be_fitted_is_refused_in_words(change, says):
+    with pytest.raises(InputError, match=says):
+        fit_gp(*change(*make(0)), sample=False)
+
+
+def test_priors_and_records_that_cannot_be_sampled_are_refused(monkeypatch):
+    with pytest.raises(InputError, match="improper"):
+        fit_gp(*make(0), priors=Priors.flat())
+    X, y = make(0)
+    monkeypatch.setattr(fit, "MAX_SAMPLES", 80)
+    with pytest.raises(InputError, match=r"n = 100 .*bound of 80.*--resample"):
+        fit_gp(X, y, sample=False)
+
+
+@pytest.mark.parametrize("dependent", ["input twice", "sum of inputs", "linear output"])
+def test_dependent_inputs_have_a_mode_and_a_status_in_place_of_draws(dependent):
+    X, y = make(0, n=60)
+    if dependent != "linear output":
+        X = np.column_stack([X, X[:, 0] if dependent == "input twice" else X @ [1.0, 0.01]])
+    y = 2.0 + X @ np.arange(1.0, X.shape[1] + 1.0) if dependent == "linear output" else y
+    found = fit_gp(X, y, sample=True, starts=3, seed=1)
+    assert found.status is SampleStatus.dependent
+    assert found.posterior is None
+    assert np.isfinite(found.predict(X).mean).all()

@@ -1,0 +1,198 @@
+"""Scores and splits: probability integral transforms, numbers worked by hand, coverage, what a split holds back."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from bayes_aero.errors import InputError
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.calibration import BAND, histogram, neighbours, pit
+from bayes_aero.inference.scores import ScoreStatus, interval_coverage, score
+from bayes_aero.inference.validation import BLOCK_SECONDS, make_splits
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Colour, Density, Noise
+from bayes_aero.model.observations import Observations
+from bayes_aero.simulate.demo import TRUTH
+
+# The probability integral transform: uniform for data of the model, not for others, and exact where it is known
+COUNT = 3000
+
+
+def measured(colour: Colour, size: float = 1.0) -> tuple[Density, np.ndarray]:
+    """The density of two manoeuvres drawn from its own model at known parameters, noise `size` times as large."""
+    model = Model.of(("attached_lift", "profile_drag", "pitching_moment"))
+    t = 0.04 * np.arange(COUNT)
+    start = np.arange(COUNT) % (COUNT // 2) == 0
+    signals = {"alpha": jnp.asarray(0.1 + 0.05 * np.sin(t)), "dt": jnp.full(COUNT, 0.04), "start": jnp.asarray(start)}
+    empty = Observations(
+        signals=signals, measured=jnp.zeros((COUNT, 3)), start=jnp.asarray(start), manoeuvre=np.cumsum(start) - 1,
+        time=t, aircraft=read_card("attas").aircraft, names=("a", "b"),
+    )  # fmt: skip
+    density = Density(empty, model, Noise(colour))
+    noise = {"sigma": 0.02, "rho": 0.9, "buffet": 0.0}
+    x = np.array([noise.get(n.split("_")[0], TRUTH.get(n, 0.1)) for n in density.names])
+    white = np.random.default_rng(0).standard_normal((COUNT, 3))
+    clean = density.predict(jnp.asarray(x))
+    noisy = clean + size * (density.replicate(jnp.asarray(x), jnp.asarray(white)) - clean)
+    return eqx.tree_at(lambda d: d.observations, density, empty.with_measured(noisy)), x
+
+
+def tied(density: Density, column: np.ndarray) -> float:
+    return neighbours(column, np.asarray(density.observations.start))
+
+
+@pytest.mark.parametrize("colour", Colour)
+def test_data_of_the_model_are_uniform_and_independent(colour):
+    density, x = measured(colour)
+    values = pit(density, x[None])
+    for column in values.T:
+        assert kstest(column, "uniform").pvalue > 1e-3
+        assert abs(tied(density, column)) < 4.0 / np.sqrt(COUNT)
+        assert histogram(column).outside <= 1
+
+
+@pytest.mark.parametrize("colour", Colour)
+def test_twice_the_noise_is_not_uniform(colour):
+    """It falls beyond the outer twentieths as often as a normal deviate beyond half the limits: 2 Phi(-0.822)."""
+    density, x = measured(colour, size=2.0)
+    for column in pit(density, x[None]).T:
+        assert kstest(column, "uniform").pvalue < 1e-6
+        bars = histogram(column)
+        assert bars.outside > 2
+        outer = (bars.height[0] + bars.height[-1]) / len(bars.height)
+        assert outer == pytest.approx(2.0 * norm.cdf(0.5 * norm.ppf(0.05)), abs=0.03)
+
+
+def test_white_predictions_of_coloured_data_show_their_colour():
+    """Uniform each by itself, but tied to its neighbours by the correlation of the noise."""
+    density, x = measured(Colour.AR1)
+    white = Density(density.observations, density.model, Noise(Colour.WHITE))
+    values = pit(white, np.array([[x[density.names.index(n)] for n in white.names]]))
+    for column in values.T:
+        assert tied(density, column) == pytest.approx(0.9, abs=0.05)
+
+
+def test_uncertain_parameters_widen_the_prediction():
+    """A normal mean known to +-s: the predictive is normal with variance sigma^2 + s^2."""
+    density, x = measured(Colour.WHITE)
+    s, sigma = 0.05, 0.02
+    draws = np.tile(x, (200, 1))
+    draws[:, density.names.index("CL0")] += s * norm.ppf((np.arange(200) + 0.5) / 200)
+    residual = np.asarray(density.observations.measured - density.predict(jnp.asarray(x)))[:, 0]
+    assert pit(density, draws)[:, 0] == pytest.approx(norm.cdf(residual / np.hypot(s, sigma)), abs=0.005)
+
+
+@pytest.mark.parametrize("n", [60, 300, 3000])
+def test_the_band_holds_uniform_values_as_often_as_it_says(n):
+    rng = np.random.default_rng(n)
+    whole = np.mean([histogram(rng.uniform(size=n)).outside == 0 for _ in range(1000)])
+    assert whole >= BAND - 0.02  # three deviations of a share of a thousand
+    found = histogram(rng.uniform(size=n))
+    assert np.mean(found.height) == pytest.approx(1.0)
+    assert found.lower <= 1.0 <= found.upper
+
+
+# The scores against hand-worked numbers and their own definitions
+def test_scores_of_a_hand_worked_case_constant_channels_and_bad_samples():
+    s = score(np.array([1.0, 2, 3, 4]), np.array([1.0, 2, 3, 5]))
+    assert s.rmse == pytest.approx(0.5)
+    assert s.r2 == pytest.approx(0.8)
+    assert s.theil == pytest.approx(0.5 / (math.sqrt(7.5) + math.sqrt(9.75)))
+    assert s.r == pytest.approx(6.5 / math.sqrt(5 * 8.75))
+    assert s.status is ScoreStatus.ok
+    z = np.linspace(0.0, 1, 20)
+    flat = np.full(20, 0.1)
+    assert score(flat, z).status is ScoreStatus.constant_measurement
+    assert score(z, flat).status is ScoreStatus.constant_prediction
+    assert math.isnan(score(z, flat).r)
+    assert math.isfinite(score(z, flat).r2)
+    assert score(np.zeros(5), np.zeros(5)).theil == 0.0
+    z = np.zeros(6)
+    y = z.copy()
+    y[4] = np.nan
+    with pytest.raises(InputError, match="sample 4"):
+        score(z, y)
+
+
+def test_coverage_of_a_known_distribution_and_what_cannot_be_counted():
+    rng = np.random.default_rng(11)
+    z, draws = rng.normal(size=20000), rng.normal(size=(2000, 1)) * np.ones(20000)
+    for level, share in interval_coverage(z, draws).items():
+        assert share == pytest.approx(level, abs=0.03)
+    narrow = interval_coverage(z, 0.5 * draws)
+    assert narrow[0.95] == pytest.approx(0.673, abs=0.04)  # P(|z| < 0.98)
+    with pytest.raises(InputError, match="measurements"):
+        interval_coverage(np.zeros(4), np.zeros((10, 5)))
+    with pytest.raises(InputError, match="levels"):
+        interval_coverage(np.zeros(4), np.zeros((10, 4)), (95.0,))
+    for z, y in ((np.zeros(4), np.zeros(5)), (np.zeros(1), np.zeros(1))):
+        with pytest.raises(InputError, match="one length"):
+            score(z, y)
+
+
+# Every split is a partition, and holds back what its name says
+DT = 0.04
+
+
+@pytest.fixture(params=range(4))
+def index(request):
+    rng = np.random.default_rng(request.param)
+    return np.repeat(np.arange(rng.integers(2, 4)), rng.integers(1500, 3100))
+
+
+@pytest.mark.parametrize("kind", ["random", "block", "manoeuvre"])
+def test_each_split_is_a_partition_in_time_order(kind, index):
+    for split in make_splits(kind, index, DT, seed=3):
+        both = np.concatenate([split.train_idx, split.test_idx])
+        assert np.array_equal(np.sort(both), np.arange(index.size))
+        assert np.all(np.diff(split.train_idx) > 0)
+        assert np.all(np.diff(split.test_idx) > 0)
+
+
+def test_splits_have_the_papers_size_ten_groups_or_are_unknown():
+    (split,) = make_splits("random", np.zeros(5052, int), DT, seed=0)
+    assert split.train_idx.size == 3536
+    index = np.repeat(np.arange(25), 4)
+    folds = make_splits("manoeuvre", index, 0.04, 0)
+    assert len(folds) == 10
+    assert np.array_equal(np.sort(np.concatenate([f.test_idx for f in folds])), np.arange(100))
+    for fold in folds:
+        assert not set(index[fold.test_idx]) & set(index[fold.train_idx])
+    with pytest.raises(Exception, match="alternate"):  # InputError, or the type hook before it
+        make_splits("alternate", np.zeros(100, int), DT, 0)
+
+
+@pytest.mark.parametrize("kind", ["random", "block"])
+def test_the_seed_decides(kind, index):
+    first, again, other = (make_splits(kind, index, DT, seed=s)[0].train_idx for s in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_blocks_are_contiguous_and_each_manoeuvre_is_held_back_once(index):
+    (split,) = make_splits("block", index, DT, seed=5)
+    length = round(BLOCK_SECONDS / DT)
+    test = np.isin(np.arange(index.size), split.test_idx)
+    for m in np.unique(index):
+        part = test[index == m]
+        assert 0.25 < part.mean() < 0.35
+        edges = np.flatnonzero(np.diff(part))
+        assert np.all(np.diff(edges) >= length)  # no run shorter than a block
+    splits = make_splits("manoeuvre", index, DT, seed=0)
+    held = [np.unique(index[s.test_idx]).tolist() for s in splits]
+    assert held == [[m] for m in np.unique(index)]
+    for s in splits:
+        assert not np.intersect1d(index[s.train_idx], index[s.test_idx]).size
+
+
+@pytest.mark.parametrize(("kind", "index", "says"), [
+    ("manoeuvre", np.zeros(100, int), "at least two records"),
+    ("block", np.zeros(150, int), "too few for two blocks"), ("random", np.zeros(3, int), "at least 10 samples"),
+])  # fmt: skip
+def test_what_cannot_be_split_is_refused_in_words(kind, index, says):
+    with pytest.raises(InputError, match=says):
+        make_splits(kind, index, DT, 0)

@@ -1,0 +1,559 @@
+"""Fits and posteriors of a stall: published estimates, truth, closed forms, engines that agree, modes, highest lift."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from jax.scipy.special import logsumexp
+from jax.scipy.stats import norm
+from scipy.optimize import minimize_scalar
+from scipy.stats import multivariate_normal
+
+import bayes_aero as ba
+from bayes_aero.effect import Effect, Example, Kind, Stage
+from bayes_aero.flight.card import read_card
+from bayes_aero.inference.calibration import maxima, stall_of
+from bayes_aero.inference.ensemble import (
+    EnsembleLength,
+    ModeStatus,
+    density_start,
+    find_mode,
+    other_modes,
+    sample_ensemble,
+    search_modes,
+)
+from bayes_aero.inference.mle import descend, fit_mle, without_noise_bias
+from bayes_aero.inference.nuts import NutsLength, WarmUp, sample_nuts
+from bayes_aero.inference.results import MleStatus, PosteriorStatus
+from bayes_aero.model.model import Model
+from bayes_aero.model.noise import Colour, Density, LogDensity, Noise
+from bayes_aero.model.observations import observe
+from bayes_aero.parameter import Parameter, Prior, from_unbounded, to_unbounded
+from bayes_aero.simulate.demo import TRUTH, simulate_stall
+
+# Maximum likelihood against the published ATTAS estimates, simulated truth and closed forms
+# ../shared/attas/README.md: estimate and Cramer-Rao deviation, reproduced from the published program.
+PUBLISHED = {
+    "CD0": (4.34961e-02, 4.3651e-04), "e": (8.39351e-01, 6.8668e-03), "CL0": (1.57696e-01, 3.2766e-03),
+    "CLa": (3.29802, 3.7654e-02), "CLaM": (9.06967, 1.9966e-01), "Cm0": (5.08510e-02, 1.7792e-03),
+    "Cma": (-1.76297e-01, 1.1134e-02), "Cmq": (-6.14636, 2.7480e-01), "Cmde": (-3.90633e-01, 1.5943e-02),
+    "a1": (23.7160, 8.0987e-01), "alpha_star": (3.08701e-01, 1.0806e-03), "tau2": (24.0248, 3.5106e-01),
+    "CDX": (7.91715e-02, 3.0226e-03), "CmX": (-1.26103e-01, 5.0156e-03),
+}  # fmt: skip
+PUBLISHED_FIT = {"CL": (0.990265, 0.030034), "CD": (0.949406, 0.009806), "Cm": (0.448006, 0.011800)}
+
+
+@pytest.fixture(scope="module")
+def published_fit(attas, model):
+    return fit_mle(model, attas)
+
+
+def test_published_estimates_bounds_cost_and_fit(published_fit, attas, model):
+    r = published_fit
+    assert r.status is MleStatus.CONVERGED
+    assert set(r.names) == set(PUBLISHED)
+    for name, estimate, crb in zip(r.names, r.estimate, r.crb, strict=True):
+        value, deviation = PUBLISHED[name]
+        assert abs(estimate - value) < 0.3 * deviation, name
+        assert crb == pytest.approx(deviation, rel=0.015), name
+    assert published_fit.det_R == pytest.approx(1.2076e-11, rel=1e-3)
+    for name, (r, rmse) in PUBLISHED_FIT.items():
+        assert published_fit.fit[name].r == pytest.approx(r, abs=2e-4)
+        assert published_fit.fit[name].rmse == pytest.approx(rmse, rel=1e-3)
+    theta = jnp.asarray([PUBLISHED[name][0] for name in model.names])
+    residual = attas.measured - model.predicted(theta, attas.signals, attas.aircraft)
+    assert published_fit.det_R <= float(jnp.prod(jnp.mean(residual**2, axis=0)))
+    costs = [cost for cost, _ in published_fit.starts]
+    assert min(c for c, outcome in published_fit.starts if outcome == "converged") == pytest.approx(
+        0.5 * attas.n * np.log(published_fit.det_R), abs=1e-6
+    )
+    assert len(costs) > 3
+    # Finite differences of the cost vanish at the optimum, to the scale of one bound.
+    theta, cost = published_fit.estimate, 0.5 * attas.n * np.log(published_fit.det_R)
+    for i, crb in enumerate(published_fit.crb):
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[i] += sign * 0.05 * crb
+            residual = attas.measured - model.predicted(jnp.asarray(moved), attas.signals, attas.aircraft)
+            assert 0.5 * attas.n * float(jnp.sum(jnp.log(jnp.mean(residual**2, axis=0)))) > cost
+    again = descend(model, attas, theta)
+    np.testing.assert_allclose(again.theta, theta, atol=1e-3 * published_fit.crb.min())
+
+
+@pytest.mark.parametrize("manoeuvre", [0, 1])
+def test_each_real_manoeuvre_alone_finds_a_stall(attas, model, manoeuvre):
+    """One quick Gauss-Newton ran from the published start to alpha* < 0 on the first; ours must recover."""
+    r = fit_mle(model, attas.only(manoeuvre))
+    assert r.status is MleStatus.CONVERGED
+    alpha_star = r.estimate[r.names.index("alpha_star")]
+    assert 0.2 < alpha_star < 0.4
+
+
+WHITE = {"sigma_CL": 0.02, "sigma_CD": 0.005, "sigma_Cm": 0.004}
+COLOURED = WHITE | {"rho_CL": 0.95, "rho_CD": 0.95, "rho_Cm": 0.95}
+
+
+def simulated(observations, model, seed, noise=WHITE, colour=Colour.WHITE):
+    """The observations with coefficients of the truth and such noise in place of what was measured."""
+    density, values = Density(observations, model, Noise(colour)), TRUTH | noise
+    white = jnp.asarray(np.random.default_rng(seed).standard_normal((observations.n, 3)))
+    return observations.with_measured(density.replicate(jnp.asarray([values[n] for n in density.names]), white))
+
+
+@pytest.mark.verify
+def test_bounds_cover_the_truth_under_white_noise(thinned, model):
+    """100 replicates x 14 parameters: the spread of z = error/bound is that of a standard normal."""
+    truth = np.array([TRUTH[n] for n in model.names])
+    z = []
+    for seed in range(100):
+        r = fit_mle(model, simulated(thinned, model, seed), start=truth, extra_starts=0)
+        z.append((r.estimate - truth) / r.crb)
+    z = np.array(z)
+    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / np.sqrt(len(z)))
+    # sd of a sample sd of 100 normals is 7 %; four of them either way.
+    assert np.all((z.std(axis=0) > 0.72) & (z.std(axis=0) < 1.28))
+    assert np.mean(np.abs(z) < 1.96) == pytest.approx(0.95, abs=0.02)
+
+
+def test_corrected_bound_is_the_bound_itself_under_white_noise(thinned, model):
+    """The correlogram is noisy on one record; over ten the median ratio is one, less a few per cent of bias."""
+    start = np.array([TRUTH[n] for n in model.names])
+    fits = [fit_mle(model, simulated(thinned, model, s), start=start, extra_starts=0) for s in range(10)]
+    assert np.mean([np.median(r.crb_corrected / r.crb) for r in fits]) == pytest.approx(1.0, abs=0.12)
+
+
+def test_stalls_that_were_not_flown_and_parameters_at_zero_are_said(clean, model):
+    calm = clean.subset(np.flatnonzero(np.asarray(clean.signals["alpha"]) < 0.13))
+    r = fit_mle(model, simulated(calm, model, 3))
+    told = r.status is not MleStatus.CONVERGED or any(
+        "not identified" in w or "never approached" in w for w in r.warnings()
+    )
+    assert told
+    r = fit_mle(model, simulated(clean, model, 3))
+    assert r.status is MleStatus.CONVERGED
+    assert not any("not identified" in w or "never approached" in w for w in r.warnings())
+    # tau2 of a quasi-steady flow ends at zero, where the deviation is no finite share of the estimate.
+    r = fit_mle(model, simulated(clean, model, 3), extra_starts=0)
+    at = r.names.index("tau2")
+    zero = replace(r, estimate=np.where(np.arange(len(r.names)) == at, 0.0, r.estimate))
+    expected = f"tau2 is not identified: its Cramer-Rao standard error is {r.crb[at]:.2g}, its estimate 0."
+    assert expected in zero.warnings()
+
+
+def test_singular_information_and_bounds_are_reported(clean, model):
+    """With Mach constant, CLaM Mach alpha and CLa alpha are one term in attached flow: told, not hidden."""
+    twice = Model.of(
+        ["attached_lift", "mach_lift", "elevator_moment", "pitching_moment", "pitch_damping", "profile_drag"]
+    )
+    flat = clean.with_measured(clean.measured)
+    flat.signals["mach"] = jnp.full(clean.n, 0.25)
+    r = fit_mle(twice, flat, extra_starts=0)
+    assert r.status is MleStatus.SINGULAR
+    assert np.all(np.isnan(r.crb))
+    tight = replace(
+        model,
+        parameters=tuple(p.changed(bounds=(30.0, 60.0), start=40.0) if p.name == "a1" else p for p in model.parameters),
+    )
+    r = fit_mle(tight, clean, extra_starts=0)
+    assert r.status is MleStatus.AT_BOUND
+    assert r.at_bound == ("a1",)
+    assert r.estimate[r.names.index("a1")] == 30.0
+
+
+# Estimates without the bias from recording noise: simulated truth, records without noise, an identity
+VANE = np.radians(0.3)
+
+
+def flown(card, seed, sensor_noise):
+    return [simulate_stall(i, card=card, seed=seed, sensor_noise=sensor_noise, disturbance=0.0) for i in range(2)]
+
+
+def test_half_the_bias_of_a_noisy_vane_and_more_is_taken_off(card, model):
+    """The mean of estimates with noise added and subtracted, less that without noise, is the bias."""
+    exact = flown(card, 11, 0.0)
+    truth = fit_mle(model, observe(exact, card, model), extra_starts=0).estimate
+    rng, before, after = np.random.default_rng(1), [], []
+    for _ in range(3):
+        noise = [VANE * rng.standard_normal(record.n) for record in exact]
+        for sign in (1.0, -1.0):
+            records = [
+                replace(record, channels={**record.channels, "alpha": record["alpha"] + sign * one})
+                for record, one in zip(exact, noise, strict=True)
+            ]
+            mle = fit_mle(model, observe(records, card, model), start=truth, extra_starts=0)
+            freed = without_noise_bias(mle, records, card, model)
+            before.append((mle.estimate - truth) / mle.crb_corrected)
+            after.append((freed.estimate - truth) / mle.crb_corrected)
+            assert np.all(np.diag(freed.corrected) >= np.diag(mle.corrected))
+    biased, rest = np.abs(np.mean(before, axis=0)), np.abs(np.mean(after, axis=0))
+    large = biased > 1.0
+    assert {"tau2", "Cmq", "Cmde"} <= {name for name, is_large in zip(mle.names, large, strict=True) if is_large}
+    assert np.all(rest[large] < 0.5 * biased[large])
+
+
+def test_without_noise_or_at_a_bound_nothing_moves(card, model):
+    records = flown(card, 11, 0.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    freed = without_noise_bias(mle, records, card, model)
+    assert freed.bias is not None
+    assert np.all(np.abs(freed.bias) < 0.05 * mle.crb_corrected)
+    records = flown(card, 11, 1.0)
+    mle = fit_mle(model, observe(records, card, model), extra_starts=0)
+    bounded = replace(mle, status=MleStatus.AT_BOUND)
+    assert without_noise_bias(bounded, records, card, model) is bounded
+
+
+@pytest.mark.parametrize("colour", list(Colour))
+def test_the_posterior_is_of_parameters_without_the_bias(clean, model, colour):
+    """Its density at x is that of the fitted parameters at x + bias, priors apart."""
+    noise, bias = Noise(colour), 0.01 * np.arange(len(model.names))
+    plain, freed = Density.of(clean, model, noise), Density.of(clean, model, noise, bias)
+    x = jnp.asarray([p.start for p in plain.parameters])
+    there = x.at[: len(bias)].add(bias)
+    assert float(freed.log_likelihood(x)) == pytest.approx(float(plain.log_likelihood(there)), rel=1e-12)
+    np.testing.assert_allclose(freed.predict(x), plain.predict(there))
+
+
+def test_published_coefficients_give_the_published_estimates(card):
+    records = flown(card, 11, 1.0)
+    assert ba.fit(records, card, coefficients="published").mle.bias is None
+    assert ba.fit(records, card).mle.bias is not None
+
+
+# The posterior: closed form, agreement of engines, white noise against bounds, coloured noise
+SIGMA = np.array([*WHITE.values()])
+
+
+@pytest.fixture(scope="module")
+def linear(thinned):
+    """A model linear in its parameters, priors as narrow as the data are informative, and its closed form."""
+    model = Model.of(["attached_lift", "pitching_moment", "profile_drag"])
+    rng = np.random.default_rng(11)
+    alpha = np.asarray(thinned.signals["alpha"])
+    n, names = len(alpha), model.names
+    truth = np.array([TRUTH[name] for name in names])
+    one, zero = np.ones(n), np.zeros(n)
+    columns = {
+        "CL0": (one, zero, zero), "CLa": (alpha, zero, zero), "CD0": (zero, one, zero),
+        "Cm0": (zero, zero, one), "Cma": (zero, zero, alpha),
+    }  # fmt: skip
+    S = np.stack([np.stack(columns[name], axis=-1) for name in names], axis=-1)
+    z = S @ truth + SIGMA * rng.standard_normal((n, 3))
+    information = np.einsum("nci,c,ncj->ij", S, SIGMA**-2, S)
+    prior_sd = 1.0 / np.sqrt(np.diag(information))
+    prior_mean = truth + prior_sd * rng.standard_normal(len(truth))
+    model = replace(
+        model,
+        parameters=tuple(
+            p.changed(prior=Prior("normal", m, s))
+            for p, m, s in zip(model.parameters, prior_mean, prior_sd, strict=True)
+        ),
+    )
+    covariance = np.linalg.inv(information + np.diag(prior_sd**-2))
+    mean = covariance @ (np.einsum("nci,c,nc->i", S, SIGMA**-2, z) + prior_mean / prior_sd**2)
+    return model, thinned.with_measured(jnp.asarray(z)), mean, covariance
+
+
+MANY = partial(sample_ensemble, length=EnsembleLength(ensembles=2, walkers=256))
+STEP_ALONE = partial(sample_nuts, length=NutsLength(4, WarmUp(100, acceptance=0.8, metric=False)))
+
+
+@pytest.mark.parametrize(
+    "engine",
+    [sample_ensemble, sample_nuts, MANY, STEP_ALONE],
+    ids=["emcee", "nuts", "many walkers", "nuts, step size alone"],
+)
+def test_engines_give_the_closed_form(linear, engine):
+    """The noise deviations are sampled too; at n = 1126 that widens the normal by less than 0.2 %."""
+    model, data, mean, covariance = linear
+    density = Density(data, model, Noise(Colour.WHITE))
+    mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
+    assert mode.status is ModeStatus.CONVERGED
+    posterior = engine(density, mode, seed=5, predictive=False)
+    assert posterior.status is PosteriorStatus.CONVERGED
+    sd = np.sqrt(np.diag(covariance))
+    for i, name in enumerate(model.names):
+        m = posterior.marginals[name]
+        assert abs(m.mean - mean[i]) < 5.0 * sd[i] / np.sqrt(m.ess_bulk) + 0.02 * sd[i]
+        assert m.sd == pytest.approx(sd[i], rel=0.12)
+    draws = posterior.draws()[:, : len(mean)]
+    np.testing.assert_allclose(np.corrcoef(draws.T), covariance / np.outer(sd, sd), atol=0.12)
+    if engine is STEP_ALONE:
+        assert float(posterior.tree["sample_stats"]["n_steps"].mean()) <= 7.0  # a normal posterior, whitened
+
+
+def test_maximum_likelihood_is_least_squares_on_a_linear_model(linear):
+    model, data, _, _ = linear
+    r = fit_mle(model, data, extra_starts=0)
+    alpha, z = np.asarray(data.signals["alpha"]), np.asarray(data.measured)
+    A = np.stack([np.ones_like(alpha), alpha], axis=1)
+    for column, names in ((0, ("CL0", "CLa")), (2, ("Cm0", "Cma"))):
+        expected, rss, *_ = np.linalg.lstsq(A, z[:, column], rcond=None)
+        bound = np.sqrt(np.diag(np.linalg.inv(A.T @ A)) * rss / len(z))
+        at = [r.names.index(name) for name in names]
+        np.testing.assert_allclose(r.estimate[at], expected, rtol=1e-8)
+        np.testing.assert_allclose(r.crb[at], bound, rtol=1e-8)
+
+
+def test_white_posterior_is_as_wide_as_the_bounds(clean, model):
+    data = simulated(clean, model, 21, {name: x / 2 for name, x in WHITE.items()})
+    mle = fit_mle(model, data, extra_starts=0)
+    density = Density(data, model, Noise(Colour.WHITE))
+    posterior = sample_ensemble(density, find_mode(density, density_start(density, mle)), seed=1, predictive=False)
+    assert posterior.status is PosteriorStatus.CONVERGED
+    for name, crb in zip(mle.names, mle.crb, strict=True):
+        assert posterior.marginals[name].sd == pytest.approx(crb, rel=0.10), name
+
+
+def test_coloured_posterior_of_a_flight_finds_the_pitching_moment(model, card):
+    """A flight with filtered Cm: the AR(1) posterior must not take the filter's smoothness for persistence.
+
+    Tolerances are 5 % of the truth: feedback of disturbances through the pilot biases every method by about 2 %.
+    """
+    observations = observe([simulate_stall(0, seed=5), simulate_stall(1, seed=5)], card, model)
+    density = Density.of(observations, model, Noise(Colour.AR1))
+    mode = find_mode(density, density_start(density, fit_mle(model, observations, extra_starts=0)))
+    found = dict(zip(density.names, np.asarray(density.constrain(jnp.asarray(mode.u))), strict=True))
+    for name in ("Cm0", "Cma", "Cmq", "Cmde", "CmX"):
+        assert found[name] == pytest.approx(TRUTH[name], rel=0.05), name
+
+
+def test_a_flight_without_a_stall_has_a_mode(thinned, model):
+    """Estimates of what it does not tell are hundreds of deviations off, where the density's slope is not finite."""
+    gentle = thinned.subset(np.flatnonzero(np.asarray(thinned.signals["alpha"]) < 0.15)[:150])
+    data = simulated(gentle, model, 50, COLOURED, Colour.AR1)
+    density, mle = Density(data, model, Noise(Colour.AR1)), fit_mle(model, data)
+    wild = {"CDX": 445.0, "CmX": 814.0, "a1": 199.8, "tau2": -49.9, "alpha_star": 0.29}
+    covariance = np.diag([np.inf if name in wild else x for name, x in zip(mle.names, mle.crb**2, strict=True)])
+    estimate = [wild.get(name, value) for name, value in zip(mle.names, mle.estimate, strict=True)]
+    start = density_start(density, replace(mle, estimate=np.array(estimate), covariance=covariance))
+    begun = dict(zip(density.parameters, start, strict=True))
+    assert all(begun[p] == pytest.approx(p.prior.normal[0]) for p in begun if p.name in wild)
+    far = np.array([wild.get(name, value) for name, value in zip(density.names, start, strict=True)])
+    mode, lost = (find_mode(density, x) for x in (start, far))
+    assert mode.status is ModeStatus.CONVERGED
+    assert lost.status is not ModeStatus.CONVERGED or lost.log_density == pytest.approx(mode.log_density, abs=1e-3)
+    assert np.isfinite(lost.factor).all()
+
+
+def test_thinning_stays_within_manoeuvres(clean):
+    fewer = clean.thinned(5)
+    kept = [5 * k for k in range(-(-clean.only(0).n // 5))]
+    np.testing.assert_array_equal(fewer.time[fewer.manoeuvre == 0], clean.time[kept])
+    assert fewer.dt == pytest.approx(5 * clean.dt)
+    assert int(np.asarray(fewer.start).sum()) == len(clean.names)
+
+
+@pytest.mark.parametrize("colour", list(Colour))
+def test_density_is_that_of_the_multivariate_normal_and_standardises_its_noise(thinned, model, colour):
+    """Sum of the conditional densities against scipy's joint density of each manoeuvre and coefficient."""
+    short = thinned.subset(np.concatenate([np.arange(40), np.flatnonzero(thinned.manoeuvre == 1)[:30]]))
+    density = Density(short, model, Noise(colour))
+    rng = np.random.default_rng(8)
+    values = TRUTH | COLOURED | {f"rho_{k}": rng.uniform(0.2, 0.9) for k in ("CL", "CD", "Cm")}
+    values |= {f"buffet_{k}": rng.uniform(0.5, 3.0) for k in ("CL", "CD", "Cm")}
+    x = jnp.asarray([values[name] for name in density.names])
+    residual = np.asarray(short.measured - density.predict(x))
+    X = np.asarray(model.flow(density.values(x), short.signals, short.aircraft)["X"])
+    expected = 0.0
+    for m in (0, 1):
+        at = short.manoeuvre == m
+        lag = np.abs(np.subtract.outer(np.arange(at.sum()), np.arange(at.sum())))
+        for i, k in enumerate(("CL", "CD", "Cm")):
+            noise_growth = 1 + values[f"buffet_{k}"] * (1 - X[at]) if colour is Colour.BUFFET_AR1 else np.ones(at.sum())
+            rho = 0.0 if colour is Colour.WHITE else values[f"rho_{k}"]
+            covariance = values[f"sigma_{k}"] ** 2 * rho**lag * np.outer(noise_growth, noise_growth)
+            expected += multivariate_normal(cov=covariance).logpdf(residual[at, i])
+    assert float(density.log_likelihood(x)) == pytest.approx(expected, rel=1e-10)
+    density = Density(thinned, model, Noise(colour))
+    values = TRUTH | COLOURED | {f"buffet_{k}": 1.5 for k in ("CL", "CD", "Cm")}
+    x = jnp.asarray([values[name] for name in density.names])
+    white = np.random.default_rng(3).standard_normal((thinned.n, 3))
+    data = thinned.with_measured(density.replicate(x, jnp.asarray(white)))
+    np.testing.assert_allclose(Density(data, model, Noise(colour)).standardised(x), white, atol=1e-9)
+
+
+def test_unbounded_scale_is_a_bijection_with_the_stated_slope(thinned, model):
+    density = Density(thinned, model, Noise(Colour.BUFFET_AR1))
+    rng = np.random.default_rng(4)
+    x = jnp.asarray(density.sample_prior(rng, 1)[0])
+    u = density.unconstrain(x)
+    np.testing.assert_allclose(density.constrain(u), x, rtol=1e-9)
+    slope = jnp.log(jnp.abs(jnp.diag(jax.jacfwd(density.constrain)(u))))
+    expected = density.log_likelihood(x) + density.log_prior(x) + jnp.sum(slope)
+    assert float(density(u)) == pytest.approx(float(expected), rel=1e-10)
+
+
+def test_a_chain_too_short_is_not_called_converged(clean, model):
+    data = simulated(clean, model, 2, dict.fromkeys(WHITE, 0.01))
+    density = Density(data, model, Noise(Colour.WHITE))
+    mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
+    wrong = replace(mode, u=mode.u + 30.0 * np.abs(np.diag(mode.factor)), factor=0.05 * mode.factor)
+    posterior = sample_ensemble(density, wrong, seed=1, length=EnsembleLength(2, 100), predictive=False)
+    assert posterior.status is PosteriorStatus.NOT_CONVERGED
+
+
+def test_saved_tree_loads_with_its_groups(linear, tmp_path):
+    model, data, _, _ = linear
+    density = Density(data, model, Noise(Colour.WHITE))
+    mode = find_mode(density, density_start(density, fit_mle(model, data, extra_starts=0)))
+    posterior = sample_ensemble(density, mode, seed=2, length=EnsembleLength(2))
+    posterior.save(tmp_path / "posterior.nc")
+    with xr.open_datatree(tmp_path / "posterior.nc", engine="h5netcdf") as tree:
+        groups = {"posterior", "prior", "log_likelihood", "posterior_predictive", "prior_predictive", "observed_data"}
+        assert groups <= set(tree.children)
+        np.testing.assert_array_equal(tree["posterior"]["CLa"], posterior.tree["posterior"]["CLa"])
+        assert tree["log_likelihood"]["CL"].shape[-1] == data.n
+    assert not list(tmp_path.glob("*.part"))
+
+
+# Highest steady lift and the angle of it: closed forms, an independent search, and what lies beyond the record
+FLOWN = {
+    "alpha": np.deg2rad(np.linspace(2.0, 22.0, 500)),
+    "alpha_dot": np.deg2rad(5.0) * np.sin(np.linspace(0.0, 20.0, 500)),
+    "airspeed": np.linspace(110.0, 60.0, 500),
+    "q": np.full(500, 0.1),
+}
+
+
+def _parabola():
+    """CL = 2 b alpha - c alpha^2: its maximum is b^2/c, at b/c."""
+    parameters = tuple(Parameter(n, "1", 0.0, 1.0, "of a test", Prior("normal", 0.0, 1.0)) for n in ("b", "c"))
+    return Effect(
+        "parabola", Kind.AERODYNAMICS, Stage.TOTAL, "test", parameters, ("alpha",),
+        lambda v, s, *_: {"CL": 2.0 * v["b"] * s["alpha"] - v["c"] * s["alpha"] ** 2},
+        Example({}, {}, {}, ""), "",
+    )  # fmt: skip
+
+
+def test_a_parabola_has_its_known_maximum_and_one_beyond_the_record_is_flagged(card):
+    rng = np.random.default_rng(0)
+    c = rng.uniform(20.0, 30.0, 300)
+    b = c * rng.uniform(0.2, 0.3, 300)
+    found = stall_of(Model.of([_parabola()]), np.stack([b, c], axis=1), FLOWN, card.aircraft)
+    low, median, high = np.quantile(b**2 / c, [0.025, 0.5, 0.975])
+    assert (found.CL_max.low, found.CL_max.median, found.CL_max.high) == pytest.approx((low, median, high), rel=1e-9)
+    low, median, high = np.quantile(b / c, [0.025, 0.5, 0.975])
+    assert (found.alpha_max.low, found.alpha_max.median, found.alpha_max.high) == pytest.approx((low, median, high))
+    assert found.at_edge == 0.0
+    assert found.seen
+    draws = np.array([[0.5 * c, c] for c in (20.0, 25.0)])  # at 0.5 rad, 29 deg, where nobody flew
+    found = stall_of(Model.of([_parabola()]), draws, FLOWN, card.aircraft)
+    assert found.at_edge == 1.0
+    assert not found.seen
+    assert found.alpha_max.high == pytest.approx(np.deg2rad(22.0))
+    x = np.linspace(0.0, 1.0, 11)
+    rows = np.stack([1.0 - (x - 0.33) ** 2, x, -x])
+    peak, place, edge = maxima(x, rows)
+    assert peak == pytest.approx([1.0, 1.0, 0.0])
+    assert place == pytest.approx([0.33, 1.0, 0.0])
+    assert edge.tolist() == [False, True, True]
+
+
+def test_kirchhoffs_stall_by_another_search(card, model):
+    """CL written out by hand and searched by Brent's method: no code shared with the package."""
+    value = {"CL0": 0.2, "CLa": 3.0, "CLaM": 4.0, "a1": 25.0, "alpha_star": 0.3}
+    theta = np.array([value.get(p.name, p.start) for p in model.free])
+    signals = {**FLOWN, "mach": np.full(500, 0.3), "elevator": np.zeros(500)}
+    found = stall_of(model, theta[None], signals, card.aircraft)
+
+    def lift(alpha):
+        X = 0.5 * (1.0 - np.tanh(25.0 * (alpha - 0.3)))
+        return 0.2 + (3.0 * ((1.0 + np.sqrt(X)) / 2.0) ** 2 + 4.0 * 0.3) * alpha
+
+    best = minimize_scalar(lambda a: -lift(a), bounds=(0.1, 0.34), method="bounded", options={"xatol": 1e-10})
+    steady = lift(found.alpha)
+    assert found.CL[1] == pytest.approx(steady, abs=1e-12)
+    assert found.CL_max.median == pytest.approx(-best.fun, abs=2e-6)
+    assert found.alpha_max.median == pytest.approx(best.x, abs=2e-4)
+    falling, still, rising = found.X[:, 1]
+    assert np.all(falling <= still)  # late reattachment: less attached flow at the same angle
+    assert np.array_equal(rising, still)  # one-sided as published
+    assert np.any(falling < still - 0.01)
+
+
+# The search for the mode that holds most: closed-form mixtures, and stalls of which the truth is known
+PRIOR = Prior("normal", 0.0, 2.0)
+
+
+class Mixture(LogDensity):
+    """A posterior that is two normals: `left` of the probability at -1.5, the rest at 2, which is twice as wide."""
+
+    left: float
+
+    @property
+    def parameters(self):
+        return (Parameter("a", "1", 0.0, 0.1, "-", PRIOR),)
+
+    @property
+    def noise_label(self):
+        return "white"
+
+    def log_likelihood(self, x):
+        parts = jnp.stack([norm.logpdf(x[0], -1.5, 0.2), norm.logpdf(x[0], 2.0, 0.4)])
+        return logsumexp(parts + jnp.log(jnp.array([self.left, 1.0 - self.left]))) - PRIOR.log_density(x[0])
+
+
+@pytest.mark.parametrize(("left", "at"), [(0.7, -1.5), (0.2, 2.0)])
+def test_the_mode_with_most_of_the_probability_is_taken_and_the_rest_is_told(left, at):
+    mode = search_modes(Mixture(left), np.array([2.0 if left > 0.5 else -1.5]), 10, draws=30)
+    assert mode.u[0] == pytest.approx(at, abs=0.01)
+    assert mode.other_share == pytest.approx(min(left, 1.0 - left), abs=0.01)
+    (said,) = other_modes(mode, "emcee")
+    assert f"{mode.other_share:.0%}" in said
+
+
+def test_one_mode_is_one_however_often_it_is_found():
+    alone = search_modes(Mixture(1.0 - 1e-9), np.array([-1.4]), 10, draws=30)
+    assert alone.other_share < 1e-6
+    assert other_modes(alone, "emcee") == ()
+    assert alone.u[0] == find_mode(Mixture(1.0 - 1e-9), np.array([-1.4])).u[0]  # that of the start, to the last digit
+
+
+@pytest.mark.verify
+def test_no_better_mode_lies_at_the_truth():
+    """Of stalls drawn from the prior, whose maximum likelihood under white noise may lie elsewhere altogether."""
+    card = read_card("attas")
+    model = Model.from_card(card)
+    signals = observe([simulate_stall(0, card=card)], card, model).thinned(16)
+    rng = np.random.default_rng(4132)
+    for seed in rng.integers(10**6, size=4):
+        draw = np.random.default_rng(seed)
+        maker = Density(signals, model, Noise(Colour.AR1))
+        x = maker.sample_prior(draw, 1)[0]
+        data = signals.with_measured(maker.replicate(jnp.asarray(x), jnp.asarray(draw.standard_normal((signals.n, 3)))))
+        density = Density(data, model, Noise(Colour.AR1))
+        found = search_modes(density, density_start(density, fit_mle(model, data)), data.n)
+        there = find_mode(density, x)
+        assert found.log_mass > there.log_mass - 2.0, f"seed {seed}"
+
+
+# The coordinate of samplers with a knee: a bijection with the stated slope, logarithm below and parameter above
+def parameter(knee, upper):
+    return Parameter("b", "1", 0.0, 2.5, "of a test", Prior("normal", 2.0, 1.0), (2.0, upper), knee=knee)
+
+
+@pytest.mark.parametrize("upper", [5.0, np.inf])
+@pytest.mark.parametrize("knee", [1e-3, 0.2, np.inf])
+def test_it_is_a_bijection_with_the_stated_slope(knee, upper):
+    p = parameter(knee, upper)
+    x = jnp.asarray([2.0 + 1e-6, 2.01, 2.5, 4.9])
+    u = to_unbounded(p, x)
+    back, log_slope = from_unbounded(p, u)
+    np.testing.assert_allclose(back - 2.0, x - 2.0, rtol=1e-9)
+    slope = jax.vmap(jax.grad(lambda u: from_unbounded(p, u)[0]))(u)
+    np.testing.assert_allclose(log_slope, jnp.log(slope), rtol=1e-9)
+
+
+def test_a_knee_is_a_logarithm_below_the_parameter_above_and_a_logit_where_wide():
+    p = parameter(0.1, np.inf)
+    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(2.0 + 1e-7)), np.log(1e-6), atol=1e-6)
+    np.testing.assert_allclose(to_unbounded(p, jnp.asarray(4.0)), 2.0 / 0.1, rtol=1e-6)
+    x = jnp.asarray([2.1, 3.0, 4.5])
+    np.testing.assert_allclose(
+        to_unbounded(parameter(3.0 - 1e-12, 5.0), x), to_unbounded(parameter(9.0, 5.0), x), rtol=1e-9
+    )
