@@ -21,13 +21,13 @@ from bayes_aero.diagnosis.trajectories import fit_trajectories
 from bayes_aero.diagnosis.trajectory_result import Setting
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.flight.card import channel_units, read_card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.reading import read_record
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
+from bayes_aero.physics.aircraft import FLIGHT
 
 CASES = {
     "TC01": ("attas_lateral", ("fAttasAilRud1.asc",), "oem_gauss_newton"),

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.candidate_set import DEFAULT, DiagnosisSettings
 from bayes_aero.effect import NEUTRAL_FLOW, Effect, Kind, Stage, Untestable, sized
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError

@@ -32,7 +32,6 @@ from bayes_aero.diagnosis.terms import Forms, described, flown_forms, forms_of
 from bayes_aero.diagnosis.unexplained import Left, offsets_found, unexplained, withdrawn
 from bayes_aero.dynamics.flight import AircraftDynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
@@ -46,7 +45,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
-from bayes_aero.physics.aircraft import required_of
+from bayes_aero.physics.aircraft import FLIGHT, required_of
 from bayes_aero.progress import Progress
 from bayes_aero.residuals.base import INNOVATIONS, WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError

@@ -17,12 +17,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayes_aero.dynamics.system import FLIGHT, RIGID, Row, System
+from bayes_aero.dynamics.system import Row, System
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card_tables import HOLDABLE
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
-from bayes_aero.physics.aircraft import Aircraft, Axis, air
+from bayes_aero.physics.aircraft import FLIGHT, RIGID, Aircraft, Axis, air
 from bayes_aero.physics.coefficients import AircraftMotion, accelerometers, motion_of_aircraft
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.physics.kinematics import RATES, Attitude, Rotation, down_of, euler_rates, lever_arm

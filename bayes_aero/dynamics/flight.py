@@ -24,7 +24,7 @@ from bayes_aero.dynamics.aircraft import (
     held_states,
     recorded_drives,
 )
-from bayes_aero.dynamics.system import FORCES, RIGID, OfPlain, System, needed_channels
+from bayes_aero.dynamics.system import OfPlain, System
 from bayes_aero.effect import Stage
 from bayes_aero.errors import InputError
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -32,7 +32,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Parameter, Prior, Role
-from bayes_aero.physics.aircraft import NO_AIRCRAFT, Aircraft, Axis
+from bayes_aero.physics.aircraft import FORCES, NO_AIRCRAFT, RIGID, Aircraft, Axis, needed_channels
 
 Values = Mapping[str, Any]
 OUTPUTS = ("airspeed", "alpha", "theta", "q", "altitude", "ax", "az")

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float
 
 from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, biased_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments, simulate
-from bayes_aero.dynamics.system import FLIGHT, OF_AXIS
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import Choice, OpenedResult, flown_model, values_of
 from bayes_aero.jobs.fitted import IdentifiedLinear, drawn
@@ -21,6 +20,7 @@ from bayes_aero.jobs.options import FIXED, HELD
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.residuals.equation_error import EquationError
 
 DRAWS = 40  # of the fan

@@ -22,7 +22,6 @@ from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
 from bayes_aero.diagnosis.trajectory_result import Trajectories, View
 from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.pilot import ANYWHERE
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.dynamics.trim import can_simulate
 from bayes_aero.effect import Kind
 from bayes_aero.effects import CATALOGUE
@@ -39,7 +38,7 @@ from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
-from bayes_aero.physics.aircraft import Envelope
+from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.processes import blas_threads, cores
 from bayes_aero.progress import Progress
 from bayes_aero.report.design import points_table

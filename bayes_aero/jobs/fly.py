@@ -21,7 +21,6 @@ from bayes_aero.diagnosis.trajectory_result import FITTED, ProcessNoise, Setting
 from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.path import path_dynamics
-from bayes_aero.dynamics.system import FLIGHT, OF_AXIS
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card, channel_units
 from bayes_aero.flight.card_tables import is_file
@@ -41,6 +40,7 @@ from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_n
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes
+from bayes_aero.physics.aircraft import FLIGHT, OF_AXIS
 from bayes_aero.physics.kinematics import PATH_CORE
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import draw_all

@@ -12,7 +12,6 @@ from typing import Any
 
 from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes
@@ -34,6 +33,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Forming, despiked, join, observe
 from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures.every_figure import FIGURES, draw_all
 from bayes_aero.report.frequency import frequency_sentences

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.flights import FlightNoise, posterior_draws, trajectory_variance_inflation
 from bayes_aero.dynamics.flight import Dynamics, aircraft_dynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
@@ -39,6 +38,7 @@ from bayes_aero.jobs.provenance import provenance, write_json
 from bayes_aero.jobs.steps.record_checks import record_checks
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.progress import Progress
 from bayes_aero.qualification.flights import (
     OpenTest,

@@ -17,7 +17,6 @@ from calling import answer, holds, succeeded
 import bayes_aero as ba
 from bayes_aero.diagnosis import candidate_set
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.dynamics.system import OF_AXIS
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.reading import read_record
@@ -26,6 +25,7 @@ from bayes_aero.inference.results import MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.model.records import on_recorded_axes
+from bayes_aero.physics.aircraft import OF_AXIS
 
 BOOK = Path(__file__).resolve().parents[3] / "shared" / "book"
 FIXED, ALONE = ("--initial-state", "fixed"), "--no-process-noise"

@@ -11,12 +11,11 @@ from bayes_aero.diagnosis.result import Cause, Gain
 from bayes_aero.diagnosis.selection_state import SelectionState, linearised
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.observations import despiked, join
-from bayes_aero.physics.aircraft import NAMES
+from bayes_aero.physics.aircraft import FLIGHT, NAMES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import hidden_records

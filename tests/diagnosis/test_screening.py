@@ -34,7 +34,6 @@ from bayes_aero.diagnosis.selection_state import Products, RegressionFit, Select
 from bayes_aero.diagnosis.unexplained import left_beside
 from bayes_aero.diagnosis.view import compared, profiles
 from bayes_aero.dynamics.flight import aircraft_dynamics
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
@@ -43,7 +42,7 @@ from bayes_aero.jobs.io.documents import AbsorbedPart, document_schema
 from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
-from bayes_aero.physics.aircraft import NAMES, Axis
+from bayes_aero.physics.aircraft import FLIGHT, NAMES, Axis
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import OutputError

@@ -23,7 +23,6 @@ from bayes_aero.diagnosis.terms import flown_forms
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.innovations import filter_segments
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.flight.card import read_card
 from bayes_aero.inference.output_error import disturbed
 from bayes_aero.jobs.io.diagnosis_json import term_part
@@ -32,7 +31,7 @@ from bayes_aero.jobs.io.effect_file import effect_file, write_effects
 from bayes_aero.jobs.provenance import plain
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.observations import join
-from bayes_aero.physics.aircraft import Aircraft
+from bayes_aero.physics.aircraft import FLIGHT, Aircraft
 from bayes_aero.report.tables.diagnosis_tables import terms_table
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.output_error import AddedCoefficients, AddedToFilter, FilterError, OutputError

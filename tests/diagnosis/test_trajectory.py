@@ -41,7 +41,6 @@ from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_error
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import Steady
 from bayes_aero.dynamics.segments import SegmentTrajectories
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.effect import Effect, Example, Kind, Stage
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
@@ -54,6 +53,7 @@ from bayes_aero.jobs.io import diagnosis_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.parameter import Parameter, Prior
+from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.figures.diagnosis import spectrum
 from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences

@@ -17,13 +17,14 @@ from bayes_aero.dynamics.innovations import neighbour_correlation
 from bayes_aero.dynamics.kalman import discrete_noise
 from bayes_aero.dynamics.pilot import through_gusts
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT, System
+from bayes_aero.dynamics.system import System
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import disturbed
 from bayes_aero.inference.prediction_error import PredictionErrorStatus, fit_prediction_error
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join
+from bayes_aero.physics.aircraft import FLIGHT
 
 # Gusts in the equations of motion: what feels them, how they decay, and what is known of them at the beginning
 V, ALPHA, THETA, Q = 104.0, 0.11, 0.10, 0.02

@@ -15,7 +15,6 @@ import xarray as xr
 from scipy.stats import norm
 
 from bayes_aero.diagnosis.flights import fly_given
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import (
     Choice,
@@ -36,6 +35,7 @@ from bayes_aero.inference.mle import fit_mle
 from bayes_aero.jobs.export import FORMS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
+from bayes_aero.physics.aircraft import FLIGHT
 
 
 def agree(found, expected):

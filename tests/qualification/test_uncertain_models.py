@@ -12,11 +12,10 @@ from scipy.stats import norm
 from bayes_aero.diagnosis.design import Information
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments
-from bayes_aero.dynamics.system import FLIGHT
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.model.observations import join
-from bayes_aero.physics.aircraft import Envelope
+from bayes_aero.physics.aircraft import FLIGHT, Envelope
 from bayes_aero.qualification.flights import HoldOut, OpenTest, _Linear, _precision, _shrunk, further_flights
 from bayes_aero.qualification.qualify import BLOCK_SECONDS, Region, Structure, Uncertain, nearest, qualify
 from bayes_aero.qualification.result import Chance, FlightKind, Qualification, RecordBeside, Test, ToleranceVerdict

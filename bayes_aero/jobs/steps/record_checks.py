@@ -9,7 +9,6 @@ from pathlib import Path
 
 from bayes_aero.diagnosis.candidate_set import too_short
 from bayes_aero.diagnosis.consistency import KnownErrors, consistency
-from bayes_aero.dynamics.system import needed_channels
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health import channel_health
@@ -17,7 +16,7 @@ from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import despiked_records, with_sums
-from bayes_aero.physics.aircraft import required_of
+from bayes_aero.physics.aircraft import needed_channels, required_of
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.base import too_few_windows
