@@ -237,7 +237,8 @@ def test_the_thrust_of_one_side_is_never_the_whole(tmp_path, left, right):
 def test_halves_are_summed_and_density_and_mach_follow_from_the_altitude(tmp_path):
     record = flight(0, seconds=30.0)
     whole = np.rad2deg(record["elevator"])
-    _, text = starter_of(tmp_path, **{"LEFT ELEVATOR (DEG)": whole + 1.0, "RIGHT ELEVATOR (DEG)": whole - 1.0})
+    halves = {"LEFT ELEVATOR (DEG)": whole + 1.0, "RIGHT ELEVATOR (DEG)": whole - 1.0}
+    _, text = starter_of(tmp_path, **halves, **{"q [rad/s]": record["q"], "thrust [N]": 3000.0 + record.time})
     card = parse_card(tomllib.loads(filled(text)), "made", "made.toml")
     formed = with_sums(read_record(tmp_path / "run.csv", card.channels), card)
     density, sound = standard_air(record["altitude"])
