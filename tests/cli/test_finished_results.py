@@ -68,9 +68,15 @@ def test_the_numbers_follow_the_schema_and_every_thing_counted_makes_a_test_hard
         assert test["record"]["passed"]  # the model is the truth, and there is no noise
 
 
-def test_extrapolation_is_told_of_the_other_record_alone(found):
+def test_extrapolation_is_told_of_the_other_record_alone(folder, found):
+    """Beside the hull of the fitted record the other one is outside where single channels already are."""
+    fitted, other = (np.genfromtxt(folder / f"{n}.csv", delimiter=",", names=True) for n in ("stall", "other"))
+    alpha, low, high = other["ALCG"], fitted["ALCG"].min(), fitted["ALCG"].max()
     told = {one["manoeuvre"]: one for one in found["outside"] if one["motion"] == "recorded"}
     assert set(told) == {"other"}
+    clearly = 0.1 * (high - low) / 2.0  # a hull lies within the ranges of its channels
+    assert told["other"]["share"] >= np.mean((alpha > high + clearly) | (alpha < low - clearly)) - 0.01
+    assert told["other"]["distance"] >= max(alpha.max() - high, low - alpha.min()) / ((high - low) / 2.0) - 0.01
     assert told["other"]["share"] > 0.0 < told["other"]["distance"]
     assert found["flown_region"] == {"channels": ["alpha", "beta", "mach", "p", "q", "r"], "not_recorded": []}
 

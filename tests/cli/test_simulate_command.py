@@ -18,6 +18,7 @@ from bayes_aero.dynamics.pilot import commands, lateral_commands
 from bayes_aero.dynamics.trim import Trim
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.card import read_card
+from bayes_aero.flight.reading import read_record
 from bayes_aero.jobs.options import Manoeuvre
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.demo import Request
@@ -35,6 +36,17 @@ def test_a_sensor_error_acts_when_it_is_recorded_and_the_truth_is_beside_the_fil
     assert truth["file"]["sha256"] == hashlib.sha256(flights.biased.read_bytes()).hexdigest()
     assert truth["parameters"]["CLa"] == 3.6
     assert truth["provenance"]["versions"]["jax"]
+
+
+def test_the_flight_begins_in_level_flight_and_reaches_the_stall(flights, card):
+    record = read_record(flights.sound, card.channels)
+    assert record.n == 1001
+    assert record.dt == pytest.approx(0.04)
+    force = np.hypot(record["ax"][0], record["az"][0])
+    assert force == pytest.approx(9.80665, rel=0.01)
+    assert np.rad2deg(record["alpha"].max()) > 15.0
+    speed_of_sound = record["airspeed"] / record["mach"]
+    assert speed_of_sound[0] == pytest.approx(319.7, abs=1.0)  # ISO 2533 table, 5200 m: 319.7 m/s
 
 
 def test_noise_is_that_of_the_sensors(program, flights):
