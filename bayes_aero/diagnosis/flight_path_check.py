@@ -55,15 +55,7 @@ class _Measures:
 
 
 def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
-    """Compare the flight path of one record with what noise permits.
-
-    Args:
-        name: of the record.
-        time: s, evenly sampled.
-        channels: (n,) each, SI; spikes repaired, errors of sensors that are known taken out.
-        card: says the sensors' noise and where the accelerometer is.
-        seed: of the records of noise.
-    """
+    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise permits."""
     path = _RecordedPath(time, channels, card, seed)
     met, outputs, noise = path.gusts_shown(), path.outputs, path.noise
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))

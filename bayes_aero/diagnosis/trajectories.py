@@ -81,12 +81,7 @@ def compare_trajectories(
     progress: Progress | None = None,
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
-
-    The extended model has the causes that hold-out coefficients confirm and hold-out flights need (see `eliminate`),
-    and a separation lag if the coefficients do not decide on one and hold-out flights need it (see `with_lag`).
-    `biases`: outputs recorded with a constant error in each manoeuvre; they are fitted with the rest. Hold-out flights
-    are compared with the record as it is.
-    """
+    `biases`: outputs recorded with a constant error in each manoeuvre, which are fitted, too."""
 
     def tell(text: str, share: float) -> None:
         if progress:
@@ -226,12 +221,8 @@ def fit_trajectories(
     progress: Progress | None = None,
 ) -> TrajectoryFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
-
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other, as `compare_trajectories` does. `biases`: outputs recorded with a constant
-    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
-    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
-    """
+    by the one and its samples by the other."""
     setting = setting or Setting()
 
     def tell(text: str, share: float) -> None:

@@ -173,11 +173,8 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
 def _composition(
     state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
 ) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
-
-    Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
-    within the central normal bands of the fitted noise, growth with separation included.
-    """
+    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts and lag 1 at the recorded rate;
+    the share of residuals (5 Hz means) within the central normal bands of the fitted noise."""
     standard = state.left(fit) / np.sqrt(fit.variance)
     inside = np.concatenate([standard[fold] for fold in state.folds])
     manoeuvre, composition = state.responses.flights.manoeuvre, {}

@@ -32,11 +32,8 @@ Check = Callable[[FlightRecord, Card, bool], str]
 
 
 def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
-    """Raise InputError, naming channel, sample and remedy, for the first thing that is wrong with a record.
-
-    With `even=False` gaps and uneven sampling pass: the record is about to be resampled. `channels` are the card's:
-    what it says already is not advised.
-    """
+    """Raise `InputError`, with channel, sample and remedy, for the first thing wrong with a record. `even=False`: it is
+    to be resampled."""
     for reason in failures(record, even=even, channels=channels):
         raise InputError(reason)
 
@@ -355,18 +352,8 @@ _STEPWISE = ("gear",)
 
 
 def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -> FlightRecord:
-    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples.
-
-    Args:
-        record: with increasing time. A channel may be NaN where a slower sensor has no sample, or hold its last value
-            there: only its true samples are used then, and a remark says so.
-        dt: the new interval, s. A coarser one than the record's is low-pass filtered first, against aliasing.
-        max_gap: a step longer than this many median steps (of the channel) is refused.
-
-    Returns:
-        From the first to the last instant at which all channels are known; the last sample is dropped unless it falls
-        on the grid. Heading, bank and longitude come back unwrapped.
-    """
+    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples, low-pass
+    filtered where dt is coarser; a step beyond `max_gap` median steps is refused. Angles come back unwrapped."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     knots = {name: sampled_at(name, values) for name, values in record.channels.items()}

@@ -143,22 +143,9 @@ def fit_prediction_error(
     exact: bool = True,
     F_held: bool = False,
 ) -> PredictionErrorResult:
-    """Fit all segments together.
-
-    The first steps hold the filter's gains while the parameters of the motion vary; the last steps are exact. The
-    measurement noise of a channel is at least that of its resolution: a smoothed record would have no noise.
-
-    Args:
-        flown: segments of flights.
-        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
-        R: variances of the measurement noise to start from, (c,), SI.
-        start: parameters, (k,); default: the starting values of the model.
-        start_deviation: of the measured initial state, (s,), SI; default: of flight-test sensors, 0 of a fixed state.
-        held: parameters that are not estimated, and their values.
-        priors: whether the parameters' priors count.
-        exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
-        F_held: whether the process noise is held.
-    """
+    """Fit all segments together. The first steps hold the filter's gains while the parameters of the motion vary; the
+    last are exact, or left out (`exact` False: consistent estimates). `F` (s,) and `R` (c,) are the noise to start
+    from, SI."""
     F = np.asarray(F, float)
     problem = _Problem.of(flown.nameless, start_deviation, held or {}, (F > 0.0) & (not F_held), priors)
     free = flown.dynamics.free
