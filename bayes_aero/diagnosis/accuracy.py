@@ -95,14 +95,12 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
     return tuple(filtered)
 
 
-def noise_effect(
-    state: SelectionState, fit: RegressionFit, seed: int = 0
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
 
     `state` is at its optimum. Columns that are no parameters get zeros."""
     flights = state.responses.flights
-    noise, rng = recording_noise(flights), np.random.default_rng(seed)
+    noise, rng = recording_noise(flights), np.random.default_rng(0)
     parameters = fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
@@ -126,11 +124,11 @@ def noise_effect(
     return bias, spread
 
 
-def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1) -> dict[str, tuple[float, float]]:
+def largest_noise_bias(state: SelectionState, fit: RegressionFit) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
     the residuals permit. It is linear in the channels' variances, which sum up to no more than is left of an output;
     noise may be `SLOW` times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163."""
-    flights, rng = state.responses.flights, np.random.default_rng(seed)
+    flights, rng = state.responses.flights, np.random.default_rng(1)
     parameters = fit.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]

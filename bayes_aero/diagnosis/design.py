@@ -396,13 +396,15 @@ def standard(
     start = {"airspeed": mean["airspeed"] * faster, "altitude": altitude}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    flights_flown = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope)
+    made, seconds, refused = fly_standard(
+        small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope
+    )
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
-    unseen = {n: moved[n] for n in flights_flown.channels if n in moved and moved[n] not in flights.recorded}
-    flown = {n: _recorded(flights, channels, dt) for n, channels in flights_flown.channels.items() if n not in unseen}
-    excursions = {n: excursion(flights_flown.channels[n]) for n in flown}
-    refused = dict(flights_flown.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()}
-    return Standard(small, theta, flown, flights_flown.seconds, excursions, refused, **start, amplitude=amplitude)
+    unseen = {n: moved[n] for n in made if n in moved and moved[n] not in flights.recorded}
+    flown = {n: _recorded(flights, channels, dt) for n, channels in made.items() if n not in unseen}
+    excursions = {n: excursion(made[n]) for n in flown}
+    refused |= {n: f"{channel} was not recorded" for n, channel in unseen.items()}
+    return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
 
 
 def flights_of(state: SelectionState) -> Flights:

@@ -303,8 +303,8 @@ POWER, BEYOND = 0.95, 2.0  # share of the rates' power below a frequency, and ho
 HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sampling rate that the filters pass
 
 
-def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | None:
-    """Fit the causes of a diagnosis in a band; None where there are none. `seed`: of noise that shows its own bias."""
+def causes_in_band(diagnosis: Diagnosis) -> CausesInBand | None:
+    """Fit the causes of a diagnosis in a band; None where there are none."""
     wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None
@@ -314,7 +314,7 @@ def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | Non
     flights = flights_of(state)
     band = band_of(flights)
     responses = FrequencyError.in_band(flights, model, band)
-    fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free, seed=seed)
+    fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free)
     if not fit.converged:
         return CausesInBand(band, (), tuple(wanted), converged=False)
     shared = _shared(fit, state, model.names)

@@ -74,7 +74,7 @@ class _Coefficients:
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
     def _steps(self, theta: Float[np.ndarray, " k"], most: int) -> GaussNewtonPoint:
-        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
+        return full_steps(self.data, theta, self.bounds[:, 0], self.bounds[:, 1], TOLERANCE, most)
 
     def cost(self, point: Float[np.ndarray, " k"]) -> float:
         """The cost at a point."""

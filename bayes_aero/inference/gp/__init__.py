@@ -53,7 +53,6 @@ class GPFit:
     """A trained GP."""
 
     input_names: tuple[str, ...]
-    output_name: str
     scaling: Scaling
     priors: Priors
     data: ReducedData
@@ -148,7 +147,7 @@ def fit_gp(
         at = systematic_resample(weighted.log_weight, seed)
         draws = flat[at]
         tree = posterior_tree(sampled, at, scaling, priors, names, output_name, seed)
-    return GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
+    return GPFit(names, scaling, priors, data, optima, status, sampled, draws, tree)
 
 
 def too_many(n: int) -> str:
