@@ -95,14 +95,12 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
     return tuple(filtered)
 
 
-def noise_effect(
-    state: SelectionState, fit: RegressionFit, seed: int = 0
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.ndarray, " k"], ...]:
     """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
 
     `state` is at its optimum. Columns that are no parameters get zeros."""
     flights = state.responses.flights
-    noise, rng = recording_noise(flights), np.random.default_rng(seed)
+    noise, rng = recording_noise(flights), np.random.default_rng(0)
     parameters = fit.columns < len(state.theta)
     at = fit.columns[parameters]
 
@@ -126,16 +124,11 @@ def noise_effect(
     return bias, spread
 
 
-def largest_noise_bias(state: SelectionState, fit: RegressionFit, seed: int = 1) -> dict[str, tuple[float, float]]:
+def largest_noise_bias(state: SelectionState, fit: RegressionFit) -> dict[str, tuple[float, float]]:
     """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
-    the residuals permit.
-
-    What is left of an output holds the noise of the channels that enter it, so their variances, each times what it adds
-    to the output, sum up to no more than is left. The bias is linear in these variances, too. Slow noise cannot be told
-    from motion in a channel by itself, so it is not estimated: it may be `SLOW` times what is read off as white.
-
-    Source: Klepper and Leamer, Econometrica 52 (1984) 163 (estimates consistent with errors in all variables)."""
-    flights, rng = state.responses.flights, np.random.default_rng(seed)
+    the residuals permit. It is linear in the channels' variances, which sum up to no more than is left of an output;
+    noise may be `SLOW` times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163."""
+    flights, rng = state.responses.flights, np.random.default_rng(1)
     parameters = fit.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
     covariance = inverse(fit.normal)[np.isin(fit.columns, additions)]
@@ -307,10 +300,7 @@ def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
 
 
 def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.ndarray | None = None) -> float:
-    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out.
-
-    From inner products alone, for thousands of fits; `LeftOut` has the residuals.
-    """
+    """Deviance that columns `wide` gain over `narrow` (default: the active ones) on folds that were left out."""
 
     def deviance(columns: np.ndarray) -> float:
         """n log(mean square) over folds and outputs; the offsets are each fold's own."""
@@ -332,13 +322,9 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
 
 
 def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
-    """Deviance that additions `wide` gain over those that are in on folds that were left out.
-
-    Unlike manoeuvres do not predict each other: a doublet says nothing of the stall, and what the card's parameters
-    then miss of the stall covers what an addition gains. Where `holdout_deviance_gain` is none, a fold is asked for the
-    additions alone and fits the card's parameters by itself. The additions' estimate from the other folds, with its
-    uncertainty, is the fold's prior, and they are integrated out.
-    """
+    """Deviance that additions `wide` gain on folds that were left out. Unlike manoeuvres do not predict each other:
+    where `holdout_deviance_gain` is none, a fold fits the card's parameters by itself, and the additions are integrated
+    out."""
     gain, card = holdout_deviance_gain(state, wide), state.columns(())
     of_card = np.any(card < len(state.theta))  # sensors along the flight path have no such parameters
     if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
@@ -360,15 +346,8 @@ def integrated_deviance(
     prior: tuple[np.ndarray, np.ndarray],
     inflation: float,
 ) -> float:
-    """Deviance of a fold whose prior of the additions is their posterior from the other folds; they are integrated out.
-
-    Args:
-        products: of all folds.
-        fold: its number.
-        columns: all columns, and those of the card among them, which are fitted to the fold.
-        prior: mean and precision of every column.
-        inflation: how many times the white likelihood counts a sample; priors are multiplied by it, too.
-    """
+    """Deviance of a fold whose prior of the additions is their posterior from the other folds; they are integrated
+    out."""
     everything, card = columns
     others = products.without(fold).fit(everything, *prior)
     at = np.flatnonzero(~np.isin(everything, card))
@@ -403,12 +382,8 @@ Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with 
 def backward_elimination(
     additions: Sequence[str], first_order: Predicted, refitted: Predicted, settings: DiagnosisSettings = DEFAULT
 ) -> Confirmation:
-    """Each addition in turn, least missed to first order first, is taken out and everything fitted again.
-
-    What stays is missed by `settings.hold_out` standard errors of its log density (nats), and degrades no output
-    (see `DiagnosisSettings.degrades`); where all that wait are missed by `settings.hold_out_first_order` of them to
-    first order and degrade none, nothing is fitted again, and that is reported.
-    """
+    """Each addition in turn, least missed to first order first, is taken out and everything fitted again. What stays is
+    missed by `settings.hold_out` standard errors of its log density and degrades no output."""
 
     def gain(without: LeftOut, whole: LeftOut) -> tuple[float, float]:
         return whole.gain(without) if without.flyable else (np.inf, 0.0)

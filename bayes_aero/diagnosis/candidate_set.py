@@ -29,11 +29,8 @@ ENOUGH = 3.0  # deviations by which effects must differ for a manoeuvre to separ
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """Thresholds of screening, selection, hold-out tests and the search for structure without a name.
-
-    Numerical constants (ridges, steps of iterations) are not among them. Defaults were chosen on simulated flights;
-    rates of false alarms and of detection that follow from them are in `benchmarks/README.md`.
-    """
+    """Thresholds of screening, selection, hold-out tests and the search for structure without a name. They were chosen
+    on simulated flights; the rates of error that follow from them are in `benchmarks/README.md`."""
 
     max_effects: int = 8  # effects that each stage may add
 
@@ -188,10 +185,7 @@ def lag_of(full: CandidateModel) -> Effect | None:
 def candidate_model(
     model: Model, flights: Flights, extra: Sequence[Effect] = (), settings: DiagnosisSettings = DEFAULT
 ) -> CandidateModel:
-    """`model` extended by the catalogue and by `extra` effects of the user.
-
-    An effect of the card that is fixed at neutral (tau1 = 0) is absent, and so a candidate.
-    """
+    """`model` extended by the catalogue and by `extra` effects; one that the card fixes at neutral is a candidate."""
     fixed = dict(model.fixed)
     absent = [e for e in model.effects if e.parameters and e.absent_in(fixed)]
     active = [e for e in model.effects if e not in absent]

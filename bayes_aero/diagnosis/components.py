@@ -164,11 +164,7 @@ def _lagged(quantity: TermFactor, chords: float) -> TermFactor:
 def library(
     signals: Signals, aircraft: Aircraft, able: Callable[[str], bool], *, lateral: bool, separated: bool
 ) -> tuple[ProductTerm, ...]:
-    """Terms of a coefficient that these flights can tell, which change sign with the wings as it does (`lateral`).
-
-    `signals` are those of all flights end to end, `X` and the marks of manoeuvres among them, each (n,); `able` says
-    whether a channel was recorded and moves, `separated` whether the flow separates.
-    """
+    """Terms of a coefficient that these flights can tell, which change sign with the wings as it does (`lateral`)."""
     quantities = [q for q in QUANTITIES if all(map(able, q.channels))]
     factors = [*quantities, *([SEPARATED] if separated else [])]
     products = [ProductTerm(t) for k in range(1, MOST_FACTORS + 1) for t in combinations_with_replacement(factors, k)]
@@ -216,11 +212,7 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 
 
 def smooth_components(state: SelectionState) -> list[Component]:
-    """A smooth function of every recorded channel that moves within a manoeuvre, in each coefficient.
-
-    Not of white noise about a constant, which explains a channel's own noise, and that is what it leaves. CL, CD and Cm
-    do not change with the sign of what changes its sign with the wings.
-    """
+    """A smooth function, in each coefficient, of every recorded channel that moves and is more than white noise."""
     signals, flights, knots = state.responses.evaluate(state.theta)[1], state.responses.flights, state.settings.knots
     skipped = (*SKIPPED, *noise_channels(flights))
     names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
@@ -375,10 +367,7 @@ class TermColumn:
 
 
 def columns_of(state: SelectionState, coefficient: str, given: Sequence[ProductTerm] = ()) -> list[TermColumn]:
-    """The library's terms in one coefficient, or those `given`, as the residuals show them.
-
-    Each is as large as the residuals of a model under it, to first order (see `ResidualModel.added`).
-    """
+    """The library's terms in one coefficient, or those `given`, as the residuals show them to first order."""
     added, flights = state.responses.added(state.theta), state.responses.flights
     signals = added.signals()
     if given:  # a simulation has no channel that its model does not read

@@ -62,15 +62,8 @@ class KnownErrors:
 def consistency(
     records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
 ) -> Consistency:
-    """Check the flight path of each record in absolute terms.
-
-    Args:
-        records: the manoeuvres.
-        card: says the sensors' noise, where the accelerometer is, and which errors of sensors are corrected already.
-        seed: of the records of noise.
-        seek: where sensors disagree, look for the known error that explains it (some seconds).
-        known: the search's result, where it has been done.
-    """
+    """Check the flight path of each record in absolute terms; where sensors disagree, `seek` the error that explains
+    it."""
     if why := no_flight_path(records, card):
         return Consistency(why)
     flights = _flights(records, card)
@@ -183,11 +176,8 @@ def check_sensors(
     priors: Mapping[str, Prior] | None = None,
 ) -> Extension:
     """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
-
-    Nothing else is in but where integrals begin. Where one is larger than sensors have, all is selected again without
-    it and what holds only beside it. If that explains the record as well, it had stood in for others. If not, it stays,
-    for the others cannot be judged without it, and corrects nothing (see `without_hold`).
-    """
+    Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
+    others do not explain the record as well."""
 
     def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
         """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
@@ -364,13 +354,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
 
 
 def open_errors(extension: Extension) -> tuple[OpenError, ...]:
-    """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first.
-
-    One that was added and is beyond absence, estimated with all others, is decided.
-
-    Args:
-        extension: the search along the flight path, ended by `widened`.
-    """
+    """Each error of one parameter that is asked for and not confirmed, or imitated by others; the former first."""
     state, settings = extension.state, extension.state.settings
     effects, columns, gram, right = _information_of_errors(state, extension.fit)
     # Priors weigh against a white likelihood as against the coloured one: see `SelectionState.variance_inflation`.
@@ -423,11 +407,9 @@ def _information_of_errors(
 
 
 def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
-    """The state with an addition exchanged for several errors that together do nearly the same, where these explain the
-    record decisively better.
-
-    Offset and scale of an airspeed come one by one. Neither gains what an offset of its pitot pressure does.
-    """
+    """The state with an addition exchanged for several errors that together do nearly the same and explain decisively
+    more: offset and scale of an airspeed come one by one, and neither gains what an offset of its pitot pressure
+    does."""
     effects, _, gram, _ = _information_of_errors(state, fit)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:

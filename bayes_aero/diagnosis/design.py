@@ -118,17 +118,7 @@ def next_test_points(
     envelope: Envelope,
     theta: np.ndarray | None = None,
 ) -> TestPoints:
-    """Choose them for ambiguity sets.
-
-    Args:
-        state: where the diagnosis ended.
-        sets: the effects of each, and the sizes at which they are told apart, by parameter, SI.
-        envelope: inside which manoeuvres are proposed.
-        theta: parameters with which they are flown (default: those of `state`).
-
-    Raises:
-        InputError: the model cannot be flown, or an effect of a set is none that the records can test.
-    """
+    """Choose them for ambiguity sets, at the sizes at which the effects of each are told apart, inside an envelope."""
     names = sorted(frozenset().union(*sets))
     chosen = candidates_of(state, names)
     variants = variants_of(state if theta is None else replace(state, theta=theta), names, envelope)
@@ -215,11 +205,7 @@ def best_points(
     expected: Callable[[Any], tuple[float, ...]],
     decided: Callable[[Any], bool],
 ) -> tuple[TestPoint, ...]:
-    """One after another, the manoeuvre with most information a second, until all is decided or little is to be had.
-
-    `information` is what the present records say, to which `Variant.information` is added; `nats` that on all
-    questions, `expected` as of `TestPoint`, `decided` whether nothing is left to decide.
-    """
+    """One after another, the manoeuvre with most information a second, until all is decided or little is to be had."""
     points: list[TestPoint] = []
     while len(points) < MOST and not decided(information):
         present = nats(information)
@@ -391,12 +377,8 @@ def standard(
     faster: float = 1.0,
     envelope: Envelope = ANYWHERE,
 ) -> Standard:
-    """Fly the standard manoeuvres with the effects that are in, and with those of `effects` that are candidates.
-
-    A model of both axes flies them in six degrees of freedom, and those of the lateral axis too. `amplitude` multiplies
-    every input, `faster` the airspeed with which the records begin. What the record itself gets wrong (sensors, thrust)
-    is flown as at neutral.
-    """
+    """Fly the standard manoeuvres with the effects that are in and those of `effects`; what the record gets wrong, as
+    at neutral."""
     rigid = Axis.LATERAL in state.full.model.axes
     if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
         raise InputError(
@@ -414,13 +396,15 @@ def standard(
     start = {"airspeed": mean["airspeed"] * faster, "altitude": altitude}
     dt = float(np.median(np.asarray(flights.channels["dt"])))
     aircraft = small.actual_aircraft(values, flights.aircraft)
-    flights_flown = fly_standard(small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope)
+    made, seconds, refused = fly_standard(
+        small, values, aircraft, **start, dt=dt, amplitude=amplitude, envelope=envelope
+    )
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
-    unseen = {n: moved[n] for n in flights_flown.channels if n in moved and moved[n] not in flights.recorded}
-    flown = {n: _recorded(flights, channels, dt) for n, channels in flights_flown.channels.items() if n not in unseen}
-    excursions = {n: excursion(flights_flown.channels[n]) for n in flown}
-    refused = dict(flights_flown.refused) | {n: f"{channel} was not recorded" for n, channel in unseen.items()}
-    return Standard(small, theta, flown, flights_flown.seconds, excursions, refused, **start, amplitude=amplitude)
+    unseen = {n: moved[n] for n in made if n in moved and moved[n] not in flights.recorded}
+    flown = {n: _recorded(flights, channels, dt) for n, channels in made.items() if n not in unseen}
+    excursions = {n: excursion(made[n]) for n in flown}
+    refused |= {n: f"{channel} was not recorded" for n, channel in unseen.items()}
+    return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
 
 
 def flights_of(state: SelectionState) -> Flights:

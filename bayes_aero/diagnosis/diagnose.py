@@ -128,11 +128,7 @@ Kept = Mapping[str, tuple[str, ...]]  # by stage, additions that hold-out data c
 
 
 def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Cause], Kept, tuple[str, ...]]:
-    """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures.
-
-    A cause that loses on hold-out data, beside the causes before it, is not confirmed, the last first. Should the
-    hold-out test fail, no cause is confirmed.
-    """
+    """Causes with what unseen data say of them, the additions of every stage that these confirm, and failures."""
 
     def loses(gain: Gain) -> bool:
         """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
@@ -238,11 +234,7 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
 
 
 def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
-    """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has.
-
-    A single unlikely cause is likelier nothing. A size that no aircraft has is no structure where others explain the
-    same without it, or a function does. An error that no sensor has is reported as such, and is no structure.
-    """
+    """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has."""
     effects, extensions = {e.name: e for e in result.full.candidates}, result.by_stage
     several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
     structures = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
@@ -285,12 +277,9 @@ def _excited(state: SelectionState, name: str) -> bool:
 def rivals_of(
     extension: Extension, name: str, worse: Sequence[str] = (), noise: float = 0.0
 ) -> tuple[float, tuple[str, ...]]:
-    """Probability of a cause among everything that could take its place, nothing included; and who comes close.
-
-    Of both those are left out that predict hold-out data `worse` in its place, what only hides noise of one coefficient
-    under another (see `mixes_noise`), and what must be larger for it than aircraft have. `noise` is the share of the
-    cause that noise of the recorded channels can make: it may outdo its rivals by recording the same with less of it.
-    """
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close. Left
+    out is what predicts hold-out data `worse`, only hides noise (see `mixes_noise`), or must be larger than aircraft
+    have."""
     state, fit = extension.state, extension.fit
     effects = {e.name: e for e in state.full.candidates}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
@@ -322,11 +311,8 @@ def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmat
 def judged_on_held_out_flights(
     diagnosis: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()
 ) -> Diagnosis:
-    """The diagnosis with each cause confirmed, or not, by held-out flights; untested causes stay as they are.
-
-    A cause with parameters that were `held` at their joint estimate in place of a fit was not tested: that estimate has
-    seen the flight, and confirms nothing.
-    """
+    """The diagnosis with each cause confirmed, or not, by held-out flights. A cause with parameters `held` at their
+    joint estimate was not tested."""
 
     def judged(c: Cause) -> Cause:
         if c.name in confirmation.missed:
@@ -410,11 +396,8 @@ def rival_gains(
 
 
 def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
-    """Share of what an effect does to the outputs, means aside, that no other free parameter can do as well.
-
-    One over the variance inflation factor, the largest over its parameters; priors left out, for they are no data.
-    Not a number where the effect is not in the fit.
-    """
+    """Share of what an effect does to the outputs, means aside, that no other free parameter can do: 1 over its largest
+    VIF."""
     at = fit.places([c for c in state.full.own_columns(effect) if c in fit.columns])
     if not at:
         return float("nan")

@@ -55,21 +55,13 @@ class _Measures:
 
 
 def path_check(name: str, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int = 0) -> PathCheck:
-    """Compare the flight path of one record with what noise permits.
-
-    Args:
-        name: of the record.
-        time: s, evenly sampled.
-        channels: (n,) each, SI; spikes repaired, errors of sensors that are known taken out.
-        card: says the sensors' noise and where the accelerometer is.
-        seed: of the records of noise.
-    """
+    """Compare the flight path of one record, in SI and without known errors of sensors, with what noise permits."""
     path = _RecordedPath(time, channels, card, seed)
-    met, outputs, noise = path.gusts_shown(), path.outputs, path.noise
+    met, outputs, constant = path.gusts_shown(), path.outputs, path.constant
     turbulence = float(np.clip(MARGIN * met, CALM, LIGHT_TURBULENCE))
     drawn = path.residuals(path.disturbances(turbulence, REPLICATES)) - path.recorded
     whole = np.ones(len(time))  # a constant error of each sensor by itself, as large as is permitted
-    each = zip(noise.constant.items(), np.eye(len(noise.constant)), strict=True)
+    each = zip(constant.items(), np.eye(len(constant)), strict=True)
     columns = path.residuals({n: np.outer(own, sd * whole) for (n, sd), own in each}) - path.recorded
     measures = _measures(np.concatenate([path.recorded, drawn]), columns, outputs, time)
     count, permitted = len(outputs), _permitted(measures)
@@ -89,7 +81,8 @@ class _RecordedPath:
     def __init__(self, time: Float[np.ndarray, " n"], channels: Channels, card: Card, seed: int) -> None:
         self.full = {n: np.asarray(channels[n]) if n in channels else np.zeros(len(time)) for n in PATH_NEEDS}
         self.outputs, self.dt = path_outputs(channels), float(time[-1] - time[0]) / (len(time) - 1)
-        self.noise = sensor_noise({n: self.full[n] for n in channels if n in self.full}, card)
+        given = {n: self.full[n] for n in channels if n in self.full}
+        self.white, self.constant, self.shown = sensor_noise(given, card)
         self.aircraft = replace(NO_AIRCRAFT, accelerometer=card.aircraft.accelerometer)
         self.rng = np.random.default_rng([seed, 31])
         self.recorded = self.residuals({"q": np.zeros((1, len(time)))})
@@ -119,7 +112,7 @@ class _RecordedPath:
             share = float(np.mean(np.median(_local(unit.T, self.dt) ** 2, axis=0)))
             scale = np.ones_like(V) if along else V
             inside = _local((self.recorded[0, :, self.outputs.index(name)] * scale)[:, None], self.dt)[:, 0]
-            white = self.noise.shown[name] * float(np.median(scale))
+            white = self.shown[name] * float(np.median(scale))
             levels.append(float(np.median(np.maximum(inside**2 - white**2, 0.0))) / max(share, 1e-12))
         return float(np.sqrt(min(levels, default=0.0)))
 
@@ -127,9 +120,8 @@ class _RecordedPath:
         """What `count` sensors and airs of this kind add to the channels; `turbulence` in m/s."""
         V, rng = np.maximum(self.full["airspeed"], 1.0), self.rng
         added = {
-            name: sd * rng.standard_normal((count, len(V)))
-            + self.noise.constant[name] * rng.standard_normal((count, 1))
-            for name, sd in self.noise.white.items()
+            name: sd * rng.standard_normal((count, len(V))) + self.constant[name] * rng.standard_normal((count, 1))
+            for name, sd in self.white.items()
         }
         for name in (name for name in AIR_DATA if name in added):
             along = name == "airspeed"
@@ -256,22 +248,13 @@ MARGIN = 2.0  # times the calmest air-data channel's own gusts: turbulence comes
 AIR_DATA = ("airspeed", "alpha", "beta")
 
 
-@dataclass(frozen=True)
-class SensorNoise:
-    """Standard deviations in SI by channel."""
-
-    white: Mapping[str, float]  # the noise of each sample that is permitted
-    constant: Mapping[str, float]  # an error that is constant over a record
-    shown: Mapping[str, float]  # the white noise that the record has shown
-
-
-def sensor_noise(channels: Mapping[str, Float[np.ndarray, " n"]], card: Card) -> SensorNoise:
-    """Noise that is permitted in one record: as stated, or as the record shows it up to `NOISIER` times that; and a
-    constant error as large as the stated noise."""
+def sensor_noise(channels: Channels, card: Card) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Standard deviations in SI by channel: white noise that is permitted in one record (as stated, or as the record
+    shows it up to `NOISIER` times that), a constant error as large as the stated noise, and the white noise shown."""
     stated = {name: float(card.sensors.get(name) or DEFAULT_NOISE[name]) for name in DEFAULT_NOISE if name in channels}
     shown = {name: noise_of(np.asarray(channels[name])) for name in stated}
     permitted = {n: float(np.clip(shown[n], sd, NOISIER * sd)) for n, sd in stated.items()}
-    return SensorNoise(permitted, stated, shown)
+    return permitted, stated, shown
 
 
 def gusts(

@@ -362,10 +362,8 @@ def with_lag(
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
 ) -> tuple[CandidateFit, LagTest]:
-    """`model`, the extended one with the lag, fitted to all from the extended one's optimum.
-
-    Hysteresis that is left at none is held there: the lag stands in for it.
-    """
+    """`model`, the extended one with the lag, fitted to all. Hysteresis that is left at none is held: the lag stands in
+    for it."""
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
     # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.
@@ -425,11 +423,8 @@ def eliminate(
     noise: FlightNoise,
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
-    """Test every one of `causes` on hold-out flights.
-
-    `fits` are those to all segments but one each, `silent` the parameters held at their joint values there. A cause
-    with such parameters is not tested and stays: with a joint value the segment is not held out.
-    """
+    """Test every one of `causes` on hold-out flights. One with `silent` parameters, held at joint values, is not tested
+    and stays."""
     unheard = {name for held in silent.values() for name in held}
     neutral = {e.name: e.neutral_values for e in causes if not unheard & set(e.neutral_values)}
     flight = HeldOutFlights(contender, neutral, silent, noise, {tuple(neutral): fits})
@@ -503,11 +498,8 @@ class HeldOutFlights:
 
 
 def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
-    """Variance inflation in the median over the parameters.
-
-    From Morelli and Klein's corrected covariance on means over `THINNING` samples (of white residuals a fifth of the
-    variance is left there); the segments' states are among the parameters, unless they are fixed.
-    """
+    """Median variance inflation of the parameters, from Morelli and Klein's covariance on means over `THINNING`
+    samples."""
     flown, k = fit.flown, len(fit.estimate)
     residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
     if fit.priors.fixed:

@@ -216,10 +216,7 @@ class Diagnosis:
 def verdict_of(
     causes: Sequence[Cause], unknown: Sequence[UnexplainedStructure | ParameterChange], tested: Tested | None = None
 ) -> Verdict:
-    """What is missing counts as explained by causes that are sure alone (see `Cause.sure`).
-
-    A change of a parameter says where and when the model fails, and is no cause. `tested`: by trajectories alone.
-    """
+    """What is missing counts as explained by causes that are sure alone; a change of a parameter is no cause."""
     of_the_model = [cause for cause in causes if cause.stage != FLIGHT_PATH]  # the others are the sensors'
     if any(cause.sure for cause in causes):
         verdict = Verdict.PARTLY_EXPLAINED if unknown else Verdict.EXPLAINED

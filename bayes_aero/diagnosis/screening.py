@@ -430,10 +430,8 @@ def screen(
     noise: SharedNoise | None = None,
 ) -> ScreeningResult:
     """Fit every candidate, all active parameters free; draw noise-only replicates (`nulls`) under the present model.
-
-    `without` takes one addition out first, to first order: it is then a candidate like the others, and each of
-    them is told `apart` from it. `noise` is that of the seed, where others are judged by it, too.
-    """
+    `without` takes one addition out first, to first order: it is then a candidate, and the others are told `apart` from
+    it."""
     if without is not None:
         state = state.without([without])
         fit = state.fit()

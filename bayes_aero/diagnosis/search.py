@@ -186,13 +186,8 @@ class Search:
         )
 
     def innovations(self) -> SearchResult:
-        """What a filter does not foresee of all recorded outputs, in air that is not at rest.
-
-        Gusts, noise of the states and of the sensors are estimated with the card's model. Their filter then follows
-        each flight sample by sample, and what it does not foresee is compared with every candidate of the catalogue,
-        errors of sensors beside aerodynamics. A gust moves vane and accelerometers together, as no error of a sensor
-        does. In what is left then, terms of the library are sought.
-        """
+        """What a filter does not foresee of all recorded outputs, in air that is not at rest. A gust moves vane and
+        accelerometers together, as no error of a sensor does."""
         if self.progress:
             self.progress("process noise", 0.0)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
@@ -214,12 +209,8 @@ class Search:
 
     def trajectories(self) -> SearchResult:
         """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
-
-        Accelerations are compared too where they were recorded. The card's model is flown through the recorded inputs
-        in windows; the selection is that of the coefficients. Less is seen than there: a trajectory integrates what a
-        coefficient shows at once. A lag of the separation point that the card does not have would be a state of its
-        own: it is tried where something is missing.
-        """
+        Less is seen than there: a trajectory integrates what a coefficient shows at once. A lag of the separation point
+        is tried where something is missing."""
         if why := too_few_windows(self.records):
             raise InputError(why)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
@@ -438,11 +429,8 @@ def _searched(
     before: Extension | None = None,
     barred: tuple[str, ...] = (),
 ) -> tuple[Extension, PredictionErrorStatus]:
-    """One addition after the other; after each, gusts and noise are estimated anew with it in the model.
-
-    Before, the noise of states had to stand for what was missing. `known` are parameters to start from. What is larger
-    than aircraft have is `barred`, and all is sought again (see `plausible_selection`); `before` it was in.
-    """
+    """One addition after the other; after each, gusts and noise are estimated anew. What is larger than aircraft have
+    is `barred`, and all is sought again; `before` it was in."""
     begin = known
     active: tuple[str, ...] = ()
     apart: tuple[str, ...] = ()

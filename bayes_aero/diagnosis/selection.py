@@ -89,10 +89,7 @@ def forward_selection(
     checked: Checked = lambda state, fit: (state, fit),
     barred: Sequence[str] = (),
 ) -> Extension:
-    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them.
-
-    `checked` may take some out again before the others are sized. Other arguments as of `selected`.
-    """
+    """Add effects to `state` until none is both beyond chance and useful on data left out, and size them."""
     extension = selected(state, seed=seed, most=most, progress=progress, barred=barred)
     after, fit = checked(extension.state, extension.fit)
     return sized(replace(extension, state=after, fit=fit))
@@ -214,10 +211,8 @@ def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
 def _election(
     state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
 ) -> SelectionStep:
-    """The most explaining candidate that is not `barred`, is beyond chance, matters, and is useful on folds left out.
-
-    Noise-only replicates are drawn where somebody stands a chance, and in the first election, whose p-values are
-    reported for every candidate."""
+    """The most explaining candidate that is not `barred`, is beyond chance, matters, and is useful on folds left
+    out."""
     settings = state.settings
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
     screening = screen(state, fit, seed=seed, nulls=first, noise=noise)
@@ -342,11 +337,8 @@ def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore
 def worth(
     state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Additions large enough to be worth modelling, and those that are only a nuisance.
-
-    One that was elected may turn out uncertain once the noise of the regressors is counted, or be no more than noise of
-    the recorded channels can make of nothing (see `largest_noise_bias`): then it is a nuisance, too.
-    """
+    """Additions large enough to be worth modelling, and those that are only a nuisance: small, uncertain, or perhaps
+    noise."""
     added = {e.name: e for e in state.full.candidates if e.name in state.active}
 
     def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
@@ -421,12 +413,8 @@ class Absorbed:
 
 
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
-    """Parameters of the card that may have taken up an effect that is large enough for a name.
-
-    Such an effect is beyond `least_score` deviations at the least size worth modelling if the parameter is held, and
-    below if it is free within its prior; and it would be of a size that aircraft have, and worth a name, were the
-    parameter as usual.
-    """
+    """Parameters of the card that may have taken up an effect that is large enough for a name: seen with the parameter
+    held, not seen with it free within its prior."""
     state, fit, parameters = extension.state, extension.fit, []
     if state.outputs != state.responses.model.coefficients:
         return ()

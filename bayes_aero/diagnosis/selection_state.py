@@ -84,11 +84,8 @@ class Products:
         precision: Float[np.ndarray, " K"],
         held: Float[np.ndarray, " c"] | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit j sets of columns at once, each with the normal prior (`mean`, `precision`) of its steps.
-
-        Variances are found with the steps, unless they are `held`.
-
-        Returns steps (j, k), information matrices (j, k, k), variances (j, c) and deviances (j,)."""
+        """Fit j sets of columns at once, each with the normal prior of its steps: steps, information, variances,
+        deviances."""
         gram, n = self.total, float(self.count.sum())
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
@@ -355,12 +352,8 @@ def linearised(
     known: SelectionState | None = None,
     apart: tuple[str, ...] = (),
 ) -> SelectionState:
-    """The state at `theta`: residuals, sensitivities to every parameter, and their inner products.
-
-    Candidates that are not active and have no slope at neutral are tried at their scanned values. What is `known` of
-    the same responses at the same parameters is not computed again. Coefficients `apart` have an offset in every
-    manoeuvre, free in every fit.
-    """
+    """The state at `theta`: residuals, sensitivities to every parameter, and their inner products; what is `known`
+    there is not computed again. Coefficients `apart` have a free offset in every manoeuvre."""
 
     keep = [responses.outputs.index(name) for name in outputs]
     if known is not None and np.array_equal(known.theta, theta):

@@ -451,17 +451,9 @@ def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[Un
 
 def contest(extension: Extension, left: Left = NOTHING) -> Forms:
     """Terms in place of causes, and of offsets between manoeuvres, that only stood in for them; and those that explain
-    as well as causes that are left.
-
-    A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does, and
-    differ between manoeuvres at different states, as offsets do. Terms are sought without all of them; then everything
-    is in, and what does not earn its cost goes out, the least useful first. A term of the library that is an effect of
-    the aerodynamics is no rival of it; beside other terms of its coefficient it is one of them.
-
-    Args:
-        extension: by the catalogue.
-        left: structure, and causes that are replaced already.
-    """
+    as well as causes that are left. A wrong form of a coefficient leaves residuals that follow the state, as a stall or
+    the error of a sensor does, and differ between manoeuvres, as offsets do. So terms are sought without all of them;
+    then everything is in, and what does not earn its cost goes out, the least useful first."""
     state, causes = extension.state, extension.causes
     aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
     columns = {name: term_of(state, name) for name in causes if name in aerodynamic}

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -81,12 +80,7 @@ def compare_trajectories(
     progress: Progress | None = None,
 ) -> Trajectories:
     """Fit the card's model and the extended one to the trajectories, jointly and with each manoeuvre left out.
-
-    The extended model has the causes that hold-out coefficients confirm and hold-out flights need (see `eliminate`),
-    and a separation lag if the coefficients do not decide on one and hold-out flights need it (see `with_lag`).
-    `biases`: outputs recorded with a constant error in each manoeuvre; they are fitted with the rest. Hold-out flights
-    are compared with the record as it is.
-    """
+    `biases`: outputs recorded with a constant error in each manoeuvre, which are fitted, too."""
 
     def tell(text: str, share: float) -> None:
         if progress:
@@ -142,11 +136,11 @@ def _contenders(
     values, model = dict(zip(whole.model.names, diagnosis.theta, strict=True)), _extended(whole.model, [*base, *added])
     tell("extended model", 0.0)
     side = partial(_side, flights, biases)
-    ours = side(model, values)
-    joint = fit_cascade([ours.window, ours.whole], [ours.start], prior_weight=FIRST_INFLATION)
+    stages, start = side(model, values)
+    joint = fit_cascade(stages, [start], prior_weight=FIRST_INFLATION)
     noise = FlightNoise.of(joint)
     options = {"departure": joint.departure, "prior_weight": noise.variance_inflation}
-    joint = fit_output_error(noise.on(ours.whole), start=joint.estimate, **options)
+    joint = fit_output_error(noise.on(stages[-1]), start=joint.estimate, **options)
     extended = CandidateFit("extended", joint, frozenset(p.name for e in added for p in e.parameters))
     contenders, lag, effect = [extended], None, open_lag(whole, diagnosis.aerodynamics, model)
     if effect is not None:
@@ -155,50 +149,45 @@ def _contenders(
         lagged, lag = with_lag(wider, effect, extended, noise, flights, whole.settings)
         contenders += [lagged] if lag.gains else []
     tell("card's model", 0.3)
-    contenders.append(_card(diagnosis, _extended(whole.model, base), ours, added, extended, noise, side))
+    contenders.append(_card(diagnosis, _extended(whole.model, base), stages, added, extended, noise, side))
     return {c.name: c for c in contenders}, lag, noise
 
 
 def _card(
     diagnosis: Diagnosis,
     bare: Model,
-    ours: _Side,
+    stages: list[SegmentTrajectories],
     added: Sequence[Effect],
     extended: CandidateFit,
     noise: FlightNoise,
-    side: Callable[[Model, Mapping[str, float]], _Side],
+    side: Callable[[Model, Mapping[str, float]], Side],
 ) -> CandidateFit:
     """The card's model, the causes at neutral; from its own start and from what the extended one shares with it."""
     base, neutral = diagnosis.aerodynamics.base, diagnosis.aerodynamics.state.full.neutral
     before = dict(zip(base.full.model.names, base.theta, strict=True))
     held = {name: neutral[name] for name in extended.own if name in extended.fit.names}
-    first = {p.name: p.start for p in ours.whole.dynamics.free} | before | held
-    theirs = ours._replace(start=np.array([first[name] for name in ours.whole.dynamics.names]))
+    first = {p.name: p.start for p in stages[-1].dynamics.free} | before | held
+    start = np.array([first[name] for name in stages[-1].dynamics.names])
     if any(e.stage is Stage.LAG for e in added):  # a state that the card's model does not have
-        theirs, held = side(bare, before), {}
+        (stages, start), held = side(bare, before), {}
     fitted = dict(zip(extended.fit.names, extended.fit.estimate, strict=True))
-    shared = np.array([fitted[name] for name in theirs.whole.dynamics.names])
-    starts = [theirs.start, shared]  # a model with something missing may have several optima
-    fit = fit_cascade([theirs.window, theirs.whole], starts, held=held, prior_weight=noise.variance_inflation)
+    shared = np.array([fitted[name] for name in stages[-1].dynamics.names])
+    starts = [start, shared]  # a model with something missing may have several optima
+    fit = fit_cascade(stages, starts, held=held, prior_weight=noise.variance_inflation)
     return CandidateFit("card", fit, held=held, weighed=False)  # what it misses is not confined to the stall
 
 
-class _Side(NamedTuple):
-    """One model, cut for its fits: windows first, then whole manoeuvres (or the halves of a single one)."""
-
-    window: SegmentTrajectories
-    whole: SegmentTrajectories
-    start: Float[np.ndarray, " k"]
+Side = tuple[list[SegmentTrajectories], Float[np.ndarray, " k"]]
+"""One model, cut for its fits (windows, then whole manoeuvres or the halves of a single one), and where it starts."""
 
 
-def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, values: Mapping[str, float]) -> _Side:
+def _side(flights: Flights, biases: Mapping[str, Prior] | None, model: Model, values: Mapping[str, float]) -> Side:
     dynamics = biased_dynamics(aircraft_dynamics(model, flights), flights, biases or {})
     start = np.array([values.get(p.name, p.start) for p in dynamics.free])
     outputs = tuple(n for n in dynamics.outputs if n in flights.channels and n not in LEFT)
     half = 0.5 * flights.lengths[0] * float(flights.channels["dt"][0]) if len(flights.lengths) == 1 else None
     finer = dynamics.substeps(start, flights)
-    window, whole = (segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half))
-    return _Side(window, whole, start)
+    return [segments(flights, dynamics, outputs=outputs, window=w, substeps=finer) for w in (WINDOW, half)], start
 
 
 def _extended(whole: Model, effects: Sequence) -> Model:
@@ -226,12 +215,8 @@ def fit_trajectories(
     progress: Progress | None = None,
 ) -> TrajectoryFit:
     """Fit windows of `window` s from the parameters' own start and every one of `starts`, then whole manoeuvres.
-
     Colour, and growth as the flow separates, of what is missed are measured on the way; the last fit weighs its priors
-    by the one and its samples by the other, as `compare_trajectories` does. `biases`: outputs recorded with a constant
-    error of each manoeuvre's own; these are fitted with the rest. Windows begin where they are measured, and
-    what finds the start of the reported fit has priors of initial states and biases whatever the `setting`.
-    """
+    by the one and its samples by the other."""
     setting = setting or Setting()
 
     def tell(text: str, share: float) -> None:
@@ -303,7 +288,7 @@ def with_tested(
 
 def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Card) -> dict[str, OutputMiss]:
     """What the extended model misses of every fitted output (root mean squares, SI), and the noise that is allowed."""
-    noises = [sensor_noise(channels_of(record, card), card).white for record in records]
+    noises = [sensor_noise(channels_of(record, card), card)[0] for record in records]
     lengths = [record.n for record in records]
 
     def rms(output: str, split: str) -> float:

@@ -89,11 +89,9 @@ class FoundChange(FoundComponent):
 def sought_change(
     state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
 ) -> FoundChange | None:
-    """The change that explains most of what the active effects and the `chosen` components leave, if it is real.
-
-    It must gain more than `least` deviance on parts left out. Without it the other parameters were fitted to both
-    values of the changed one, so the problem is linearised again where they are with the change beside them.
-    """
+    """The change that explains most of what the active effects and the `chosen` components leave, if it gains more than
+    `least` deviance on parts left out. The problem is linearised again where the others are with the change beside
+    them."""
     settings, alone = state.settings, len(state.responses.flights.lengths) == 1
     first = _promising(state, chosen, least) if testable(state) else None
     if first is None:

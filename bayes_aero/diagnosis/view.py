@@ -173,11 +173,8 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
 def _composition(
     state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
 ) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts, autocorrelation, calibration.
-
-    Scores, Theil's parts and lag 1 are at the recorded rate. `calibration` is the share of residuals (5 Hz means)
-    within the central normal bands of the fitted noise, growth with separation included.
-    """
+    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts and lag 1 at the recorded rate;
+    the share of residuals (5 Hz means) within the central normal bands of the fitted noise."""
     standard = state.left(fit) / np.sqrt(fit.variance)
     inside = np.concatenate([standard[fold] for fold in state.folds])
     manoeuvre, composition = state.responses.flights.manoeuvre, {}
@@ -306,8 +303,8 @@ POWER, BEYOND = 0.95, 2.0  # share of the rates' power below a frequency, and ho
 HIGHEST, SMOOTHED = 0.5, 0.1  # Hz to which it reaches at least; share of the sampling rate that the filters pass
 
 
-def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | None:
-    """Fit the causes of a diagnosis in a band; None where there are none. `seed`: of noise that shows its own bias."""
+def causes_in_band(diagnosis: Diagnosis) -> CausesInBand | None:
+    """Fit the causes of a diagnosis in a band; None where there are none."""
     wanted = {p: c for c in diagnosis.causes if c.stage == COEFFICIENTS for p in c.parameters}
     if not (diagnosis.by_coefficients and wanted):
         return None
@@ -317,7 +314,7 @@ def causes_in_band(diagnosis: Diagnosis, *, seed: int = 0) -> CausesInBand | Non
     flights = flights_of(state)
     band = band_of(flights)
     responses = FrequencyError.in_band(flights, model, band)
-    fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free, seed=seed)
+    fit = without_noise_bias_in_band(fit_in_band(responses, model.free, start, band), responses, model.free)
     if not fit.converged:
         return CausesInBand(band, (), tuple(wanted), converged=False)
     shared = _shared(fit, state, model.names)

@@ -6,7 +6,6 @@ Bank angle and sideslip are prescribed (see `plant`). Flat earth, no wind.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -394,16 +393,6 @@ def standard_pilots(
     return pilots | (lateral_commands(time, trim, pilots["slow_stall"], amplitude) if rigid else {}), start
 
 
-@dataclass(frozen=True)
-class StandardFlights:
-    """Channels of every standard manoeuvre without noise, by name, and how many `seconds` of each are recorded;
-    `refused` says why the others cannot be flown. Beside the recorded channels: `X`."""
-
-    channels: Mapping[str, Mapping[str, np.ndarray]]
-    seconds: Mapping[str, float]
-    refused: Mapping[str, str]
-
-
 def fly_standard(
     model: Model,
     values: Mapping[str, Any],
@@ -414,8 +403,9 @@ def fly_standard(
     dt: float,
     amplitude: float = 1.0,
     envelope: Envelope = ANYWHERE,
-) -> StandardFlights:
-    """Fly all of `standard_pilots`, sampled every `dt` s; a manoeuvre that leaves the `envelope` is refused."""
+) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, float], dict[str, str]]:
+    """Fly all of `standard_pilots`, sampled every `dt` s: by name the channels without noise (and `X`), how many
+    seconds of them are recorded, and why a manoeuvre is refused, as where it leaves the `envelope`."""
     values = {name: jnp.asarray(x, float) for name, x in values.items()}
     n, before = round(SECONDS / dt) + 1, round(RUN_IN / dt)
     time = (np.arange(n + before) - before) * dt
@@ -436,7 +426,7 @@ def fly_standard(
             flown[name] = channels | {"aileron_left": -channels["aileron"], "aileron_right": channels["aileron"]}
         else:
             flown[name] = channels | {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
-    return StandardFlights(flown, {name: until(pilots[name], time) for name in flown}, refused)
+    return flown, {name: until(pilots[name], time) for name in flown}, refused
 
 
 def until(pilot: Pilot, time: Series) -> float:

@@ -32,11 +32,8 @@ Check = Callable[[FlightRecord, Card, bool], str]
 
 
 def check_record(record: FlightRecord, *, even: bool = True, channels: Sequence[Channel] = ()) -> None:
-    """Raise InputError, naming channel, sample and remedy, for the first thing that is wrong with a record.
-
-    With `even=False` gaps and uneven sampling pass: the record is about to be resampled. `channels` are the card's:
-    what it says already is not advised.
-    """
+    """Raise `InputError`, with channel, sample and remedy, for the first thing wrong with a record. `even=False`: it is
+    to be resampled."""
     for reason in failures(record, even=even, channels=channels):
         raise InputError(reason)
 
@@ -354,25 +351,15 @@ SHOWN = 4  # parts in a sentence
 _STEPWISE = ("gear",)
 
 
-def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -> FlightRecord:
-    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples.
-
-    Args:
-        record: with increasing time. A channel may be NaN where a slower sensor has no sample, or hold its last value
-            there: only its true samples are used then, and a remark says so.
-        dt: the new interval, s. A coarser one than the record's is low-pass filtered first, against aliasing.
-        max_gap: a step longer than this many median steps (of the channel) is refused.
-
-    Returns:
-        From the first to the last instant at which all channels are known; the last sample is dropped unless it falls
-        on the grid. Heading, bank and longitude come back unwrapped.
-    """
+def resample_record(record: FlightRecord, dt: float) -> FlightRecord:
+    """The record on the grid t0, t0 + dt, ... by cubic interpolation of each channel between its own samples, low-pass
+    filtered where dt is coarser; a step beyond `MAX_GAP` median steps is refused. Angles come back unwrapped."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"record {record.name}: cannot resample to an interval of {dt!r} s; give a positive number")
     knots = {name: sampled_at(name, values) for name, values in record.channels.items()}
-    steps = [_bridged(record.name, n, record.time[own], max_gap) for n, own in knots.items() if len(own) < record.n]
+    steps = [_bridged(record.name, n, record.time[own]) for n, own in knots.items() if len(own) < record.n]
     if len(steps) < len(knots) or not knots:  # time belongs to the channels that have all samples
-        steps.append(_bridged(record.name, "time", record.time, max_gap))
+        steps.append(_bridged(record.name, "time", record.time))
     median = min(steps)
     begin = max((record.time[own[0]] for own in knots.values()), default=record.time[0])
     end = min((record.time[own[-1]] for name, own in knots.items() if np.isnan(record[name]).any()), default=np.inf)
@@ -397,13 +384,13 @@ def resample_record(record: FlightRecord, dt: float, max_gap: float = MAX_GAP) -
     )  # fmt: skip
 
 
-def _bridged(record: str, name: str, time: np.ndarray, max_gap: float) -> float:
+def _bridged(record: str, name: str, time: np.ndarray) -> float:
     """The median step, s; refused where a step is too long to interpolate across."""
     step = np.diff(time)
     if len(step) < 3:
         raise InputError(f"record {record}: channel {name} has {len(time)} samples, too few to interpolate between")
     median = float(np.median(step))
-    long = np.flatnonzero(step > max_gap * median)
+    long = np.flatnonzero(step > MAX_GAP * median)
     if len(long):
         i, mend = int(long[0]), "cut the record there into two (--split, or FILE@FROM:TO)"
         if name != "time":
@@ -415,7 +402,7 @@ def _bridged(record: str, name: str, time: np.ndarray, max_gap: float) -> float:
             )
         raise InputError(
             f"record {record}: channel {name} has a gap of {step[i]:.6g} s after t = {instant(time[i])} s, longer than "
-            f"the {max_gap:g} median steps ({max_gap * median:.4g} s) that resampling bridges; {mend}"
+            f"the {MAX_GAP:g} median steps ({MAX_GAP * median:.4g} s) that resampling bridges; {mend}"
         )
     return median
 

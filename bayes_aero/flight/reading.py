@@ -38,15 +38,7 @@ MAX_BYTES = 1 << 30  # largest file that is taken for one manoeuvre: 1 GiB
 def read_record(
     path: str | os.PathLike[str], channels: Sequence[Channel], *, resample: float | None = None
 ) -> FlightRecord:
-    """Read, convert and check one manoeuvre.
-
-    Args:
-        path: the file; its suffix tells the format (see READERS). FILE@FROM:TO is a part of it, in seconds of its time,
-            FILE@#2 the second part between gaps.
-        channels: what the card maps; "time" must be among them.
-        resample: interval in s of an even grid to interpolate onto; without it uneven sampling and missing samples are
-            refused.
-    """
+    """Read, convert and check one manoeuvre; without `resample` uneven sampling and missing samples are refused."""
     name = os.fspath(path)
     try:
         segment = segment_of(path)
@@ -112,15 +104,7 @@ def read_records(
     segments: Mapping[str, Sequence[str]] | None = None,
     split: bool = False,
 ) -> list[FlightRecord]:
-    """Every manoeuvre of every file; the first bad one is reported.
-
-    Args:
-        paths: see `read_record`.
-        channels: what the card maps.
-        resample: see `read_record`.
-        segments: the parts of files that a card states, by file name.
-        split: whether gaps in time divide a file into manoeuvres.
-    """
+    """Every manoeuvre of every file, also of those that a gap `split`s; the first bad one is reported."""
     parts = manoeuvres(paths, channels, segments=segments, split=split)
     records = [read_record(path, channels, resample=resample) for path in parts]
     return [replace(record, read={**record.read, "split": split}) for record in records]

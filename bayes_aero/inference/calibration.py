@@ -157,11 +157,8 @@ def probability_transform(found: Filtered) -> Float[np.ndarray, "w n c"]:
 
 
 def one_step(found: Filtered, errors: Float[np.ndarray, "w n c"], outputs: Sequence[str]) -> OneStep:
-    """One-step predictions of filtered segments, (w, ...) in front; outputs with less than two innovations are left
-    out.
-
-    `errors`: measured minus predicted from the samples before, (w, n, c), SI, as `innovations.prediction_errors`.
-    """
+    """One-step predictions of w filtered segments, from errors (w, n, c); outputs with less than two innovations are
+    left out."""
     z, u, correlation = _standardised(found), probability_transform(found), neighbour_correlation(found)
     columns = [c for c in range(len(outputs)) if np.isfinite(z[..., c]).sum() > 1]
     tests = len(LEVELS) * (len(columns) + (len(columns) > 1))

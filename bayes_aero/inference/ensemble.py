@@ -322,11 +322,7 @@ def sample_ensemble(
     predictive: bool = True,
 ) -> Posterior:
     """Sample until every parameter reaches the targets of ESS and R-hat and the run spans many autocorrelation times.
-
-    Moves, chosen by measurement (benchmarks/README.md): independence proposals from a Student t fitted to the burn-in,
-    mixed with differential evolution. The proposal is fixed before the stored draws start. `progress(text, share)` is
-    called after every `STEPS_PER_CALL` steps.
-    """
+    Moves: independence proposals from a Student t fitted to the burn-in, mixed with differential evolution."""
     began = time.perf_counter()
     ensembles = _Ensembles(density, mode, seed, length)
     while True:

@@ -238,9 +238,7 @@ Combination = tuple[tuple[str, float], ...]
 """Channels with their factors, as one parameter multiplies them."""
 
 
-def frequency_responses(
-    flights: Flights, dynamics: LinearDynamics, fit: FrequencyFit, *, seed: int = 0
-) -> tuple[FrequencyResponse, ...]:
+def frequency_responses(flights: Flights, dynamics: LinearDynamics, fit: FrequencyFit) -> tuple[FrequencyResponse, ...]:
     """Responses of every recorded output to every input of the card, in the band of `fit`."""
     # Channels that one parameter multiplies together, as both ailerons, are one input. Spectra are of segments of
     # `SEGMENT` s (or half of the shortest manoeuvre) of all manoeuvres.
@@ -264,7 +262,7 @@ def frequency_responses(
     theta = np.array([p.start for p in dynamics.free])
     theta[places] = fit.estimate
     draws = np.tile(theta, (DRAWS, 1))
-    draws[:, places] = np.random.default_rng(seed).multivariate_normal(fit.estimate, fit.corrected, DRAWS)
+    draws[:, places] = np.random.default_rng(0).multivariate_normal(fit.estimate, fit.corrected, DRAWS)
     modelled = _modelled(flights, dynamics, inputs, outputs, frequency, np.vstack([theta, draws]))
     return tuple(
         FrequencyResponse(

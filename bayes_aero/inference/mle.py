@@ -74,7 +74,7 @@ class _Coefficients:
         self.point = self.tried = self._steps(np.clip(start, *self.bounds.T), MAX_ITERATIONS)
 
     def _steps(self, theta: Float[np.ndarray, " k"], most: int) -> GaussNewtonPoint:
-        return full_steps(self.data, theta, *self.bounds.T, TOLERANCE, most)
+        return full_steps(self.data, theta, self.bounds[:, 0], self.bounds[:, 1], TOLERANCE, most)
 
     def cost(self, point: Float[np.ndarray, " k"]) -> float:
         """The cost at a point."""
@@ -315,12 +315,8 @@ def full_steps(
     max_steps: int,
 ) -> GaussNewtonPoint:
     """At most `max_steps` full Gauss-Newton steps from `start`, while each lowers the cost and stays within the bounds.
-
-    Gauss-Newton neglects the model's curvature, so its last steps shrink by a constant factor; Anderson acceleration
-    (Walker and Ni 2011, SIAM J. Numer. Anal. 49, 1715) estimates that factor from the last steps. The loop ends where
-    the expected gain in log-likelihood is below `tolerance`, or before the first step that does not lower the cost.
-    With `max_steps` = 0 only `start` is evaluated.
-    """
+    Their last steps shrink by a constant factor, which Anderson acceleration estimates (Walker and Ni 2011, SIAM J.
+    Numer. Anal. 49, 1715)."""
     arguments = map(jnp.asarray, (start, lower, upper, tolerance, max_steps))  # none static: one compilation
     theta, cost, R, information, gradient, steps = map(np.asarray, _full_steps(data, *arguments))
     return GaussNewtonPoint(theta, float(cost), R, information, gradient, int(steps))

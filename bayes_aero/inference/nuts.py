@@ -280,11 +280,8 @@ def sample_innovations(
     engines: Sequence[str] = ENGINES,
     progress: Progress | None = None,
 ) -> dict[str, Posterior]:
-    """The posterior by emcee and by NUTS, or one of these `engines`, from the `fit` (with priors) of `fit_disturbed`.
-
-    Both use coordinates scaled by the curvature at the mode, which is searched from the fit. `R` (c,) are variances of
-    output error's residuals, SI: the scale of the priors of the noise.
-    """
+    """The posterior by emcee and by NUTS, or one of these `engines`, from the `fit` (with priors) of `fit_disturbed`,
+    in coordinates scaled by the curvature at the mode."""
     density = innovations_posterior(flown, R)
     mode = find_mode(density, density.start(fit))
     asked: Any = {"seed": seed, "progress": progress, "predictive": False}

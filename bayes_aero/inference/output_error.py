@@ -157,12 +157,11 @@ def fit_cascade(
     held: Mapping[str, float] | None = None,
     prior_weight: float = 1.0,
     without: Collection[str] = (),
-    biases: Mapping[str, Prior] | None = None,
 ) -> OutputErrorResult:
     """Fit the short windows of the first stage from every start, then each later stage from the best fit so far."""
     # Short windows keep the simulation near the record where the aircraft is unstable or the start is poor, but hide
     # slow errors of the model. The last stage should therefore be whole manoeuvres.
-    options = {"held": held, "prior_weight": prior_weight, "without": without, "biases": biases}
+    options = {"held": held, "prior_weight": prior_weight, "without": without}
     first = [fit_output_error(stages[0], start=s, max_iterations=MAX_EARLY_ITERATIONS, **options) for s in starts]
     best = min(first, key=lambda found: (found.status is OutputErrorStatus.LEFT_ENVELOPE, found.cost))
     for number, stage in enumerate(stages[1:], start=2):

@@ -72,11 +72,8 @@ class Hierarchy(LogDensity):
         return self.scattering
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
-        """Log-density of the estimates at the scatter `x`, up to a constant; all other parameters are integrated out.
-
-        A manoeuvre's estimate has the precision P = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F' about the aircraft's
-        parameters, with T = diag x^2. This form needs no inverse of F F' and does not cancel.
-        """
+        """Log-density of the estimates at the scatter `x`, up to a constant; all other parameters are integrated out. P
+        = (inv(F F') + T)^-1 = F (I + F' T F)^-1 F', T = diag x^2, needs no inverse of F F' and does not cancel."""
 
         def whitened(factor: Array) -> tuple[Array, Array]:
             """W with W' W = P, and half the log-determinant of I + F' T F."""

@@ -9,7 +9,6 @@ AIAA J. 9, 28 (in flight test).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -137,33 +136,16 @@ def fit_prediction_error(
     R: Float[np.ndarray, " c"],
     *,
     start: Float[np.ndarray, " k"] | None = None,
-    start_deviation: Float[np.ndarray, " s"] | None = None,
-    held: Mapping[str, float] | None = None,
     priors: bool = True,
     exact: bool = True,
-    F_held: bool = False,
 ) -> PredictionErrorResult:
-    """Fit all segments together.
-
-    The first steps hold the filter's gains while the parameters of the motion vary; the last steps are exact. The
-    measurement noise of a channel is at least that of its resolution: a smoothed record would have no noise.
-
-    Args:
-        flown: segments of flights.
-        F: process noise by state to start from, (s,), unit of the state per square root of a second; 0 is held.
-        R: variances of the measurement noise to start from, (c,), SI.
-        start: parameters, (k,); default: the starting values of the model.
-        start_deviation: of the measured initial state, (s,), SI; default: of flight-test sensors, 0 of a fixed state.
-        held: parameters that are not estimated, and their values.
-        priors: whether the parameters' priors count.
-        exact: False ends after the first steps; the estimates are then consistent but do not maximise the likelihood.
-        F_held: whether the process noise is held.
-    """
+    """Fit all segments together. The first steps hold the filter's gains while the parameters of the motion vary; the
+    last are exact, or left out (`exact` False: consistent estimates). `F` (s,) and `R` (c,) are the noise to start
+    from, SI."""
     F = np.asarray(F, float)
-    problem = _Problem.of(flown.nameless, start_deviation, held or {}, (F > 0.0) & (not F_held), priors)
+    problem = _Problem.of(flown.nameless, F > 0.0, priors)
     free = flown.dynamics.free
     theta = np.array([p.start for p in free]) if start is None else np.asarray(start, float)
-    theta = np.array([(held or {}).get(p.name, x) for p, x in zip(free, theta, strict=True)])
     point = np.concatenate([theta, np.log(np.maximum(F, MIN_NOISE)), np.log(np.maximum(R, MIN_NOISE))])
     point[problem.k :] = np.maximum(point[problem.k :], problem.bounds[problem.k :, 0])
     point, current, converged, first_steps = minimise(
@@ -206,28 +188,18 @@ class _Problem:
     _last: dict[bytes, tuple[float, Filtered]] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls,
-        flown: SegmentTrajectories,
-        deviation: Float[np.ndarray, " s"] | None,
-        held: Mapping[str, float],
-        disturbed: Bool[np.ndarray, " s"],
-        priors: bool,
-    ) -> _Problem:
-        """Estimate all parameters but those `held`, the process noise of the `disturbed` states, and R."""
+    def of(cls, flown: SegmentTrajectories, disturbed: Bool[np.ndarray, " s"], priors: bool) -> _Problem:
+        """Estimate all parameters, the process noise of the `disturbed` states, and R."""
         free, k = flown.dynamics.free, len(flown.dynamics.free)
-        if deviation is None:
-            deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
-        moving = np.array([*(p.name not in held for p in free), *disturbed, *([True] * len(flown.outputs))])
+        deviation = np.zeros(len(disturbed)) if flown.fixed is not None else initial_state_sd(flown.dynamics)
+        moving = np.array([*([True] * k), *disturbed, *([True] * len(flown.outputs))])
         mean, precision = np.zeros(len(moving)), np.zeros(len(moving))
         if priors:
             normals = np.array([p.prior.normal for p in free]).reshape(-1, 2)
-            mean[:k], precision[:k] = normals[:, 0], np.where(moving[:k], normals[:, 1] ** -2.0, 0.0)
+            mean[:k], precision[:k] = normals[:, 0], normals[:, 1] ** -2.0
         channels, manoeuvre = flown.flights.channels, flown.flights.manoeuvre
         by_manoeuvre = [np.flatnonzero(manoeuvre == number) for number in np.unique(flown.manoeuvre)]
-        steps = [
-            min(quantum(np.asarray(channels[name])[rows]) for rows in by_manoeuvre) for name in flown.outputs
-        ]  # the finest
+        steps = [min(quantum(np.asarray(channels[n])[rows]) for rows in by_manoeuvre) for n in flown.outputs]  # finest
         smallest = [*[MIN_NOISE] * len(disturbed), *(max(MIN_NOISE, step**2 / ROUNDING_DIVISOR) for step in steps)]
         bounds = np.array([*(p.bounds for p in free), *((np.log(x), np.inf) for x in smallest)])
         limit = np.where(np.arange(len(moving)) < k, np.inf, LOG_STEP_LIMIT)

@@ -125,13 +125,8 @@ class ResidualModel(ABC):
     def linearise(
         self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
-        """Residuals (measured minus modelled) and minus their derivative, so that new = old - S (theta' - theta).
-
-        Args:
-            theta: free parameters, (k,).
-            columns: indices of the parameters of S, (j,); default: all. `DIRECTIONS_PER_CALL` of them are computed at a
-                time, so that any choice uses one compiled function.
-        """
+        """Residuals (measured minus modelled) and minus their derivative by `columns`, so that new = old - S (theta' -
+        theta)."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
         residual, S, slopes = None, None, self.slopes_at(theta)
         size = DIRECTIONS_PER_CALL

@@ -81,8 +81,8 @@ def test_noise_is_read_off_a_channel_or_the_card_s(sound, card):
     assert noise_of(x) == pytest.approx(0.02, rel=0.05)
     quiet = replace(card, sensors={**card.sensors, "alpha": 0.01})
     channels = {name: np.asarray(x) for name, x in sound.channels.items()}
-    assert sensor_noise(channels, quiet).constant["alpha"] == 0.01
-    assert sensor_noise(channels, card).constant["alpha"] == pytest.approx(np.radians(0.05))
+    assert sensor_noise(channels, quiet)[1]["alpha"] == 0.01
+    assert sensor_noise(channels, card)[1]["alpha"] == pytest.approx(np.radians(0.05))
 
 
 @pytest.mark.parametrize(("seed", "noise"), [(7000, "white"), (7001, "ar1"), (7002, "buffet"), (7003, "outliers")])

@@ -272,7 +272,7 @@ def test_the_truth_is_recovered_and_without_process_noise_the_fit_is_worse(flown
 
 def test_the_gradient_is_that_of_finite_differences(flown):
     point = np.array([*(0.9 * TRUTH[n] for n in flown.dynamics.names), *np.log(F), *np.log(R)])
-    problem = prediction_error._Problem.of(flown.nameless, None, {}, F > 0.0, True)
+    problem = prediction_error._Problem.of(flown.nameless, F > 0.0, True)
     gradient = problem.evaluate(point).gradient
     for i, g in enumerate(gradient):
         h = 1e-5 * max(1.0, abs(point[i])) * (np.arange(len(point)) == i)

@@ -20,12 +20,7 @@ _CHECKS: tuple[Callable[[FlightRecord, Card], Iterable[HealthFinding]], ...] = (
 
 
 def channel_health(records: Sequence[FlightRecord], card: Card) -> tuple[HealthFinding, ...]:
-    """Everything that is wrong with records by themselves, one finding a fault; grave findings first.
-
-    Args:
-        records: as read, in SI.
-        card: what the channels are said to be.
-    """
+    """Everything that is wrong with records by themselves, one finding a fault; grave findings first."""
     said: list[HealthFinding] = []
     for record in records:
         flown = in_flight(record, card)

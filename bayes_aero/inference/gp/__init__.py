@@ -53,7 +53,6 @@ class GPFit:
     """A trained GP."""
 
     input_names: tuple[str, ...]
-    output_name: str
     scaling: Scaling
     priors: Priors
     data: ReducedData
@@ -80,12 +79,8 @@ class GPFit:
         return weighted.k_hat if weighted else float("nan")
 
     def predict(self, X_new: Matrix, *, draws: int = 24) -> Prediction:
-        """Predictive distribution of new measurements at X_new (k, d), physical units.
-
-        Over `draws` posterior draws where sampling was accepted, else at the MAP only (then the intervals leave
-        the hyperparameters' uncertainty out). Each draw costs one n x n factorisation: 24 bound the Monte Carlo
-        error of the mean by a fifth of the (small) spread between draws.
-        """
+        """Predictive distribution at X_new (k, d), physical units: over `draws` of the posterior, or at the MAP
+        alone."""
         X_new = np.asarray(X_new, float)
         if X_new.ndim != 2 or X_new.shape[1] != len(self.input_names) or not np.all(np.isfinite(X_new)):
             raise InputError(
@@ -117,12 +112,7 @@ def fit_gp(
     budget: Budget = Budget(),
     progress: Callable[[str], None] | None = None,
 ) -> GPFit:
-    """Train a DPSE Gaussian process on inputs X (n, d) and output y (n,), any units; same seed, same numbers.
-
-    `sample` adds the posterior of the hyperparameters at all n points to the MAP: exact after re-weighting, or
-    refused with a status. More than `MAX_SAMPLES` samples are refused. `progress` is called with a text at each step;
-    default: a progress bar on a terminal.
-    """
+    """Train a DPSE Gaussian process on inputs X (n, d) and output y (n,), any units; `sample` adds the posterior."""
     X, y = np.asarray(X, float), np.asarray(y, float)
     names = tuple(input_names or (f"x{i}" for i in range(X.shape[-1])))
     if len(X) > MAX_SAMPLES:
@@ -157,7 +147,7 @@ def fit_gp(
         at = systematic_resample(weighted.log_weight, seed)
         draws = flat[at]
         tree = posterior_tree(sampled, at, scaling, priors, names, output_name, seed)
-    return GPFit(names, output_name, scaling, priors, data, optima, status, sampled, draws, tree)
+    return GPFit(names, scaling, priors, data, optima, status, sampled, draws, tree)
 
 
 def too_many(n: int) -> str:

@@ -57,7 +57,6 @@ class Optimum(NamedTuple):
     value: float
     gradient: float
     status: MapStatus
-    evaluations: int
 
     @property
     def u(self) -> Float[np.ndarray, " u"]:
@@ -134,14 +133,14 @@ def maximise(
     except _NotPositiveDefiniteError:
         status = MapStatus.not_positive_definite
     if best is None:
-        return Optimum(assemble(profile.w, u), -np.inf, np.inf, status, len(profile.points))
+        return Optimum(assemble(profile.w, u), -np.inf, np.inf, status)
     value, gradient, theta = best
     at = noise_to_signal(theta)
     near = np.any(np.isclose(at, box[:, 0], atol=1e-6) | np.isclose(at, box[:, 1], atol=1e-6))
     near |= np.any(np.isclose(theta[: u.size + 1, None], SD_BOUNDS, atol=1e-6))
     if status is MapStatus.converged and near:
         status = MapStatus.at_bound
-    return Optimum(theta, value, float(np.max(np.abs(gradient))), status, len(profile.points))
+    return Optimum(theta, value, float(np.max(np.abs(gradient))), status)
 
 
 def starting_points(priors: Priors, d: int, count: int, seed: int) -> Float[np.ndarray, "starts u"]:
