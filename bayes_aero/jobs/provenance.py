@@ -89,7 +89,7 @@ def plain(content: Any) -> Any:
     def simple(value: Any) -> Any:
         if isinstance(value, Mapping):
             return dict(value)
-        return str(value) if isinstance(value, Path) else value.tolist()
+        return str(value) if isinstance(value, Path | str) else value.tolist()
 
     return json.loads(msgspec.json.encode(content, enc_hook=simple))
 
