@@ -491,12 +491,12 @@ def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k
 
 @dataclass(frozen=True)
 class CancellingPair:
-    """The combination `parameters[0] + factor parameters[1]` of two effects' departures from neutral, SI."""
+    """Two causes whose large contributions cancel: the record determines only parameters[0] + factor parameters[1]."""
 
     effects: tuple[str, str]
     parameters: tuple[str, str]
     factor: float
-    mean: float
+    mean: float  # of the departures from neutral, SI
     sd: float
     unit: str
     correlation: float  # of the two estimates

@@ -55,12 +55,12 @@ class Calibration(enum.Enum):
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the innovations inside a central interval; standard error and p-value count the autocorrelation."""
+    """Share of the innovations inside a central predictive interval."""
 
     level: float  # probability of the interval
     share: float
-    sd: float
-    p: float  # of calibrated predictions
+    sd: float  # standard error, with the autocorrelation counted
+    p: float  # p-value of calibrated predictions, with the autocorrelation counted
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from bayes_aero.flight.reading import RecordReport, inspect_record, manoeuvres
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.io.documents import ConsistencyPart
 from bayes_aero.jobs.io.result_file import writable
-from bayes_aero.jobs.provenance import named_pairs, picked, provenance, write_json
+from bayes_aero.jobs.provenance import picked, provenance, write_json
 from bayes_aero.jobs.steps.record_checks import available, record_checks, usable_for
 from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import joined, on_recorded_axes, with_sums
@@ -110,7 +110,7 @@ def check_results(report: CheckReport) -> dict[str, Any]:
             "why_not": sensors.note or None,
             "agree": None if unchecked else not report.consistency.disagrees,  # within their noise
             "errors": sensors.errors,
-            "rms": named_pairs(sensors.rms, "before", "after"),
+            "rms": {name: {"before": a, "after": b} for name, (a, b) in sensors.rms.items()},
         },
     }
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 
 from bayes_aero.dynamics.linear import LinearDynamics, linear_dynamics
 from bayes_aero.effect import Effect
@@ -272,23 +271,8 @@ def drawn(
             f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
             "of the result again with this version, or do without draws"
         )
-    draws = normal_draws(found, wanted, tuple(rows), np.array(matrix, dtype=float), count, rng)
-    held = [name for name in wanted if name not in draws.names]
-    origin = "normal distribution of the estimates, " + (
-        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
-    )
-    return replace(draws, origin=origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
-
-
-def normal_draws(
-    found: Finished,
-    wanted: Sequence[str],
-    rows: Sequence[str],
-    covariance: Float[np.ndarray, "k k"],
-    count: int,
-    rng: np.random.Generator,
-) -> Draws:
-    """About the estimates, within the bounds; what the covariance does not know is left out."""
+    # About the estimates, within the bounds; what the covariance does not know is left out.
+    covariance = np.array(matrix, dtype=float)
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
     names = tuple(name for name, one in zip(rows, known, strict=True) if one)
     part = covariance[np.ix_(known, known)]
@@ -303,7 +287,11 @@ def normal_draws(
             f"{found.name}: almost all normal draws of {', '.join(names)} lie beyond the bounds; sample the posterior "
             "with identify, or fly --posterior"
         )
-    return Draws(names, draws, "")
+    held = [name for name in wanted if name not in names]
+    origin = "normal distribution of the estimates, " + (
+        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
+    )
+    return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
 
 
 # --- The card of a finished result: results name it by its hash, and do not repeat it.
@@ -360,11 +348,6 @@ class IdentifiedLinear:
     def name(self) -> str:
         """The card's."""
         return self.card.name
-
-    @property
-    def title(self) -> str:
-        """The card's."""
-        return self.card.title
 
     @property
     def rows(self) -> LinearCard:

@@ -96,9 +96,8 @@ def fly(
     flights, dynamics, notes = flown_dynamics(records, card, setting.outputs or (), path=options.flight_path)
     if out is not None:
         writable(out)
-    if progress:
-        progress("do the sensors agree?", 0.0)
-    checks, asked = record_checks(records, card, options.seed, out), options.process_noise is None
+    checks = record_checks(records, card, options.seed, out, progress=progress)
+    asked = options.process_noise is None
     gusts = in_gusts(records, card, options.seed) if asked and checks.consistency.recorded else {}
     options = replace(options, process_noise=True) if gusts else options
     coefficients, failed = coefficient_fit(records, card, options, out, progress)

@@ -22,7 +22,7 @@ from bayes_aero.inference.frequency import coefficients_in_band
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS, fit_each_manoeuvre, fit_mle, without_noise_bias
 from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
-from bayes_aero.inference.results import Identification, MleResult, NextFlight, Posterior
+from bayes_aero.inference.results import Identification, NextFlight, Posterior
 from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
 from bayes_aero.jobs.io.identification_json import IdentificationFiles
 from bayes_aero.jobs.io.time_histories import identified, put_histories
@@ -123,14 +123,14 @@ class _Job:
 
     def stage(self, name: str, left_out: str, do: Callable[[], Any], *, bad: str = "") -> Any:
         """What a stage returns, or None where it fails, with a note; for bad input by the form of a note `bad`."""
-        try:
-            with self.timed(name):
+        with self.timed(name):
+            try:
                 found, failed = self.attempt(left_out, do, None)
-        except InputError as error:
-            if not bad:
-                raise
-            found, failed = None, ()
-            self.add((bad.format(left_out, error),))
+            except InputError as error:
+                if not bad:
+                    raise
+                found, failed = None, ()
+                self.add((bad.format(left_out, error),))
         self.add((), failed)
         return found
 
@@ -156,7 +156,12 @@ class _Job:
             )
             failures += failed
             preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, mle)
-        rates = rate_notes(self.records) if matched else ()
+        rates, many = rate_notes(self.records) if matched else (), len(self.records)
+        said = []
+        if many > MAX_SEPARATE_FITS:
+            said.append(f"{many} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
+        if many > MOST_MANOEUVRES:
+            said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
         self.run = Identification(
             self.card,
             model,
@@ -166,7 +171,7 @@ class _Job:
             mle,
             alone,
             {},
-            notes=(*self.left_out, *self.spikes, *rates, *left_out_of_many(len(self.records))),
+            notes=(*self.left_out, *self.spikes, *rates, *said),
             failures=failures,
             health=checks.health,
             preparation=preparation,
@@ -192,11 +197,16 @@ class _Job:
         self.files.stage(self.run)
 
     def fly(self) -> None:
-        """Simulate the fitted model with the recorded inputs."""
+        """Simulate the fitted model from measured initial states with the recorded inputs, where there are all."""
         assert self.out is not None
-        with self.timed("flights"):
-            self.files.flown, told, failed = fly_identified(self.records, self.card, self.model, self.run.mle, self.out)
-        self.add(told, (*failed, *put_histories(lambda: identified(self.run), self.out)))
+        values = dict(zip(self.run.mle.names, map(float, self.run.mle.estimate), strict=True))
+        bands = {name: tolerance.value for name, tolerance in self.card.tolerances.items()}
+
+        def flown() -> tuple[SimulatedManoeuvre, ...]:
+            return fly_given(despiked(join(self.records, self.card, FLIGHT))[0], self.model, values, bands)
+
+        self.files.flown = self.stage("flights", "The identified model was not flown", flown, bad="{}: {}") or ()
+        self.add((), put_histories(lambda: identified(self.run), self.out))
         self.files.stage(self.run)
 
     def sample(self) -> None:
@@ -254,28 +264,7 @@ def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:
     return plan if noise is Colour.WHITE else [*plan, ("white", Colour.WHITE, sample_ensemble)]
 
 
-# --- The identified model flown through the recorded inputs: what its coefficients' errors become on the way.
-
-
-def fly_identified(
-    records: Sequence[FlightRecord], card: Card, model: Model, mle: MleResult, out: Path
-) -> tuple[tuple[SimulatedManoeuvre, ...], tuple[str, ...], tuple[str, ...]]:
-    """Every record from its measured initial state, notes and failures; nothing where a channel that drives it is
-    missing, with a note that says so."""
-    values, left_out = dict(zip(mle.names, map(float, mle.estimate), strict=True)), "The identified model was not flown"
-    bands = {name: tolerance.value for name, tolerance in card.tolerances.items()}
-
-    def flown() -> tuple[SimulatedManoeuvre, ...]:
-        return fly_given(despiked(join(records, card, FLIGHT))[0], model, values, bands)
-
-    try:
-        paths, failures = attempted(left_out, flown, (), out, own=bool(card.effect_files))
-    except InputError as error:
-        return (), (f"{left_out}: {error}",), ()
-    return paths, (), failures
-
-
-# --- Several manoeuvres of an identification: what they say of the next flight, and what is left out of many.
+# --- Several manoeuvres of an identification: what they say of the next flight.
 
 
 def pooled_manoeuvres(
@@ -289,13 +278,3 @@ def pooled_manoeuvres(
             for (name, fit), record in zip(alone.items(), without_spikes, strict=True)
         }
     return next_flight(run.model, run.observations, alone, seed=seed, progress=progress)
-
-
-def left_out_of_many(manoeuvres: int) -> tuple[str, ...]:
-    """What is left out because there are so many."""
-    said = []
-    if manoeuvres > MAX_SEPARATE_FITS:
-        said.append(f"{manoeuvres} manoeuvres are fitted jointly; beyond {MAX_SEPARATE_FITS} none is fitted by itself.")
-    if manoeuvres > MOST_MANOEUVRES:
-        said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
-    return tuple(said)

@@ -58,10 +58,6 @@ def _seed() -> Any:
     return option(0, "Same seed, same command, same machine: same numbers.", min=0, max=MAX_SEED)
 
 
-def _figures() -> Any:
-    return option(True, "Draw the figures.")
-
-
 def _frequency() -> Any:
     said = "Hz: fit in the frequency domain, too, in this band, where bias and drift drop out."
     return option(None, said, metavar="LOW HIGH")
@@ -119,7 +115,7 @@ class IdentifyOptions(Options):
     next_flight: bool = option(
         False, "Pool the manoeuvres: scatter of parameters between them, and a flight not yet flown.", flag=True
     )
-    figures: bool = _figures()
+    figures: bool = option(True, "Draw the figures.")
     page: bool = option(True, name=None)
 
 
@@ -140,7 +136,7 @@ class DiagnoseOptions(Options):
         True, "Propose manoeuvres that decide what is open; fit causes in a band of frequencies."
     )
     trajectories: bool = option(True, "Simulate the card's and the extended model with the recorded inputs.")
-    figures: bool = _figures()
+    figures: bool = option(True, "Draw the figures.")
     process_noise: bool | None = option(
         None, "Estimate gusts, and search in what a filter does not foresee; default: if there are gusts."
     )
@@ -195,7 +191,7 @@ class FlyOptions(Options):
     posterior: bool = option(False, "With --process-noise: sample the posterior, too (NUTS and emcee).", flag=True)
     frequency: tuple[float, float] | None = _frequency()
     seed: int = _seed()
-    figures: bool = _figures()
+    figures: bool = option(True, "Draw the figures.")
     flight_path: bool = option(False, name=None)
 
     def __post_init__(self) -> None:
@@ -235,7 +231,7 @@ class PathOptions(Options):
         "Fit again with gusts and the noise of accelerometers and gyros, by an extended Kalman filter.",
         flag=True,
     )
-    figures: bool = _figures()
+    figures: bool = option(True, "Draw the figures.")
 
     @property
     def fly(self) -> FlyOptions:

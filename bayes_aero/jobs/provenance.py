@@ -100,11 +100,6 @@ def picked(found: Any, *names: str) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in rows.items()}
 
 
-def named_pairs(pairs: Mapping[str, tuple[float, float]], *keys: str) -> dict[str, dict[str, float]]:
-    """Two numbers a name, each under its key: mean and standard error, a gain and its standard error."""
-    return {name: dict(zip(keys, pair, strict=True)) for name, pair in pairs.items()}
-
-
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.
 
 OWN = "bayes-aero"

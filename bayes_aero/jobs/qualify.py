@@ -85,9 +85,7 @@ def qualify_result(
     new = new_records(tests, records, card, source, options.gusts)
     if out is not None:
         writable(out)
-    if progress:
-        progress("do the sensors agree?", 0.0)
-    checks = record_checks([*records, *new], card, options.seed, out)
+    checks = record_checks([*records, *new], card, options.seed, out, progress=progress)
     with checks.behind():
         flown, bands = _segments(source, card, records)
         tested, _ = _segments(source, card, new, tuple(bands)) if new else (None, {})

@@ -9,40 +9,13 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET
 
-from bayes_aero.diagnosis.result import (
-    COEFFICIENTS,
-    Cause,
-    CausesInBand,
-    Diagnosis,
-    FoundTerm,
-    Tested,
-)
-from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, SimulatedManoeuvre, Trajectories, View
+from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, Tested
+from bayes_aero.diagnosis.trajectory_result import DiagnosisView, SimulatedManoeuvre, Trajectories, View
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.documents import (
-    CausePart,
-    ComparedOutput,
-    ComparedPath,
-    ConsistencyPart,
-    CovariancePart,
-    DiagnosisDocument,
-    FlownEstimate,
-    FlownPath,
-    GainPart,
-    HiddenPart,
-    KeptPart,
-    PathOutput,
-    RecordPart,
-    ScreenedPart,
-    StatedTolerance,
-    TermPart,
-    TestedOutput,
-    TestedPart,
-    TrajectoriesPart,
-)  # fmt: skip
+from bayes_aero.jobs.io import documents as parts
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.text.diagnosis import sentences
@@ -80,26 +53,31 @@ class Outcome:
 
 def diagnosis_results(
     outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
-) -> DiagnosisDocument:
+) -> parts.DiagnosisDocument:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
     seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
+    named = {(c.stage, c.name) for c in d.causes}
     models = {} if seen is None else {"before": seen.card, "after": seen.extended}
-    return DiagnosisDocument.of(
+    return parts.DiagnosisDocument.of(
         d,
         schema=SCHEMA,
         card=card,
         records=record_parts(records, card),
-        consistency=ConsistencyPart.of(outcome.consistency),
+        consistency=parts.ConsistencyPart.of(outcome.consistency),
         tested=tested_part(d.tested, d.compared),
         sentences=sentences(view),
         causes=[cause_part(cause) for cause in d.causes],
         unexplained=d.unknown,
         terms=[term_part(one) for one in d.terms],
         cancelling=d.together,
-        screening=screened_parts(d, view.rankings),
+        screening=[
+            parts.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
+            for r in view.rankings
+            for s in r.candidate_scores
+        ],  # every candidate in the first election of each stage, the highest score first
         base_parameters=view.moves,
-        covariance=view.covariance and CovariancePart.of(view.covariance, residuals="coloured"),
+        covariance=view.covariance and parts.CovariancePart.of(view.covariance, residuals="coloured"),
         residuals={when: model.composition for when, model in models.items()},
         trajectories=trajectories_part(view.trajectories, card),
         stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
@@ -109,25 +87,25 @@ def diagnosis_results(
         notes=(*d.notes, *outcome.notes),
         failures=outcome.failures,
         provenance=provenance,
-        hidden=UNSET if outcome.hidden is None else HiddenPart.of((outcome.hidden, outcome.named)),
+        hidden=UNSET if outcome.hidden is None else parts.HiddenPart.of((outcome.hidden, outcome.named)),
     )
 
 
-def term_part(found: FoundTerm) -> TermPart:
+def term_part(found: FoundTerm) -> parts.TermPart:
     """A form of unexplained structure."""
     term, others = found.term, {term.name: weight for term, weight in found.others}
-    return TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
+    return parts.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def tested_part(tested: Tested | None, compared: str) -> TestedPart:
+def tested_part(tested: Tested | None, compared: str) -> parts.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
-    outputs = {n: TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
-    return TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
+        return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+    outputs = {n: parts.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
-def record_parts(records: Sequence[FlightRecord], card: Card) -> list[RecordPart]:
+def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.RecordPart]:
     """The records at a glance, with the flown range of each channel (SI), a spike left out."""
     told = []
     for r in records:
@@ -135,21 +113,11 @@ def record_parts(records: Sequence[FlightRecord], card: Card) -> list[RecordPart
         if "alpha" in channels and "alpha_dot" not in channels:  # its rate, which effects read
             channels["alpha_dot"] = np.asarray(differentiate(smooth(channels["alpha"]), r.dt))
         ranges = {name: tuple(map(float, np.quantile(x, FLOWN))) for name, x in channels.items()}
-        told.append(RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
+        told.append(parts.RecordPart.of((r.name, r.n, r.dt, float(np.ptp(r.time)), ranges)))
     return told
 
 
-def screened_parts(d: Diagnosis, rankings: Sequence[Ranking]) -> list[ScreenedPart]:
-    """Every candidate in the first election of each stage, the highest score first."""
-    causes = {(c.stage, c.name) for c in d.causes}
-    return [
-        ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in causes)
-        for r in rankings
-        for s in r.candidate_scores
-    ]
-
-
-def cause_part(cause: Cause) -> CausePart:
+def cause_part(cause: Cause) -> parts.CausePart:
     """One named cause, and what it gains on data that were not fitted."""
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
@@ -158,26 +126,26 @@ def cause_part(cause: Cause) -> CausePart:
         for name in gain.before
         if name in gain.after
     }
-    return CausePart.of(cause, gain=GainPart.of(gain, by_coefficient=by_coefficient))
+    return parts.CausePart.of(cause, gain=parts.GainPart.of(gain, by_coefficient=by_coefficient))
 
 
 # --- Simulated trajectories.
 
 
-def trajectories_part(flown: Trajectories | None, card: Card) -> TrajectoriesPart:
+def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
     if flown is None:
-        return TrajectoriesPart()
+        return parts.TrajectoriesPart()
     before, after, asked = flown.card, flown.extended, flown.asked
-    return TrajectoriesPart.of(
+    return parts.TrajectoriesPart.of(
         flown,
         status={"card": before.status.name, "extended": after.status.name},
         at_bound={"card": before.at_bound, "extended": after.at_bound},
-        causes={name: KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        causes={name: parts.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
         tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
-        paths=[path_part(ComparedPath, path) for path in flown.paths],
+        paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
         parameters={
-            name: FlownEstimate(
+            name: parts.FlownEstimate(
                 before.values.get(name),
                 value,
                 flown.deviation[name],
@@ -190,17 +158,17 @@ def trajectories_part(flown: Trajectories | None, card: Card) -> TrajectoriesPar
     )
 
 
-def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, StatedTolerance]:
+def stated_tolerances(card: Card, units: Mapping[str, str]) -> dict[str, parts.StatedTolerance]:
     """The card's tolerances of these outputs."""
     stated = {name: t for name, t in card.tolerances.items() if name in units}
-    return {name: StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
+    return {name: parts.StatedTolerance(t.value, units[name], t.source) for name, t in stated.items()}
 
 
 def path_part(
-    kind: type[ComparedPath | FlownPath], path: SimulatedManoeuvre, units: Mapping[str, str] | None = None
+    kind: type[parts.ComparedPath | parts.FlownPath], path: SimulatedManoeuvre, units: Mapping[str, str] | None = None
 ) -> Any:
     """One simulated manoeuvre; `units` of outputs (SI) for channels that the program does not know by name."""
-    part = ComparedOutput if kind is ComparedPath else PathOutput
+    part = parts.ComparedOutput if kind is parts.ComparedPath else parts.PathOutput
     outputs = {
         name: part.of(
             **vars(error) | vars(error.theil), unit=STANDARD_CHANNELS[name].unit if units is None else units[name]

@@ -15,7 +15,9 @@ from msgspec.json import schema
 from msgspec.structs import fields
 
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
+from bayes_aero.diagnosis.selection import CancellingPair
 from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
+from bayes_aero.inference.scores import Share as InsideShare
 
 Number = float | None
 Size = Annotated[float, Meta(ge=0)]
@@ -29,6 +31,9 @@ TWO, FOUR = Meta(min_length=2), Meta(min_length=4)  # keys, that is all of them
 Gains = Annotated[dict[Literal["elpd", "elpd_se"], Number], TWO]
 Bounded = Annotated[dict[Literal["estimate", "crb_corrected"], Number], TWO]
 Scores = Annotated[dict[Literal["r", "rmse", "theil", "r2"], Number], FOUR]
+CardNames = Annotated[dict[Literal["name", "title"], str], TWO]
+Estimate = Annotated[dict[Literal["mean", "sd"], Number], TWO]
+Quantity = Annotated[dict[Literal["value", "sd"], Number], TWO]
 Coefficient = Literal["CL", "CD", "Cm", "CY", "Cl", "Cn"]
 Output = Literal[
     Coefficient, "airspeed", "alpha", "theta", "beta", "phi", "psi", "p", "q", "r", "altitude", "ax", "ay", "az"
@@ -83,11 +88,6 @@ def _formed(kind: Any, value: Any) -> Any:
 
 
 # --- Parts of several documents.
-
-
-class CardPart(Part):
-    name: str
-    title: str
 
 
 class RecordPart(Part):
@@ -170,11 +170,6 @@ Failures = Annotated[
 ]
 
 
-class EstimatePart(Part):
-    mean: float
-    sd: Number
-
-
 class MarginalPart(Part):
     """A marginal posterior with its equal-tailed 95 % interval and diagnostics."""
 
@@ -238,16 +233,10 @@ class FlownPath(Part):
 
     manoeuvre: str
     # start: first values of the parameters, from the measured initial state. fitted: the fit, including its initial
-    # state.
-    model: Literal["start", "fitted"]
+    # state. given: the maximum-likelihood parameters of identify, from the measured initial state.
+    model: Literal["start", "fitted", "given"]
     inside: bool = field(name="inside_envelope")
     outputs: dict[str, PathOutput]
-
-
-class GivenPath(FlownPath):
-    """The same with the maximum-likelihood parameters, from the measured initial state."""
-
-    model: Literal["given"]
 
 
 class ComparedPath(Part):
@@ -307,8 +296,6 @@ class PointPart(Part):
 class TestedOutput(Part):
     """Root mean squares of what the extended model leaves of an output, SI."""
 
-    __test__ = False  # not one of pytest's
-
     unit: str
     noise: Number  # of the sensor
     fitted: Number  # fitted to all flights
@@ -318,8 +305,6 @@ class TestedOutput(Part):
 
 class TestedPart(Part):
     """What the verdict rests on, whether unexplained structure was tested, and what trajectories alone leave."""
-
-    __test__ = False
 
     rests_on: Literal["coefficients", "trajectories", "innovations"]
     unnamed_structure: bool
@@ -403,7 +388,7 @@ class UnexplainedPart(Part):
     # where the constant of the coefficient differs between manoeuvres (channel is manoeuvre): by manoeuvre after the
     # first, how far it is from that of the first. rivals then explain the offsets about as well. Empty for other
     # structure.
-    offsets: dict[str, EstimatePart]
+    offsets: dict[str, Estimate]
 
 
 class ChangePart(Part):
@@ -415,9 +400,9 @@ class ChangePart(Part):
     at: Size  # when, s from the begin of that manoeuvre; 0: from the manoeuvre before to this one
     interval: Band = field(name="ci95")  # times that the record does not distinguish from it
     lasts: bool  # later manoeuvres have the value after the change; otherwise the value before
-    before: EstimatePart
-    after: EstimatePart
-    size: EstimatePart  # of the change
+    before: Estimate
+    after: Estimate
+    size: Estimate  # of the change
     # share of the residual of the extended model, of the coefficient of which it explains most
     share: Number = field(name="share_of_variance")
     p_value: Share  # family-wise: share of noise-only replicates in which some parameter and moment explain as much
@@ -436,7 +421,7 @@ class TermPart(Part):
     term: str
     code: str | None  # the expression of an effect file; null where the term depends on the past
     unit: str
-    size: EstimatePart
+    size: Estimate
     # of what is left of the coefficient without it; from trajectories and innovations, of the output of which it takes
     # the largest share
     share: Number = field(name="share_of_variance")
@@ -458,22 +443,10 @@ class AbsorbedPart(Part):
     parameter: str
     unit: str
     control: str
-    estimate: EstimatePart
-    usual: EstimatePart  # mean and standard deviation of its prior
+    estimate: Estimate
+    usual: Estimate  # mean and standard deviation of its prior
     # by effect: with the usual value there would be one of these, as large as given were it the whole cause
     sizes: Annotated[dict[str, UsualSize], Meta(min_length=1)]
-
-
-class CancellingPart(Part):
-    """Two causes whose large contributions cancel: the record determines only parameters[0] + factor parameters[1]."""
-
-    effects: list[str]
-    parameters: list[str]
-    factor: float
-    mean: float  # of the departures from neutral
-    sd: Number
-    unit: str
-    correlation: Number  # of the two estimates
 
 
 class NoisePart(Part):
@@ -632,7 +605,7 @@ class DiagnosisDocument(Part, kw_only=True):
     chords travelled. Standard errors count the residuals' autocorrelation."""
 
     schema: Literal["bayes_aero/diagnosis/5"]
-    card: CardPart
+    card: CardNames
     records: Records
     consistency: ConsistencyPart
     # no_effect: no significant model error is detectable. explained: sure causes, nothing else is significant.
@@ -650,7 +623,7 @@ class DiagnosisDocument(Part, kw_only=True):
     unexplained: list[UnexplainedPart]
     terms: list[TermPart]  # in the order of selection
     changes: list[ChangePart]
-    cancelling: list[CancellingPart]
+    cancelling: list[CancellingPair]
     absorbed: list[AbsorbedPart]
     noise: NoisePart
     not_testable: dict[str, str]  # why each of these effects could not be tested
@@ -722,22 +695,13 @@ class DisagreementPart(Part):
     apart: Number  # in combined standard errors
 
 
-class LevelPart(Part):
-    """Share of the innovations inside the central predictive interval."""
-
-    level: Annotated[float, Meta(gt=0, lt=1)]
-    share: Fraction
-    sd: Size  # standard error, with the autocorrelation counted
-    p: Fraction  # p-value of calibrated predictions, with the autocorrelation counted
-
-
 class PredictedPart(Part):
     """One-step predictions of all outputs together."""
 
     count: Annotated[int, Meta(ge=2)] = field(name="innovations")  # how many
     # root mean square of innovations over their predicted standard deviations, and its standard error; 1 if calibrated
     ratio: Pair
-    shares: list[LevelPart]
+    shares: list[InsideShare]
     # not_normal: too narrow at one level, too wide at another; coloured: shares as they must be, but neighbouring
     # innovations are correlated beyond 0.3
     calibration: CalibrationWord = field(name="status")
@@ -785,22 +749,17 @@ class FlownPosterior(Part):
     status: dict[str, SamplerPart]  # by sampler
 
 
-class QuantityPart(Part):
-    value: float
-    sd: Number
-
-
 class ModePart(Part):
     """A mode of motion; standard errors of first order in the parameters."""
 
     name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
     eigenvalue: Band  # real and imaginary part, 1/s
     sd: Pair = field(name="eigenvalue_sd")
-    period: QuantityPart | Unset = UNSET  # s
-    damping_ratio: QuantityPart | Unset = UNSET
-    time_constant: QuantityPart | Unset = UNSET  # s
-    time_to_half: QuantityPart | Unset = UNSET  # s
-    time_to_double: QuantityPart | Unset = UNSET  # s
+    period: Quantity | Unset = UNSET  # s
+    damping_ratio: Quantity | Unset = UNSET
+    time_constant: Quantity | Unset = UNSET  # s
+    time_to_half: Quantity | Unset = UNSET  # s
+    time_to_double: Quantity | Unset = UNSET  # s
 
 
 class MotionPart(Part):
@@ -818,7 +777,7 @@ class TrajectoriesDocument(Part, kw_only=True):
     radians; tau1 and tau2 in chords travelled."""
 
     schema: Literal["bayes_aero/trajectories/5"]
-    card: CardPart
+    card: CardNames
     records: Records
     consistency: ConsistencyPart
     status: Literal["converged", "at_bound", "not_converged", "left_envelope"]
@@ -959,7 +918,7 @@ class IdentificationDocument(Part, kw_only=True):
     in chords travelled."""
 
     schema: Literal["bayes_aero/results/1"]
-    card: CardPart
+    card: CardNames
     records: Records
     # how coefficients were formed: the same filter on all signals, or as published
     coefficients: Literal["matched", "published"]
@@ -971,7 +930,7 @@ class IdentificationDocument(Part, kw_only=True):
     stall: StallPart | Unset = UNSET
     gpr: ProcessesPart | Unset = UNSET
     # every manoeuvre, without correction by measurements. Absent if an input channel is missing (a note names it).
-    simulated: list[GivenPath] | Unset = UNSET
+    simulated: list[FlownPath] | Unset = UNSET
     # only where the records were simulated: the true parameters, SI and radians
     truth: dict[str, float] | Unset = UNSET
     verdict: list[str]
@@ -997,8 +956,6 @@ class BesidePart(Part):
 
 
 class TestPart(Part):
-    __test__ = False
-
     # a fitted manoeuvre flown again, a manoeuvre that was not fitted, a fitted manoeuvre on the next flight
     kind: FlightWord
     manoeuvre: str
@@ -1011,13 +968,6 @@ class TestPart(Part):
     verdict: ToleranceWord
     within: float  # expected share of the time inside
     recorded: BesidePart | None = field(name="record")
-
-
-class RegionPart(Part):
-    """The flown region: the convex hull of all fitted samples."""
-
-    channels: list[str]  # of the convex hull
-    not_recorded: list[str]
 
 
 class OutsidePart(Part):
@@ -1059,13 +1009,14 @@ class QualificationDocument(Part):
     start to end."""
 
     schema: Literal["bayes_aero/qualification/2"]
-    card: CardPart
+    card: CardNames
     verdict: ToleranceWord  # of the model: it fails where one tolerance does, and passes where all do
     thresholds: Annotated[dict[Literal["passes_from", "fails_to"], float], TWO]
     draws: int  # flights drawn for every test
     tolerances: dict[str, JudgedTolerance]  # by output
     tests: list[TestPart]
-    flown_region: RegionPart
+    # channels of the flown region, the convex hull of all fitted samples, and those that were not recorded
+    flown_region: Annotated[dict[Literal["channels", "not_recorded"], list[str]], TWO]
     outside: list[OutsidePart]
     further: FurtherPart | None
     origins: dict[str, str]  # where parameters, structure, next flight and gusts come from

@@ -32,7 +32,7 @@ def _{name}(v, s, a, known):
     kind=Kind.AERODYNAMICS,
     stage=Stage.TOTAL,
     claim="{coefficient} has a term {term}.",
-    parameters=(Parameter("{parameter}", "{unit}", 0.0, 0.0, "factor of {term}", Prior("normal", 0.0, {wide!r})),),
+    parameters=(Parameter("{parameter}", "{unit}", 0.0, 0.0, "factor of {term}", Prior("normal", 0.0, {largest!r})),),
     channels={channels!r},
     increments=_{name},
     example=Example({{"{parameter}": 0.0}}, {{}}, {{"{coefficient}": 0.0}}, "neutral: it adds nothing"),
@@ -71,7 +71,6 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
     for one in terms:
         plain = one.term.name.lower().replace("(1 - x)", "separated").replace("^", "").replace("+", "plus")
         slug = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
-        largest = _digits(LARGEST * max(abs(one.size[0]), one.least))
         parts.append(
             TERM.format(
                 name=f"{one.coefficient.lower()}_{slug}",
@@ -86,8 +85,7 @@ def effect_file(terms: Sequence[FoundTerm], records: Sequence[str]) -> str:
                 size=one.size[0],
                 sd=one.size[1],
                 least=_digits(one.least),
-                largest=largest,
-                wide=largest,
+                largest=_digits(LARGEST * max(abs(one.size[0]), one.least)),
             )
         )
     return "".join(parts)

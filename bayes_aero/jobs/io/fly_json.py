@@ -14,17 +14,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
+from bayes_aero.jobs.io import documents as parts
 from bayes_aero.jobs.io.diagnosis_json import path_part, record_parts, stated_tolerances
-from bayes_aero.jobs.io.documents import (
-    ConsistencyPart,
-    FlownPath,
-    FlownPosterior,
-    InitialState,
-    ModePart,
-    MotionPart,
-    SettingPart,
-    TrajectoriesDocument,
-)  # fmt: skip
 from bayes_aero.jobs.io.identification_json import frequency_part, inseparable_parts, posterior_parts
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.jobs.provenance import picked
@@ -59,20 +50,20 @@ class Flight:
 
 def fly_results(
     found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
-) -> TrajectoriesDocument:
+) -> parts.TrajectoriesDocument:
     """trajectories.json: plain numbers and text, SI and radians."""
     flown, fit = found.flown, found.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
-    return TrajectoriesDocument.of(
+    return parts.TrajectoriesDocument.of(
         flown,
         schema=SCHEMA,
         card=card,
         records=record_parts(records, card),
-        consistency=ConsistencyPart.of(found.consistency),
+        consistency=parts.ConsistencyPart.of(found.consistency),
         status=fit.status.name.lower(),
         sentences=found.sentences,
         fitted_outputs=fit.flown.outputs,
-        setting=SettingPart(
+        setting=parts.SettingPart(
             FREE if setting.initial is None else FIXED, setting.priors, HELD if setting.held else LINEAR
         ),
         **picked(fit, "iterations", "cost", "det_R"),
@@ -81,27 +72,27 @@ def fly_results(
         inseparable=inseparable_parts(fit.inseparable),
         disagreement=found.apart,
         process_noise=UNSET if found.process_noise is None else found.process_noise,
-        posterior=FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
+        posterior=parts.FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
         if found.posteriors
         else UNSET,
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
         motion=UNSET if found.motion is None else motion_part(found.motion),
         initial_states={
-            manoeuvre: {n: InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
+            manoeuvre: {n: parts.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
             for manoeuvre, states in flown.initial.items()
         },
         residual_sd=dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
         tolerances=stated_tolerances(card, {name: flown.units[name] for name in flown.outputs}),
-        paths=[path_part(FlownPath, path, flown.units) for path in flown.paths],
+        paths=[path_part(parts.FlownPath, path, flown.units) for path in flown.paths],
         **picked(found, "health", "notes", "failures"),
         provenance=source,
     )
 
 
-def motion_part(found: Motion) -> MotionPart:
+def motion_part(found: Motion) -> parts.MotionPart:
     """Modes of motion, SI and radians."""
     modes = [
-        ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
+        parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
         for mode in found.modes
     ]
-    return MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
+    return parts.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)

@@ -21,24 +21,8 @@ from bayes_aero.inference.results import (
     NextFlight,
     Posterior,
 )
+from bayes_aero.jobs.io import documents as parts
 from bayes_aero.jobs.io.diagnosis_json import path_part, record_parts
-from bayes_aero.jobs.io.documents import (
-    AloneFit,
-    BandEstimate,
-    ConsistencyPart,
-    CorrelatedPart,
-    FitPart,
-    FrequencyPart,
-    GivenPath,
-    IdentificationDocument,
-    IdentifiedPosterior,
-    InseparablePart,
-    NextFlightPart,
-    NextParameter,
-    ProcessesPart,
-    ProcessPart,
-    SamplerPart,
-)  # fmt: skip
 from bayes_aero.jobs.io.result_file import writable
 from bayes_aero.jobs.provenance import picked, write_json
 from bayes_aero.report.figures.every_figure import FIGURES
@@ -56,28 +40,28 @@ def results(
     verdict: list[str],
     provenance: dict[str, Any],
     simulated: Sequence[SimulatedManoeuvre] = (),
-) -> IdentificationDocument:
+) -> parts.IdentificationDocument:
     """The table of contents of a run as plain numbers and text; parts not yet computed are absent.
 
     `simulated` are the manoeuvres flown with the fitted coefficients.
     """
     run = identification
-    alone = {name: AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
-    return IdentificationDocument.of(
+    alone = {name: parts.AloneFit.of(fit, **_fit(fit)) for name, fit in run.alone.items()}
+    return parts.IdentificationDocument.of(
         schema=SCHEMA,
         card=run.card,
         records=record_parts(run.records, run.card),
         coefficients=run.forming.value,
-        mle=FitPart.of(run.mle, **_fit(run.mle), covariance=run.mle.corrected, alone=alone),
-        consistency=ConsistencyPart.of(run.consistency) if run.consistency else UNSET,
+        mle=parts.FitPart.of(run.mle, **_fit(run.mle), covariance=run.mle.corrected, alone=alone),
+        consistency=parts.ConsistencyPart.of(run.consistency) if run.consistency else UNSET,
         frequency=frequency_part(run.frequency) if run.frequency else UNSET,
-        posterior=IdentifiedPosterior(noise=run.noise.value, **posterior_parts(run.posteriors))
+        posterior=parts.IdentifiedPosterior(noise=run.noise.value, **posterior_parts(run.posteriors))
         if run.posteriors
         else UNSET,
         next_flight=next_flight_part(run.next_flight) if run.next_flight else UNSET,
         stall=run.stall.numbers() if run.stall else UNSET,
         gpr=processes_part(run.gp) if run.gp else UNSET,
-        simulated=[path_part(GivenPath, path) for path in simulated] or UNSET,
+        simulated=[path_part(parts.FlownPath, path) for path in simulated] or UNSET,
         truth=UNSET if run.truth is None else {name: run.truth[name] for name in flown(run)},
         verdict=verdict,
         **picked(run, "health", "notes", "failures"),
@@ -91,40 +75,42 @@ def _fit(result: MleResult) -> dict[str, Any]:
         "advice": result.status.value,
         "parameters": _estimates(result),
         "inseparable": inseparable_parts(result.inseparable),
-        "strong_correlations": [CorrelatedPart([a, b], value) for a, b, value in result.strong_correlations()],
+        "strong_correlations": [parts.CorrelatedPart([a, b], value) for a, b, value in result.strong_correlations()],
         "warnings": result.warnings(),
     }
 
 
-def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None = None) -> dict[str, BandEstimate]:
+def _estimates(fit: MleResult | FrequencyFit, apart: Mapping[str, float] | None = None) -> dict[str, Any]:
     """Estimates with their bounds, by how much the bias of sensor noise was moved, and how far they are apart."""
     bias = [None] * len(fit.names) if fit.bias is None else fit.bias
     keys = ("estimate", "crb", "crb_corrected", "noise_bias", "unit")
     columns = zip(fit.estimate, fit.crb, fit.crb_corrected, bias, fit.units, strict=True)
     rows = zip(fit.names, (dict(zip(keys, row, strict=True)) for row in columns), strict=True)
-    return {name: BandEstimate.of(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
+    return {name: parts.BandEstimate.of(**row, difference=(apart or {}).get(name, UNSET)) for name, row in rows}
 
 
-def frequency_part(fit: FrequencyFit) -> FrequencyPart:
+def frequency_part(fit: FrequencyFit) -> parts.FrequencyPart:
     """A fit in a band."""
-    return FrequencyPart.of(fit, parameters=_estimates(fit, fit.apart))
+    return parts.FrequencyPart.of(fit, parameters=_estimates(fit, fit.apart))
 
 
-def inseparable_parts(found: Sequence[Inseparable]) -> list[InseparablePart]:
+def inseparable_parts(found: Sequence[Inseparable]) -> list[parts.InseparablePart]:
     """Sets of parameters that the record cannot separate."""
-    return [InseparablePart(dict(zip(one.names, one.wider, strict=True))) for one in found]
+    return [parts.InseparablePart(dict(zip(one.names, one.wider, strict=True))) for one in found]
 
 
 def posterior_parts(posteriors: Mapping[str, Posterior]) -> dict[str, Any]:
     """Marginals by sampler and parameter, and under `status` whether each sampler's draws may be used."""
-    status = {key: SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()}
+    status = {
+        key: parts.SamplerPart.of((p.noise, p.status.name.lower(), p.status.value)) for key, p in posteriors.items()
+    }
     return {key: posterior.marginals for key, posterior in posteriors.items()} | {"status": status}
 
 
-def next_flight_part(found: NextFlight) -> NextFlightPart:
+def next_flight_part(found: NextFlight) -> parts.NextFlightPart:
     """Aircraft, scatter, next flight and manoeuvres, pooled and alone, by parameter."""
     parameters = {
-        p.name: NextParameter.of(
+        p.name: parts.NextParameter.of(
             unit=p.unit,
             aircraft=found.aircraft[p.name],
             scatter=asdict(found.scatter[p.name]) | {"over_prior": found.narrowed[p.name]},
@@ -136,10 +122,10 @@ def next_flight_part(found: NextFlight) -> NextFlightPart:
         for p in found.parameters
     }
     status = {"status": found.status.name.lower(), "advice": found.status.value}
-    return NextFlightPart.of(found, likelihood=found.tree.attrs["likelihood"], parameters=parameters, **status)
+    return parts.NextFlightPart.of(found, likelihood=found.tree.attrs["likelihood"], parameters=parameters, **status)
 
 
-def processes_part(report: GPReport) -> ProcessesPart:
+def processes_part(report: GPReport) -> parts.ProcessesPart:
     """By split and coefficient: scores over the test points of all folds together, and each fold's own."""
     splits: dict[str, Any] = {}
     for split, folds in report.splits.items():
@@ -150,8 +136,8 @@ def processes_part(report: GPReport) -> ProcessesPart:
             inside = {f"coverage{round(100 * level)}": share for level, share in pooled.coverage.items()}
             each = [{"gpr": v.gp_scores, "mle": v.mle_scores} for v in own]
             scores = {"k_hat": pooled.k_hat, "status": pooled.status, "mle": pooled.mle, "folds": each}
-            splits[split][name] = ProcessPart.of(pooled.gp, **inside, **scores)
-    return ProcessesPart.of(sampled_split=report.chosen, **splits)
+            splits[split][name] = parts.ProcessPart.of(pooled.gp, **inside, **scores)
+    return parts.ProcessesPart.of(sampled_split=report.chosen, **splits)
 
 
 # --- What an identification writes: a file for each finished stage, and results.json with all of them.

@@ -18,6 +18,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.records import despiked_records, with_sums
 from bayes_aero.physics.aircraft import needed_channels, required_of
 from bayes_aero.physics.filters import FILTER_STEP
+from bayes_aero.progress import Progress
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.base import too_few_windows
 
@@ -49,12 +50,15 @@ def record_checks(
     known: KnownErrors | None = None,
     seek: bool = True,
     left_out: str = "",
+    progress: Progress | None = None,
 ) -> RecordChecks:
     """Check records, whichever command reads them; should the comparison of sensors fail, the job goes on without.
 
     `known`: errors of sensors that a search has found; `seek`: whether to look for errors that explain why sensors
     disagree; `left_out`: why the sensors are not compared, empty where they are.
     """
+    if progress:
+        progress("do the sensors agree?", 0.0)
     agreement, failures = attempted(
         "Whether the sensors agree was not checked",
         lambda: Consistency(left_out) if left_out else consistency(records, card, seed=seed, seek=seek, known=known),
