@@ -20,8 +20,7 @@ from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_gla
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
 from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
-from bayes_aero.report.pages.study import MOST_UNITS, study_headline, study_page
-from bayes_aero.report.tables.across_cases import estimates
+from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
 from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
 
 DEGREE = np.deg2rad(1.0)

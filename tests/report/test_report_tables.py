@@ -27,8 +27,8 @@ from bayes_aero.report.figures.comparison import next_flight
 from bayes_aero.report.html.page import page_table
 from bayes_aero.report.pooled import next_flight_sentences, next_flight_table
 from bayes_aero.report.style import NotDrawn
-from bayes_aero.report.tables.across_cases import holdout_table
 from bayes_aero.report.tables.comparison import ordered, scatter
+from bayes_aero.report.tables.diagnosis_tables import holdout_table
 from bayes_aero.report.tables.fly import error_table, gust_table
 from bayes_aero.report.tables.run_tables import parameter_table, validation_table
 from bayes_aero.report.tables.table import BeforeAfter, Column, Estimate, Table, cell_text, columns_of, write_csv

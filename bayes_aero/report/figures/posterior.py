@@ -17,8 +17,7 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.time_histories import of_coefficient
-from bayes_aero.report.tables.across_cases import predicted, what_is_shown
+from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.tables.fly import CALIBRATION
 from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, several

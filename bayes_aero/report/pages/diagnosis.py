@@ -22,7 +22,7 @@ from bayes_aero.report.html.page import Block, Fold, Section, Text, bullets, pag
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained, stall_table
 from bayes_aero.report.pages.fly import trajectories
-from bayes_aero.report.tables import across_cases, diagnosis_tables
+from bayes_aero.report.tables import diagnosis_tables
 from bayes_aero.report.text.check import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, findings, sentences
 from bayes_aero.report.text.fly import simulation_gain, trajectory_sentences
@@ -118,7 +118,7 @@ def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest:
         def residuals() -> tuple[Block, ...]:
             pictures = gallery.folded("residual_profiles", "residual_colour")
             title = "Residuals: size, composition, autocorrelation, calibration"
-            return (Fold(title, (*map(page_table, across_cases.residual_tables(view)), *pictures)),)
+            return (Fold(title, (*map(page_table, diagnosis_tables.residual_tables(view)), *pictures)),)
 
         return (
             section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
@@ -131,7 +131,7 @@ def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest:
                 "Change of the card's parameters",
                 lambda: (
                     (
-                        page_table(across_cases.moves_table(view)),
+                        page_table(diagnosis_tables.moves_table(view)),
                         html.symbols(view.parameters, view.moves, degrees=True),
                         *gallery("moves"),
                     )
@@ -168,10 +168,10 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
     """Scores on hold-out data, then of the manoeuvres one by one, where they were scored; many are folded."""
-    table = across_cases.gain_table(view)
+    table = diagnosis_tables.gain_table(view)
     if table is None:
         return (Text("Nothing was added, so there is no gain to report."),)
-    each: list[Block] = [] if view.holdout is None else [page_table(across_cases.holdout_table(view.holdout))]
+    each: list[Block] = [] if view.holdout is None else [page_table(diagnosis_tables.holdout_table(view.holdout))]
     if each and len(view.names) > FEW:
         each = [Fold("The same, manoeuvre by manoeuvre", tuple(each))]
     return (page_table(table), *each, *gallery("gain"))
