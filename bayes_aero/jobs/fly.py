@@ -48,7 +48,6 @@ from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
 from bayes_aero.report.frequency import FREQUENCY_FIGURES, frequency_sentences
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
@@ -135,7 +134,7 @@ def findings(
         *(() if beside is None else text.process_noise_sentences(beside, found.flown)),
         *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
         *text.disagreement_sentences(apart, hindered),
-        *motion_sentences(found.motion),
+        *text.motion_sentences(found.motion),
     )
 
 

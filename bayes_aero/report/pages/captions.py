@@ -10,8 +10,8 @@ from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.inference.results import Identification, Interval, Stall
 from bayes_aero.report.figures.diagnosis import telling
 from bayes_aero.report.html.page import Block, HtmlTable, Text
-from bayes_aero.report.pooled import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
+from bayes_aero.report.text.identification import next_flight_sentences
 from bayes_aero.report.text.phrases import WORDS, plus_minus, several
 from bayes_aero.units import number
 

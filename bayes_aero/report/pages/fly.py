@@ -28,7 +28,6 @@ from bayes_aero.report.html import page as html
 from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
 from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.motion import mode_table
 from bayes_aero.report.tables import fly
 from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
 from bayes_aero.report.text.phrases import WORDS, amounts, for_people, several, symbol
@@ -74,7 +73,9 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> html.Report:
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
             section("frequency", "In the frequency domain", lambda: frequency_blocks(flown, context.figures)),
             section(
-                "motion", "Modes of motion", lambda: [page_table(mode_table(motion))] if motion and motion.modes else []
+                "motion",
+                "Modes of motion",
+                lambda: [page_table(fly.mode_table(motion))] if motion and motion.modes else [],
             ),
             section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
             section("posterior", "Posterior", lambda: _posterior(context)),

@@ -24,10 +24,10 @@ from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
 from bayes_aero.report.pages.fly import over_measured, sources
-from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables import run_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.tables.fly import given_table
+from bayes_aero.report.tables.run_tables import next_flight_table
 from bayes_aero.report.text.identification import disputed, verdict
 from bayes_aero.report.text.phrases import WORDS, several
 from bayes_aero.report.text.restraints import unparted

@@ -11,6 +11,7 @@ from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
     START,
     Error,
+    Motion,
     ProcessNoise,
     SimulatedManoeuvre,
     Trajectories,
@@ -430,3 +431,49 @@ def _changes(
     """A number of each flight by the card's and by the extended model."""
     paths = ([flown.path(name, model, split) for model in MODELS] for split, name in flights)
     return [BeforeAfter(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
+
+
+# --- Modes of motion.
+
+QUANTITIES = {
+    "period": "period, s",
+    "damping_ratio": "damping ratio",
+    "time_constant": "time constant, s",
+    "time_to_half": "time to half, s",
+    "time_to_double": "time to double, s",
+}
+SWINGS, DECAYS, SPIRALS = ("period", "damping_ratio"), ("time_constant",), ("time_to_half",)
+"""What people read beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
+
+
+def mode_table(found: Motion) -> Table:
+    """Period and damping, or times, of every mode."""
+    rows = []
+    for mode in found.modes:
+        read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
+        quantities = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += quantities or [(mode, "", Estimate(math.nan, math.nan))]
+    column = columns_of(rows)
+    estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
+    equations = (
+        "the equations of motion with fixed controls, linearised about straight level flight at "
+        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+    )
+    if math.isnan(found.airspeed):
+        equations = "the card's linear equations"
+    note = (
+        f"Eigenvalues of {equations}, for the estimates {estimates}. In brackets: the standard error in units "
+        "of the last digit, of first order in the parameters."
+    )
+    return Table(
+        [
+            column(lambda r: r[0].name, "", "mode", "mode"),
+            column(
+                lambda r: QUANTITIES.get(r[1], "neither grows nor falls beyond its error"), "", "quantity", "quantity"
+            ),
+            column(lambda r: r[2], "", "value", "value", in_brackets),
+        ],
+        "Modes of motion",
+        note,
+        terminal_note=note,
+    )
