@@ -53,6 +53,7 @@ from bayes_aero.report.style import MOST_MANOEUVRES
 from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text import fly as text
+from bayes_aero.report.text.identification import posterior_sentences
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.equation_error import lines_in
 
@@ -337,7 +338,7 @@ def with_posterior(
         by = partial(sample, engine)
         new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
         posteriors, failures = posteriors | new, (*failures, *failed)
-        said = (*begun.sentences, *text.posterior_sentences(posteriors))
+        said = (*begun.sentences, *posterior_sentences(posteriors))
         found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
     return found
 

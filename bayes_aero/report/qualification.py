@@ -82,8 +82,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
 def _strips(found: Qualification) -> tuple[Block, ...]:
     flown = [s for s in found.strips if s.kind is not FlightKind.NEXT]
     following = [s for s in found.strips if s.kind is FlightKind.NEXT]
-    shown = flown[: html.MOST_SHOWN]
-    more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
+    shown, more = flown[: html.MOST_SHOWN], html.first([s.manoeuvre for s in flown])[1]
     text = WORDS["paragraphs"]["strips"]
     hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[: html.MOST_SHOWN]))
     return (
@@ -292,24 +291,19 @@ def excess(one: Outside) -> str:
 # --- What a qualification says.
 
 WHOLE = {
-    ToleranceVerdict.PASSES: "The model qualifies: it passes every tolerance.",
-    ToleranceVerdict.UNDECIDED: "It is not decided whether the model qualifies.",
-    ToleranceVerdict.FAILS: "The model does not qualify.",
+    ToleranceVerdict.PASSES: ("Passes", "The model qualifies: it passes every tolerance."),
+    ToleranceVerdict.UNDECIDED: ("Undecided", "It is not decided whether the model qualifies."),
+    ToleranceVerdict.FAILS: ("Fails", "The model does not qualify."),
 }
 
 
 def verdict_sentence(found: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in ToleranceVerdict}
-    marks = {
-        ToleranceVerdict.PASSES: "Passes",
-        ToleranceVerdict.UNDECIDED: "Undecided",
-        ToleranceVerdict.FAILS: "Fails",
-    }
     listed = [
-        f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
+        f"{WHOLE[v][0]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
     ]
-    return f"{WHOLE[found.whole]} {'. '.join(listed)}."
+    return f"{WHOLE[found.whole][1]} {'. '.join(listed)}."
 
 
 def sentences(found: Qualification) -> tuple[str, ...]:

@@ -31,7 +31,6 @@ from bayes_aero.report.tables.comparison import (
     scatter,
     unit_of,
 )
-from bayes_aero.report.tables.fly import CALIBRATION
 from bayes_aero.report.tables.table import NORMAL95, Estimate
 from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, plus_minus, several
 
@@ -156,10 +155,6 @@ def _pair(engine: str, posterior: Posterior, names: list[str]) -> Figure:
     return figure
 
 
-FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
-FIGURES |= {"pair": pair}
-
-
 # --- Calibration of predictions: histograms of the probability integral transform, and quantiles of innovations.
 
 SLIGHT = 0.1  # correlation of neighbours up to which the band's independence is near enough; our choice
@@ -201,7 +196,7 @@ def one_step_quantiles(found: ProcessNoise) -> Figure:
         ax.fill_between(score, low, high, color=COLOURS["prior"], alpha=0.5, lw=0.0, label="its 95 % band")
         ax.plot(score, score, color=COLOURS["measured"], lw=0.8, ls=":", label="calibrated")
         ax.plot(score, value, color=COLOURS["after"], marker="o", ms=3.0, label="innovations")
-        ax.set_title(f"{GREEK.get(name, name)}: {CALIBRATION[one.calibration]}")
+        ax.set_title(f"{GREEK.get(name, name)}: {one.calibration.value.replace('_', ' ')}")
     for ax in axes[-4:]:
         ax.set_xlabel("standard normal [-]")
         ax.tick_params(labelbottom=True)
@@ -242,9 +237,6 @@ def pit_words(identification: Identification) -> tuple[str, str]:
         f"{what_predicts(identification)}. Bars outside the 95 % band of uniform values: {outside}. "
         f"Lag-1 correlation of neighbours: {listed}.",
     )
-
-
-FIGURES |= {"pit": pit_histogram}
 
 
 # --- The seed paper's figures without time: measured against predicted, and the stall hysteresis.
@@ -301,15 +293,6 @@ def hysteresis(identification: Identification) -> Figure:
     style.legend_below(figure, axes[0, 0], 2, markerscale=4)
     figure.suptitle(f"Stall hysteresis CL(α): {what_is_shown(identification)}")
     return figure
-
-
-FIGURES |= {
-    "fig4_correlation_CL": of_coefficient(_correlation, "CL"),
-    "fig5_stall_hysteresis": hysteresis,
-    "fig7_correlation_CD": of_coefficient(_correlation, "CD"),
-    "fig9_correlation_Cm": of_coefficient(_correlation, "Cm"),
-    **{f"correlation_{name}": of_coefficient(_correlation, name) for name in LATERAL},
-}
 
 
 # --- Bounds and credible intervals: forest plots, and every standard error as a multiple of the Cramer-Rao bound.
@@ -434,4 +417,10 @@ def crb_vs_credible(identification: Identification) -> Figure:
     return figure
 
 
+CORRELATIONS = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
+CORRELATIONS |= {name: f"correlation_{name}" for name in LATERAL}
+"""The figure of a coefficient measured against predicted."""
+FIGURES = {f"{kind}_{engine}": _chains(kind, engine) for engine in ("emcee", "nuts") for kind in ("trace", "rank")}
+FIGURES |= {"pair": pair, "pit": pit_histogram, "fig5_stall_hysteresis": hysteresis}
+FIGURES |= {stem: of_coefficient(_correlation, name) for name, stem in CORRELATIONS.items()}
 FIGURES |= {"next_flight": next_flight, "forest": forest, "crb_vs_credible": crb_vs_credible}

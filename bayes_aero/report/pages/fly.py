@@ -30,8 +30,8 @@ from bayes_aero.report.html.pictures import Gallery
 from bayes_aero.report.html.plots import LOW, Line, Panel
 from bayes_aero.report.tables import fly
 from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
+from bayes_aero.report.text.identification import unfinished
 from bayes_aero.report.text.phrases import WORDS, amounts, for_people, several, symbol
-from bayes_aero.report.text.restraints import unfinished
 from bayes_aero.units import number
 
 

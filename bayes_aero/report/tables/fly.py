@@ -19,7 +19,7 @@ from bayes_aero.diagnosis.trajectory_result import (
 )
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Marginal, Posterior
-from bayes_aero.inference.scores import Calibration, OneStep
+from bayes_aero.inference.scores import OneStep
 from bayes_aero.parameter import Prior
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import engine_label
@@ -35,8 +35,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.fly import MODELS, status_sentences
-from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short
-from bayes_aero.report.text.restraints import unparted
+from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short, unparted
 from bayes_aero.units import number
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
@@ -122,10 +121,6 @@ def prior_text(prior: Prior | None) -> str:
 def _fit(e: Estimate) -> str:
     """As many digits as the standard error allows; three if it is far larger than the value."""
     return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
-
-
-def _departure(x: float) -> str:
-    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _bounds(bounds: tuple[float, float]) -> str:
@@ -218,7 +213,7 @@ def initial_table(flown: TrajectoryFit) -> Table:
             Column(
                 [factor * x for *_, x, factor in rows],
                 page="departure",
-                form=_departure,
+                form=lambda x: f"{'+' if x > 0.0 else ''}{number(x, 2)}",
             ),
             Column(priors, page="prior of the departure"),
         ]
@@ -235,15 +230,6 @@ def _label(flown: TrajectoryFit, channel: str) -> str:
 
 
 # --- Tables of a fit with process noise: parameters, gusts, posterior by both samplers, one-step predictions.
-
-CALIBRATION = {
-    Calibration.CALIBRATED: "calibrated",
-    Calibration.TOO_NARROW: "too narrow",
-    Calibration.TOO_WIDE: "too wide",
-    Calibration.NOT_NORMAL: "not normal",
-    Calibration.COLOURED: "coloured",
-    Calibration.UNDECIDED: "undecided",
-}
 
 
 def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
@@ -291,7 +277,7 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
             column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
             column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
             *inside,
-            column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
+            column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
         ],
         "Errors, and innovations inside their predictive intervals",
         note,

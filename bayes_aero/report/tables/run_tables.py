@@ -14,8 +14,7 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several
-from bayes_aero.report.text.restraints import unparted
+from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several, unparted
 from bayes_aero.units import number
 
 ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter

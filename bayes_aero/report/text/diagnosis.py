@@ -12,6 +12,7 @@ from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.report.text.check import joint_text
 from bayes_aero.report.text.fly import gust_sentences, trajectory_sentences
+from bayes_aero.report.text.identification import sign_sentences
 from bayes_aero.report.text.phrases import (
     WORDS,
     not_testable_sentences,
@@ -20,7 +21,6 @@ from bayes_aero.report.text.phrases import (
     tested_sentences,
     verdict_sentence,
 )
-from bayes_aero.report.text.restraints import sign_sentences
 
 SHOWN = 4  # other terms that are named
 

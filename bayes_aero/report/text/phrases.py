@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -117,6 +117,11 @@ def several(items: Iterable[str]) -> str:
     """Items as they are read out: a, b and c."""
     given = list(items)
     return " and ".join([", ".join(given[:-1]), given[-1]]) if len(given) > 1 else "".join(given)
+
+
+def unparted(status: str, following: Sequence[str]) -> str:
+    """The status of a fit, and that feedback and aircraft cannot be parted where a surface only follows the outputs."""
+    return f"{status}, but feedback and aircraft cannot be parted ({several(following)})" if following else status
 
 
 def axis_label(output: str, unit: str) -> str:
