@@ -50,7 +50,7 @@ from bayes_aero.report.frequency import FREQUENCY_FIGURES, frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
+from bayes_aero.report.tables.fly import gust_table, motion_sentences, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text import fly as text
 from bayes_aero.report.text.identification import posterior_sentences
@@ -135,7 +135,7 @@ def findings(
         *(() if beside is None else text.process_noise_sentences(beside, found.flown)),
         *text.fly_sentences(found.flown, hindered, disturbed=disturbed),
         *text.disagreement_sentences(apart, hindered),
-        *text.motion_sentences(found.motion),
+        *motion_sentences(found.motion),
     )
 
 

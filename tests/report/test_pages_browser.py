@@ -189,7 +189,7 @@ def test_no_table_is_broader_than_the_sheet(fresh):
 def fly_report(tmp_path_factory):
     found = flight()
     source = provenance(CARD, records(), 0, {"windows": 12.0})
-    page = fly_page(found.flown, FlyContext(CARD, records(), source, found.sentences, ("A note.",)))
+    page = fly_page(found.flown, FlyContext(CARD, records(), source, sentences=found.sentences, notes=("A note.",)))
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 

@@ -20,17 +20,8 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import of_coefficient, predicted, what_is_shown
-from bayes_aero.report.tables.comparison import (
-    alone,
-    bounds,
-    chosen_posteriors,
-    engine_label,
-    methods,
-    noise_label,
-    ordered,
-    scatter,
-    unit_of,
-)
+from bayes_aero.report.tables import comparison
+from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, noise_label, ordered, unit_of
 from bayes_aero.report.tables.table import NORMAL95, Estimate
 from bayes_aero.report.text.phrases import GREEK, WORDS, bracket, plus_minus, several
 
@@ -316,9 +307,9 @@ def forest(identification: Identification) -> Figure:
     """Every parameter by every method, with 95 % intervals and numbers; one panel per parameter, in its own unit."""
     table = {}
     for name in ordered(identification.mle.names, identification.mle.parameters):
-        found = [(m, m.estimates[name]) for m in methods(identification) if name in m.estimates]
+        found = [(m, m.estimates[name]) for m in comparison.methods(identification) if name in m.estimates]
         table[name] = [ForestLine(m.label, COLOURS.get(m.key, GREY), e) for m, e in found if np.isfinite(e.sd)]
-        for manoeuvre, (x, crb, corrected) in alone(identification, name).items():
+        for manoeuvre, (x, crb, corrected) in comparison.alone(identification, name).items():
             estimate, label = Estimate.normal(x, corrected), f"{manoeuvre} alone, ML"
             table[name].append(ForestLine(label, COLOURS["alone"], estimate, NORMAL95 * crb))
     return _forest(
@@ -337,7 +328,7 @@ def next_flight(identification: Identification) -> Figure:
         raise style.NotDrawn("the manoeuvres were not pooled; ask for the next flight")
     if len(found.manoeuvres) > style.MOST_MANOEUVRES:
         raise style.NotDrawn(f"there are more than {style.MOST_MANOEUVRES} manoeuvres")
-    table, bound = {}, bounds(mle, mle.crb_corrected)
+    table, bound = {}, comparison.bounds(mle, mle.crb_corrected)
     for name in ordered(found.aircraft, found.parameters):
         joint = bound[name]
         rows = [ForestLine("joint fit", COLOURS["mle"], joint)] if np.isfinite(joint.sd) else []
@@ -381,7 +372,7 @@ def _forest(identification: Identification, table: dict[str, list[ForestLine]], 
 def crb_vs_credible(identification: Identification) -> Figure:
     """Each method's standard deviation over the Cramer-Rao one, on a log axis, and the scatter between manoeuvres."""
     names = ordered(identification.mle.names, identification.mle.parameters)
-    found = methods(identification)
+    found = comparison.methods(identification)
     crb, others = found[0], found[1:]
     if not all(np.isfinite(e.sd) for e in crb.estimates.values()):
         raise style.NotDrawn("the Cramér-Rao bounds do not exist: the information matrix is singular")
@@ -394,7 +385,7 @@ def crb_vs_credible(identification: Identification) -> Figure:
         ratio = [e.sd / crb.estimates[n].sd if e else np.nan for n, e in zip(names, method.of(names), strict=True)]
         look = {"color": COLOURS.get(method.key, GREY), "ms": 6.0, "mec": "white", "mew": 0.5}
         ax.plot(ratio, rows + offset, MARKERS.get(method.key, "o"), label=method.label, **look)
-    between = [scatter(identification, name) for name in names]
+    between = [comparison.scatter(identification, name) for name in names]
     if any(s is not None for s in between):
         ratio = [s.sd / crb.estimates[n].sd if s else np.nan for s, n in zip(between, names, strict=True)]
         look = {"color": COLOURS["scatter"], "ms": 10.0, "mec": "white", "mew": 0.5, "zorder": 4}

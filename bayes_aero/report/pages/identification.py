@@ -19,8 +19,7 @@ from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.posterior import CORRELATIONS, pit_words
 from bayes_aero.report.figures.time_histories import Curve
 from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
-from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.page import Block, Fold, Gallery, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
 from bayes_aero.report.pages.fly import over_measured, sources

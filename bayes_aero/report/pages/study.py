@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, Facts, Picture, Report, Text, bullets, filled, page_table, section
-from bayes_aero.report.html.pictures import embedded
+from bayes_aero.report.html import page as html
+from bayes_aero.report.html.page import Block, Picture, Report, Text, bullets, page_table, section
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.tables.table import Table, columns_of
 from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
@@ -45,11 +45,11 @@ def study_page(context: StudyContext) -> Report:
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),
         lead=_lead(found, context.folder),
-        sections=filled(
+        sections=html.filled(
             section("findings", "Findings over all units", lambda: bullets(_findings(context, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
             section("units", "The units", lambda: (_units(context.units, context.folder),)),
-            section("provenance", "Provenance", lambda: (Facts(tuple(context.facts.items())),)),
+            section("provenance", "Provenance", lambda: (html.Facts(tuple(context.facts.items())),)),
         ),
     )
 
@@ -126,7 +126,7 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     groups = [group[0] for _, group in panels_of(found) if group]
     means = several(f"{e.label} {number(float(np.mean(e.value)))} {plain_unit(e.si)}" for e in groups[:MOST_PANELS])
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
-    source, (width, height), natural = embedded(path)
+    source, (width, height), natural = html.embedded(path)
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
     return (Picture(source, f"Estimates of all units. Means: {means}.", caption, width, height, natural),)

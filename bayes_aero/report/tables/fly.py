@@ -35,7 +35,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.fly import MODELS, status_sentences
-from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short, unparted
+from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, several, short, unparted
 from bayes_aero.units import number
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
@@ -463,3 +463,16 @@ def mode_table(found: Motion) -> Table:
         note,
         terminal_note=note,
     )
+
+
+def motion_sentences(found: Motion | None) -> list[str]:
+    """Why there are no modes, and which have no rate beyond its error."""
+    if found is None:
+        return []
+    sentences = [f"Modes of motion are not given: {found.why_not}."] if found.why_not else []
+    open_ones = [mode.name for mode in found.modes if not mode.quantities]
+    if open_ones:
+        sentences.append(
+            f"Whether the {several(open_ones)} grows or falls is not determined: its rate is within its error."
+        )
+    return sentences

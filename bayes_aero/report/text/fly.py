@@ -7,14 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import (
-    FITTED,
-    Disagreement,
-    Motion,
-    ProcessNoise,
-    Trajectories,
-    TrajectoryFit,
-)
+from bayes_aero.diagnosis.trajectory_result import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
@@ -138,19 +131,6 @@ def outside(flown: TrajectoryFit) -> dict[str, float]:
         if within:
             shares[output] = 1.0 - float(np.average([s for s, _ in within], weights=[n for _, n in within]))
     return shares
-
-
-def motion_sentences(found: Motion | None) -> list[str]:
-    """Why there are no modes, and which have no rate beyond its error."""
-    if found is None:
-        return []
-    sentences = [f"Modes of motion are not given: {found.why_not}."] if found.why_not else []
-    open_ones = [mode.name for mode in found.modes if not mode.quantities]
-    if open_ones:
-        sentences.append(
-            f"Whether the {several(open_ones)} grows or falls is not determined: its rate is within its error."
-        )
-    return sentences
 
 
 # --- Simulated trajectories in sentences.

@@ -26,7 +26,7 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.run_tables import split_verdict
 from bayes_aero.report.tables.table import Estimate
-from bayes_aero.report.text.phrases import decimals, from_to, plus_minus, several
+from bayes_aero.report.text.phrases import decimals, from_to, plus_minus, several, unit_behind
 from bayes_aero.units import number
 
 # What counts as a disagreement: our choice, wide enough not to report sampling error or chance.
@@ -325,7 +325,7 @@ MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     """A sentence for each prior that the record contradicts."""
     return [
-        f"The card's prior on {c.name}, {plus_minus(*c.prior)}{_unit(c.unit)} ({c.source}), contradicts "
+        f"The card's prior on {c.name}, {plus_minus(*c.prior)}{unit_behind(c.unit)} ({c.source}), contradicts "
         f"the record: the likelihood alone gives {plus_minus(*c.likelihood)}, {c.distance:.1f} "
         f"combined standard errors away. The prior shifts the posterior of {c.name} and of correlated parameters. "
         "Widen the prior, or find the reason why the record differs."
@@ -349,7 +349,7 @@ def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
     sentences = []
     for b in found:
-        bound = f"{'lower' if b.lower else 'upper'} bound, {number(b.bound, 4)}{_unit(b.unit)}"
+        bound = f"{'lower' if b.lower else 'upper'} bound, {number(b.bound, 4)}{unit_behind(b.unit)}"
         text = (
             f"{b.name} is at its {bound}: its interval is not reliable. Without the bound it would be about "
             f"{number(b.unbounded, 4)} (to first order)"
@@ -366,7 +366,7 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     sentences = []
     for one in found:
         listed = several(
-            f"{name} {plus_minus(x, sd)}{_unit(unit)}"
+            f"{name} {plus_minus(x, sd)}{unit_behind(unit)}"
             for name, unit, (x, sd) in zip(one.names, one.units, one.estimates, strict=True)
         )
         low, high = (f"{x:.0f}" if x >= 10.0 else f"{x:.2g}" for x in (min(one.wider), max(one.wider)))
@@ -377,10 +377,6 @@ def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
             "prior."
         )
     return sentences
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
 
 
 def sign_sentences(

@@ -52,7 +52,12 @@ def for_people(unit: str) -> tuple[str, float]:
 def size_text(mean: float, sd: float, unit: str) -> str:
     """0.62 ± 0.11 deg: two digits of the standard error, units as people read them."""
     shown, factor = for_people(unit)
-    return f"{plus_minus(factor * mean, factor * sd)}{'' if shown == '1' else f' {shown}'}"
+    return f"{plus_minus(factor * mean, factor * sd)}{unit_behind(shown)}"
+
+
+def unit_behind(unit: str) -> str:
+    """A unit as it stands behind a number: nothing for a pure number."""
+    return "" if unit == "1" else f" {unit}"
 
 
 def bracket(unit: str) -> str:
@@ -68,7 +73,7 @@ def symbol(output: str) -> str:
 def amounts(unit: str, *values: float) -> tuple[str, ...]:
     """Two digits of each value (SI), then the unit in which people read it, with a space before it."""
     shown, factor = for_people(unit)
-    return *(short(factor * x) for x in values), "" if shown == "1" else f" {shown}"
+    return *(short(factor * x) for x in values), unit_behind(shown)
 
 
 def plain_unit(unit: str) -> str:
