@@ -447,7 +447,5 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
 
 def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
     """Samples in a window of time, s; all, where there is none or it has fewer than two."""
-    if window is None:
-        return np.ones(len(time), bool)
-    inside = (time >= window[0]) & (time <= window[1])
+    inside = np.zeros(0, bool) if window is None else (time >= window[0]) & (time <= window[1])
     return inside if inside.sum() > 1 else np.ones(len(time), bool)

@@ -302,8 +302,7 @@ class PredictedPoints:
     def of(self, manoeuvre: np.ndarray) -> PredictedPoints:
         """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
         keep = manoeuvre[self.index]
-        cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
-        return PredictedPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
+        return PredictedPoints(*(None if part is None else part[keep] for part in vars(self).values()))
 
 
 def predicted(identification: Identification, coefficient: str) -> PredictedPoints:

@@ -271,10 +271,9 @@ def residual_tables(view: View) -> tuple[Table, Table]:
     models = [("card's", view.card), *([("extended", view.extended)] if view.changed else [])]
     rows = [(f"{name}, {label}", fitted.composition[name]) for name in view.coefficients for label, fitted in models]
     column, first = columns_of([numbers for _, numbers in rows]), Column([label for label, _ in rows], page="")
+    group = "Theil's shares of the squared error"
     shares = [
-        column(
-            lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group="Theil's shares of the squared error"
-        )
+        column(lambda n, part=part: n[f"theil_{part}"], page=part, form=".0%", group=group)
         for part in ("bias", "variance", "covariance")
     ]
     levels = [f"{level:g}" for level in LEVELS]

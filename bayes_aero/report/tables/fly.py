@@ -374,11 +374,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
         chances = [] if path is None else [path.errors[n].probability for n in banded]
         least.append(min((chance for chance in chances if chance is not None), default=None))
     columns.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
-    return Table(
-        columns,
-        "Share of the time inside the tolerance",
-        WORDS["notes"]["hold_out_tolerances"],
-    )
+    return Table(columns, "Share of the time inside the tolerance", WORDS["notes"]["hold_out_tolerances"])
 
 
 def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
@@ -391,11 +387,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
             Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
             Column([error.within for error in errors], page="inside", form=".0%", group=label),
         ]
-    return Table(
-        columns,
-        "Error of the simulated trajectories",
-        WORDS["notes"]["given"],
-    )
+    return Table(columns, "Error of the simulated trajectories", WORDS["notes"]["given"])
 
 
 def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
