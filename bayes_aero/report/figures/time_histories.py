@@ -302,7 +302,8 @@ class PredictedPoints:
     def of(self, manoeuvre: np.ndarray) -> PredictedPoints:
         """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
         keep = manoeuvre[self.index]
-        return PredictedPoints(*(None if part is None else part[keep] for part in vars(self).values()))
+        cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
+        return PredictedPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
 
 
 def predicted(identification: Identification, coefficient: str) -> PredictedPoints:
