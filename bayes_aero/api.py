@@ -52,7 +52,6 @@ from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Forming, observe
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES
-from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.diagnosis_tables import (
     causes_table,
@@ -61,7 +60,7 @@ from bayes_aero.report.tables.diagnosis_tables import (
     screen_table,
     terms_table,
 )
-from bayes_aero.report.tables.run_tables import parameter_table, validation_table
+from bayes_aero.report.tables.run_tables import next_flight_table, parameter_table, validation_table
 from bayes_aero.report.text.check import consistency_sentences
 from bayes_aero.report.text.diagnosis import sentences
 from bayes_aero.report.text.identification import verdict

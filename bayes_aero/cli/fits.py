@@ -38,8 +38,7 @@ def identify(
     with terminal.loading():
         from bayes_aero.flight.card import read_card
         from bayes_aero.jobs import identify as job
-        from bayes_aero.report.pooled import next_flight_table
-        from bayes_aero.report.tables.run_tables import parameter_table
+        from bayes_aero.report.tables.run_tables import next_flight_table, parameter_table
         from bayes_aero.report.text.identification import verdict
         from bayes_aero.simulate.demo import TRUTH, demo_records
 
@@ -192,7 +191,6 @@ def path(
 
 def print_fit(console: Console, found: Flight, out: Path) -> None:
     """Tables, findings and notes of a fit to trajectories."""
-    from bayes_aero.report.motion import mode_table
     from bayes_aero.report.tables import fly as of_fit
 
     flown, beside = found.flown, found.process_noise
@@ -202,7 +200,7 @@ def print_fit(console: Console, found: Flight, out: Path) -> None:
         tables += [] if beside.one_step is None else [of_fit.one_step_table(beside.one_step, flown.units)]
     tables += [of_fit.posterior_table(found.posteriors)] if found.posteriors else []
     tables.append(of_fit.error_table(flown))
-    tables += [mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
+    tables += [of_fit.mode_table(found.motion)] if found.motion is not None and found.motion.modes else []
     for table in tables:
         console.print(table.terminal())
     terminal.print_lines(console, found.sentences, found.notes)

@@ -233,7 +233,8 @@ def print_table(found: Sequence[Mapping[str, Any]]) -> None:
 
 def print_effect(effect: Mapping[str, Any]) -> None:
     """Claim, formula, parameters with their priors, worked example, source."""
-    from bayes_aero.report.text.check import facts, parameter_facts, unit_behind, worked
+    from bayes_aero.report.text.check import facts, parameter_facts, worked
+    from bayes_aero.report.text.phrases import unit_behind
 
     console = terminal.teller(highlight=True)
 
@@ -245,7 +246,7 @@ def print_effect(effect: Mapping[str, Any]) -> None:
     for title, text in facts(effect):
         line(title, text)
     for p in effect["parameters"]:
-        unit = unit_behind(p)
+        unit = unit_behind(p["unit"])
         console.print()
         line(p["name"], f"{p['description']}{unit and ',' + unit}")
         for title, text in parameter_facts(p):

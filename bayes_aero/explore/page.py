@@ -164,13 +164,13 @@ class ExplorePage:
             for view in (*self.outputs, *self.coefficients):
                 old = {**before.simulated, **before.coefficients}[view.name]
                 truth = recorded[view.name] if view in self.outputs else before.formed.get(view.name, old)
-                view.draw_before(at, old[window])
+                view.before.update(data=view.line(at, old[window]))
                 view.fit([truth[window], old[window]])
             begin, end = asked.window or (float(time[0]), float(time[-1]))
             self.shared.time.update(start=begin, end=end)
         flown = {**now.simulated, **now.coefficients}
         views = (*self.outputs, *self.coefficients)
-        self.shared.draw_now([view.line_now(at, flown[view.name][window]) for view in views])
+        self.shared.draw_now([view.line(at, flown[view.name][window], view.columns) for view in views])
         for view in self.coefficients:
             formed = now.formed.get(view.name)  # most parameters do not change how coefficients are formed
             if formed is not None and (place != self.drawn or not np.array_equal(formed, self.formed[view.name])):
@@ -377,12 +377,6 @@ class TimePanel:
         self.range = models.Range1d(start=0.0, end=1.0)
         box = models.BoxZoomTool(dimensions="width")
         wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
-        borders: dict[str, Any] = {
-            "min_border_left": 62,
-            "min_border_right": 6,
-            "min_border_top": 3,
-            "min_border_bottom": 3,
-        }
         f = self.figure = figure(
             x_range=shared.time,
             y_range=self.range,
@@ -392,7 +386,9 @@ class TimePanel:
             tools=[box, wheel, models.CrosshairTool(overlay=shared.cross)],
             active_drag=box,
             toolbar_location=None,
-            **borders,
+            min_border=3,
+            min_border_left=62,
+            min_border_right=6,
         )
         if self.band is not None:
             f.varea("t", "low", "high", source=self.record, fill_color="#999999", fill_alpha=0.28)
@@ -414,13 +410,9 @@ class TimePanel:
         half = self.band or 0.0
         self.record.update(data={"t": t, "y": y, "low": y - half, "high": y + half})
 
-    def draw_before(self, time: Curve, y: Curve) -> None:
-        """The result."""
-        self.before.update(data=dict(zip(("t", "y"), self._drawable(time, y), strict=True)))
-
-    def line_now(self, time: Curve, y: Curve) -> dict[str, np.ndarray]:
-        """The columns of what is flown now."""
-        return dict(zip(self.columns, self._drawable(time, y), strict=True))
+    def line(self, time: Curve, y: Curve, columns: tuple[str, str] = ("t", "y")) -> dict[str, np.ndarray]:
+        """A line as the named columns of a source."""
+        return dict(zip(columns, self._drawable(time, y), strict=True))
 
     def draw_fan(self, time: Curve, draws: Float[np.ndarray, "m n"]) -> None:
         """Draws; none removes them."""
@@ -455,7 +447,5 @@ def stacked(views: Sequence[TimePanel], name: str) -> models.Column:
 
 def window_of(time: Curve, window: tuple[float, float] | None) -> Bool[np.ndarray, " n"]:
     """Samples in a window of time, s; all, where there is none or it has fewer than two."""
-    if window is None:
-        return np.ones(len(time), bool)
-    inside = (time >= window[0]) & (time <= window[1])
+    inside = np.zeros(0, bool) if window is None else (time >= window[0]) & (time <= window[1])
     return inside if inside.sum() > 1 else np.ones(len(time), bool)

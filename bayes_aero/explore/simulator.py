@@ -37,13 +37,8 @@ class Flown:
     inside: Bool[np.ndarray, " n"]  # the envelope until now
 
 
-@dataclass(frozen=True)
-class Ready:
-    """A manoeuvre and a model, prepared for the compiled function."""
-
-    flown: SegmentTrajectories
-    residuals: EquationError | None
-    departure: Float[np.ndarray, "1 b"]
+Ready = tuple[SegmentTrajectories, EquationError | None, Float[np.ndarray, "1 b"]]
+"""A manoeuvre and a model, prepared for the compiled function, and the departure of the initial state."""
 
 
 @dataclass(frozen=True)
@@ -101,15 +96,15 @@ class Simulator:
         """The manoeuvre at the chosen values."""
         values = self._values(choice)
         theta = jnp.asarray(list(values.values()))
-        ready = self._prepared(manoeuvre, choice, values)
-        simulated, inside, formed, modelled, X = _fly(ready.flown, ready.residuals, theta, jnp.asarray(ready.departure))
+        flown, residuals, departure = self._prepared(manoeuvre, choice, values)
+        simulated, inside, formed, modelled, X = _fly(flown, residuals, theta, jnp.asarray(departure))
         found: dict[str, Any] = {}
         measured: dict[str, Any] = {}
-        if ready.residuals is not None:
-            names = ready.residuals.model.coefficients
+        if residuals is not None:
+            names = residuals.model.coefficients
             found = dict(zip(names, np.asarray(modelled).T, strict=True)) | {"X": np.asarray(X)}
             measured = dict(zip(names, np.asarray(formed).T, strict=True))
-        paths = dict(zip(ready.flown.outputs, np.asarray(simulated).T, strict=True))
+        paths = dict(zip(flown.outputs, np.asarray(simulated).T, strict=True))
         return Flown(values, paths, found, measured, np.asarray(inside))
 
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
@@ -120,13 +115,11 @@ class Simulator:
         for k, name in enumerate(draws.names):
             if name in values:
                 theta[:, list(values).index(name)] = draws.values[:, k]
-        ready = self._prepared(manoeuvre, Choice(), values)
-        simulated, _, _, modelled, X = _fly_draws(
-            ready.flown, ready.residuals, jnp.asarray(theta), jnp.asarray(ready.departure)
-        )
-        found = dict(zip(ready.flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
-        if ready.residuals is not None:
-            found |= dict(zip(ready.residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
+        flown, residuals, departure = self._prepared(manoeuvre, Choice(), values)
+        simulated, _, _, modelled, X = _fly_draws(flown, residuals, jnp.asarray(theta), jnp.asarray(departure))
+        found = dict(zip(flown.outputs, np.moveaxis(np.asarray(simulated), 2, 0), strict=True))
+        if residuals is not None:
+            found |= dict(zip(residuals.model.coefficients, np.moveaxis(np.asarray(modelled), 2, 0), strict=True))
             found["X"] = np.asarray(X)
         return draws.origin, found
 
@@ -175,7 +168,7 @@ class Simulator:
                     residuals = EquationError(flights, own.model, (), ())
                 except InputError as reason:
                     self.no_coefficients = f"Coefficients are not shown: {reason}."
-            self._ready[key] = Ready(replace(alone, **cut), residuals, departure)
+            self._ready[key] = replace(alone, **cut), residuals, departure
         return self._ready[key]
 
 

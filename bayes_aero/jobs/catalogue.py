@@ -72,8 +72,7 @@ def write_effects_page(
     """Write effects.json, report.html and its picture into `out`; a sentence on what of the page cannot be made."""
     from bayes_aero.jobs.io.result_file import writable  # what draws is heavy, and a study reads this module
     from bayes_aero.report.figures.prior import channels_needed
-    from bayes_aero.report.html.page import Report, put_page
-    from bayes_aero.report.html.pictures import Gallery
+    from bayes_aero.report.html.page import Gallery, Report, put_page
     from bayes_aero.report.pages.effects import effects_page, picture_words
     from bayes_aero.report.style import save
 

@@ -44,7 +44,7 @@ from bayes_aero.progress import Progress
 from bayes_aero.report.design import points_table
 from bayes_aero.report.figures.every_figure import AFTER_TRAJECTORIES, DIAGNOSIS_FIGURES, ViewFigures, draw_all
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
+from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
@@ -230,7 +230,7 @@ class ResultStore:
         names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
         about: dict[str, Any] = {name: getattr(o, name) for name in names}
         about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
-        told = PageContext(self._card, self._records, self._source, drawn, **about)
+        told = DiagnosisContext(self._card, self._records, self._source, drawn, **about)
         self.fail(() if self.path is None else put_page(lambda: diagnosis_page(o.view, told), self.path))
 
 

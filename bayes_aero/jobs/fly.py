@@ -48,12 +48,12 @@ from bayes_aero.report.figures.posterior import one_step_quantiles, pair_of
 from bayes_aero.report.figures.time_histories import fly_figures, gusts
 from bayes_aero.report.frequency import FREQUENCY_FIGURES, frequency_sentences
 from bayes_aero.report.html.page import put_page
-from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.tables.fly import gust_table, parameter_table, posterior_table
+from bayes_aero.report.tables.fly import gust_table, motion_sentences, parameter_table, posterior_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text import fly as text
+from bayes_aero.report.text.identification import posterior_sentences
 from bayes_aero.report.text.phrases import several
 from bayes_aero.residuals.equation_error import lines_in
 
@@ -337,7 +337,7 @@ def with_posterior(
         by = partial(sample, engine)
         new, failed = attempted("The posterior was not sampled", by, {}, out, own=bool(card.effect_files))
         posteriors, failures = posteriors | new, (*failures, *failed)
-        said = (*begun.sentences, *text.posterior_sentences(posteriors))
+        said = (*begun.sentences, *posterior_sentences(posteriors))
         found = replace(begun, posteriors=posteriors, sentences=said, failures=failures)
     return found
 

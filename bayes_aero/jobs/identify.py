@@ -40,7 +40,7 @@ from bayes_aero.report.frequency import frequency_sentences
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import MOST_MANOEUVRES
-from bayes_aero.report.text.restraints import leaning_sentences
+from bayes_aero.report.text.identification import leaning_sentences
 from bayes_aero.residuals.equation_error import Band, lines_in
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
+from bayes_aero.report.frequency import LIMIT, band_text
 from bayes_aero.report.html.page import Block, bullets, page_table
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
 from bayes_aero.report.text.phrases import WORDS, several
-from bayes_aero.units import number
 
 DEG = 180.0 / np.pi
 RANGES = {
@@ -109,8 +109,6 @@ def in_band_blocks(found: CausesInBand | None) -> tuple[Block, ...]:
 
 # --- Sizes of the causes in a band of frequencies beside those of the coefficients: a table, and what it says.
 
-LIMIT = 3.0  # standard errors of a difference from which two values differ
-
 
 def in_band_table(found: CausesInBand) -> Table:
     """A row for each parameter of a cause that the band shows, SI and radians."""
@@ -123,7 +121,7 @@ def in_band_table(found: CausesInBand) -> Table:
             *(Column([Estimate.normal(*x) for x in values], page=head, form=in_brackets) for values, head in both),
             Column([s.apart for s in sizes], page="difference\n[standard errors]", form=".1f"),
         ],
-        f"Sizes from {_band(found)}, where bias and drift drop out",
+        f"Sizes from {band_text(found)}, where bias and drift drop out",
         "In brackets: standard error in units of the last digit. SI and radians.",
     )
 
@@ -133,24 +131,20 @@ def in_band_sentences(found: CausesInBand | None) -> tuple[str, ...]:
     if found is None:
         return ()
     if not found.converged:
-        return (f"The causes could not be fitted from {_band(found)}: the band does not determine them.",)
-    sentences = []
+        return (f"The causes could not be fitted from {band_text(found)}: the band does not determine them.",)
+    sentences, band = [], band_text(found)
     apart = [s for s in found.sizes if s.apart > LIMIT]
     agree = list(dict.fromkeys(s.cause for s in found.sizes if s.cause not in {a.cause for a in apart}))
     if agree:
-        sentences.append(f"From {_band(found)}, where bias and drift drop out, the sizes agree: {several(agree)}.")
+        sentences.append(f"From {band}, where bias and drift drop out, the sizes agree: {several(agree)}.")
     sentences += [
-        f"{one.cause}: from {_band(found)} its size is {_size(one.in_band, one)}, {one.apart:.1f} standard errors from "
+        f"{one.cause}: from {band} its size is {_size(one.in_band, one)}, {one.apart:.1f} standard errors from "
         f"{_size(one.coefficients, one)} of the whole record: a drift or a slow model error has a part in it."
         for one in apart
     ]
     if found.unseen:
         sentences.append(f"The band does not show {several(found.unseen)}.")
     return tuple(sentences)
-
-
-def _band(found: CausesInBand) -> str:
-    return " to ".join(number(x, 2) for x in found.band) + " Hz"
 
 
 def _size(value: tuple[float, float], one: SizeInBand) -> str:

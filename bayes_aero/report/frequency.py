@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayes_aero.diagnosis.result import CausesInBand
 from bayes_aero.diagnosis.trajectory_result import TrajectoryFit
 from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.html.page import Block, bullets
-from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.page import Block, Gallery, bullets
 from bayes_aero.report.style import NotDrawn, housed, panels
 from bayes_aero.report.tables.table import Column, Estimate, in_brackets
 from bayes_aero.report.text.phrases import WORDS, several
@@ -35,7 +35,7 @@ def frequency_blocks(flown: TrajectoryFit, figures: Mapping[str, Path]) -> tuple
 LIMIT = 3.0  # standard errors of a difference from which two values differ
 
 
-def band_text(fit: FrequencyFit) -> str:
+def band_text(fit: FrequencyFit | CausesInBand) -> str:
     """The band for people."""
     return f"{number(fit.band[0], 2)} to {number(fit.band[1], 2)} Hz"
 

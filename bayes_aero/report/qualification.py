@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.qualification.result import (
-    Chance,
-    FlightKind,
-    Further,
-    OpenTolerance,
-    Outside,
-    Qualification,
-    Strip,
-    Test,
-    ToleranceVerdict,
-)
+from bayes_aero.qualification import result
+from bayes_aero.qualification.result import FlightKind, Qualification, Strip, Test, ToleranceVerdict
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.design import order_sentence, point_columns
 from bayes_aero.report.html import page as html
@@ -82,8 +73,7 @@ def qualification_page(found: Qualification, card: Card, source: Mapping[str, An
 def _strips(found: Qualification) -> tuple[Block, ...]:
     flown = [s for s in found.strips if s.kind is not FlightKind.NEXT]
     following = [s for s in found.strips if s.kind is FlightKind.NEXT]
-    shown = flown[: html.MOST_SHOWN]
-    more = (Text(f"The first {len(shown)} of {len(flown)} manoeuvres are shown."),) if len(flown) > len(shown) else ()
+    shown, more = flown[: html.MOST_SHOWN], html.first([s.manoeuvre for s in flown])[1]
     text = WORDS["paragraphs"]["strips"]
     hidden = tuple(_strip(s, found, f"next-{k}") for k, s in enumerate(following[: html.MOST_SHOWN]))
     return (
@@ -124,21 +114,17 @@ def _strip(strip: Strip, found: Qualification, key: str) -> html.Plot:
 MOST = 6  # tests that are named in a sentence
 
 
-def further_table(found: Further) -> Table:
+def further_table(found: result.Further) -> Table:
     """A row for each test point, in the order of flying."""
     columns = point_columns([asdict(p) for p in found.points])
     decidable = [(k, test) for k, test in enumerate(found.tests) if test.decidable]
     for k, test in decidable:
         head = _label(test).replace(" of ", "\n", 1)
         columns.append(Column([p.expected[k] for p in found.points], page=head, form=".2f", group="then probability"))
-    return Table(
-        columns,
-        "Test points that would decide tolerances, in the order of flying",
-        WORDS["notes"]["further"],
-    )
+    return Table(columns, "Test points that would decide tolerances, in the order of flying", WORDS["notes"]["further"])
 
 
-def further_sentences(found: Further | None) -> tuple[str, ...]:
+def further_sentences(found: result.Further | None) -> tuple[str, ...]:
     """What to fly, and which tests no flight decides."""
     if found is None:
         return ()
@@ -165,7 +151,7 @@ def further_sentences(found: Further | None) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _label(test: OpenTolerance) -> str:
+def _label(test: result.OpenTolerance) -> str:
     """Output, manoeuvre, and whether it is flown on the next flight."""
     ahead = " on the next flight" if test.kind is FlightKind.NEXT else ""
     return f"{symbol(test.output)} of {test.manoeuvre}{ahead}"
@@ -184,7 +170,7 @@ def band(output: str, tolerance: float) -> str:
     return f"{symbol(output)} ± {number(factor * tolerance)} {unit}"
 
 
-def chance_text(chance: Chance | None) -> str:
+def chance_text(chance: result.Chance | None) -> str:
     """0.873 ± 0.017, and what Monte Carlo cannot resolve as a bound."""
     if chance is None:
         return "–"
@@ -193,18 +179,14 @@ def chance_text(chance: Chance | None) -> str:
     return f"{chance.value:z.3f} ± {chance.error:.3f}"
 
 
-def weakest(tests: Iterable[Test]) -> Chance | None:
-    """The least probability of some tests."""
-    return min((test.chance for test in tests), key=lambda chance: chance.value, default=None)
-
-
 def verdict_table(found: Qualification) -> Table:
     """A row for each tolerance."""
     rows = list(found.tolerances)
     column = columns_of(rows)
 
     def least(kind: FlightKind):
-        return lambda output: chance_text(weakest(t for t in found.of(output) if t.kind is kind))
+        of = {output: [t.chance for t in found.of(output) if t.kind is kind] for output in rows}
+        return lambda output: chance_text(min(of[output], key=lambda chance: chance.value, default=None))
 
     def records(output: str) -> str:
         beside = [t.recorded for t in found.of(output) if t.recorded is not None]
@@ -279,7 +261,7 @@ def outside_table(found: Qualification) -> Table:
     )
 
 
-def excess(one: Outside) -> str:
+def excess(one: result.Outside) -> str:
     """By channel, in the units of people; what is less than a thousandth of a unit is left out."""
     parts = []
     for name, x in one.excess.items():
@@ -292,24 +274,19 @@ def excess(one: Outside) -> str:
 # --- What a qualification says.
 
 WHOLE = {
-    ToleranceVerdict.PASSES: "The model qualifies: it passes every tolerance.",
-    ToleranceVerdict.UNDECIDED: "It is not decided whether the model qualifies.",
-    ToleranceVerdict.FAILS: "The model does not qualify.",
+    ToleranceVerdict.PASSES: ("Passes", "The model qualifies: it passes every tolerance."),
+    ToleranceVerdict.UNDECIDED: ("Undecided", "It is not decided whether the model qualifies."),
+    ToleranceVerdict.FAILS: ("Fails", "The model does not qualify."),
 }
 
 
 def verdict_sentence(found: Qualification) -> str:
     """The model's verdict, and the tolerances that decide it."""
     by = {v: [n for n in found.tolerances if found.verdict(n) is v] for v in ToleranceVerdict}
-    marks = {
-        ToleranceVerdict.PASSES: "Passes",
-        ToleranceVerdict.UNDECIDED: "Undecided",
-        ToleranceVerdict.FAILS: "Fails",
-    }
     listed = [
-        f"{marks[v]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
+        f"{WHOLE[v][0]}: {several(band(n, found.tolerances[n][0]) for n in names)}" for v, names in by.items() if names
     ]
-    return f"{WHOLE[found.whole]} {'. '.join(listed)}."
+    return f"{WHOLE[found.whole][1]} {'. '.join(listed)}."
 
 
 def sentences(found: Qualification) -> tuple[str, ...]:

@@ -19,20 +19,21 @@ from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.every_figure import FIGURES
 from bayes_aero.report.html.page import (
     Fold,
+    Gallery,
     HtmlTable,
     Picture,
     Plot,
     Report,
     Text,
+    embedded,
     page_table,
     put_page,
     render,
     section,
 )
-from bayes_aero.report.html.pictures import Gallery, embedded
 from bayes_aero.report.html.plots import Line, Panel, extremes, linked
 from bayes_aero.report.pages.captions import stall_table
-from bayes_aero.report.pages.diagnosis import PageContext, diagnosis_page
+from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
@@ -227,7 +228,8 @@ def test_a_diagnosis_tells_causes_gain_and_what_is_open(diagnosed, flown, card):
         "stated": [],
     }
     source = provenance(card, diagnosed.records, 0, {})
-    told = PageContext(card, diagnosed.records, source, {}, points, None, ("Hidden was x.",), ("n",))
+    about = {"test_points": points, "revealed": ("Hidden was x.",), "notes": ("n",)}
+    told = DiagnosisContext(card, diagnosed.records, source, **about)
     page = diagnosis_page(flown, told)
     assert not [s.title for s in page.sections if any("was not made" in getattr(b, "text", "") for b in s.blocks)]
     text = Outline(render(page)).text
@@ -259,7 +261,7 @@ def by_trajectories(view: DiagnosisView) -> DiagnosisView:
 def test_a_unit_that_cannot_be_is_the_first_word(diagnosed, flown, card):
     said = f"{len(diagnosed.records)} in knots"
     health = (HealthFinding(diagnosed.records[0].name, "airspeed", "unit", None, None, said, True),)
-    told = PageContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}), health=health)
+    told = DiagnosisContext(card, diagnosed.records, provenance(card, diagnosed.records, 0, {}), health=health)
     for page in (diagnosis_page(flown, told), diagnosis_page(by_trajectories(flown), told)):
         assert page.doubts[0] == Text(f"{len(diagnosed.records)} in knots.", "warning")
         html = render(page)

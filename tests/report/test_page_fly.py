@@ -18,17 +18,15 @@ from bayes_aero.jobs.provenance import provenance
 from bayes_aero.report.figures.time_histories import stem_of
 from bayes_aero.report.html.page import Fold, HtmlTable, Picture, Plot, at_a_glance, page_table, put_page, render
 from bayes_aero.report.html.plots import AXIS, HIGHEST, LOW, Line, Panel, linked
-from bayes_aero.report.motion import motion_sentences
 from bayes_aero.report.pages.fly import FlyContext, fly_page
-from bayes_aero.report.pages.study import MOST_UNITS, study_headline, study_page
-from bayes_aero.report.tables.across_cases import estimates
-from bayes_aero.report.tables.fly import error_table, initial_table, parameter_table, tolerance_table
+from bayes_aero.report.pages.study import MOST_UNITS, estimates, study_headline, study_page
+from bayes_aero.report.tables.fly import error_table, initial_table, motion_sentences, parameter_table, tolerance_table
 
 DEGREE = np.deg2rad(1.0)
 
 
 def context(said=("The fit converged.", "A finding."), notes=("A note.",)):
-    return FlyContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), said, notes)
+    return FlyContext(CARD, records(), provenance(CARD, records(), 0, {"windows": 12.0}), sentences=said, notes=notes)
 
 
 def blocks_of(page, key):

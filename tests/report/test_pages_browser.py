@@ -23,8 +23,7 @@ from report_samples import CARD, flight, records, study_told
 from bayes_aero.flight.card import read_card
 from bayes_aero.jobs.catalogue import effect_facts, known_effects, write_effects_page
 from bayes_aero.jobs.provenance import provenance
-from bayes_aero.report.figures import comparison as figures_comparison
-from bayes_aero.report.figures import prior
+from bayes_aero.report.figures import posterior, prior
 from bayes_aero.report.figures.every_figure import draw_all
 from bayes_aero.report.html.page import section, write_page
 from bayes_aero.report.pages.check import Rest, StarterView, Taken, card_page
@@ -37,8 +36,8 @@ pytestmark = needed
 HOSTILE = """<img src=x onerror=alert(1)>$$x^2$$"'&_a_name_that_is_long_enough_to_leave_a_phone"""
 DRAWN = {
     **{stem: prior.FIGURES[stem] for stem in ("stall", "separation")},
-    "forest": figures_comparison.forest,
-    "crb_vs_credible": figures_comparison.crb_vs_credible,
+    "forest": posterior.forest,
+    "crb_vs_credible": posterior.crb_vs_credible,
 }
 
 
@@ -190,7 +189,7 @@ def test_no_table_is_broader_than_the_sheet(fresh):
 def fly_report(tmp_path_factory):
     found = flight()
     source = provenance(CARD, records(), 0, {"windows": 12.0})
-    page = fly_page(found.flown, FlyContext(CARD, records(), source, found.sentences, ("A note.",)))
+    page = fly_page(found.flown, FlyContext(CARD, records(), source, sentences=found.sentences, notes=("A note.",)))
     return write_page(page, tmp_path_factory.mktemp("fly") / "report.html")
 
 

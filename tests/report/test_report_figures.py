@@ -19,11 +19,11 @@ from bayes_aero.physics.aircraft import NAMES
 from bayes_aero.report.figures.diagnosis import autocorrelation, telling
 from bayes_aero.report.figures.every_figure import DIAGNOSIS_FIGURES, FIGURES, draw_all
 from bayes_aero.report.figures.posterior import pit_histogram, pit_words
+from bayes_aero.report.figures.time_histories import broken, predicted
 from bayes_aero.report.html.page import Fold, Picture, page_table
 from bayes_aero.report.pages.captions import diagnosis_alternatives
 from bayes_aero.report.pages.identification import identification_page
 from bayes_aero.report.style import NotDrawn, close, save
-from bayes_aero.report.tables.across_cases import broken, predicted
 from bayes_aero.report.tables.diagnosis_tables import causes_table, probability, screen_table
 from bayes_aero.report.text.diagnosis import revealed, sentences
 from bayes_aero.report.text.phrases import size_text

@@ -22,9 +22,8 @@ from bayes_aero.parameter import Limits, Parameter, Prior, Sign
 from bayes_aero.report.pages.identification import headline
 from bayes_aero.report.tables.diagnosis_tables import changes_table
 from bayes_aero.report.text.diagnosis import change_sentences, diagnosis_sentences
-from bayes_aero.report.text.identification import verdict
+from bayes_aero.report.text.identification import sign_sentences, verdict
 from bayes_aero.report.text.phrases import not_testable_sentences
-from bayes_aero.report.text.restraints import sign_sentences
 
 
 def sentence(run, *words: str) -> str:

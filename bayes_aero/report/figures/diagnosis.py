@@ -381,12 +381,5 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
     ax.set_title(f"First screening, {ranking.stage}")
 
 
-DIAGNOSIS_FIGURES = {
-    "measured_simulated": measured_simulated,
-    "ranking": ranking,
-    "gain": gain,
-    "moves": moves,
-    "residual_profiles": residual_profiles,
-    "residual_colour": residual_colour,
-    "found": found,
-}
+drawings = measured_simulated, ranking, gain, moves, residual_profiles, residual_colour, found
+DIAGNOSIS_FIGURES = {draw.__name__: draw for draw in drawings}

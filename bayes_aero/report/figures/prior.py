@@ -230,42 +230,37 @@ def _stall(models: list[StallData]) -> Figure:
     for number, flown in enumerate(models):
         (lift, polar), (time, spare) = axes[2 * number], axes[2 * number + 1]
         spare.remove()
-        _fill(lift, time, polar, flown)
+        s, whose = flown.stall, f", {flown.title}" if flown.title else ""
+        dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5}
+        for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
+            dots["color"], CL = COLOURS[key], flown.measured[mask, 0]
+            lift.plot(flown.alpha[mask], CL, ms=2.5, label=f"measured, α {key}", **dots)
+            polar.plot(flown.measured[mask, 1], CL, ms=2.0, **dots)
+        for k in range(int(flown.manoeuvre[-1]) + 1):
+            mine = flown.manoeuvre == k
+            label = "fitted, as flown" if k == 0 else None
+            lift.plot(flown.alpha[mine], flown.modelled[mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
+        degrees = np.rad2deg(s.alpha)
+        lift.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label=f"steady flow, 95 % band{whose}", **BAND)
+        lift.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
+        _peak(lift, s)
+        lift.set(ylabel="CL [-]", title=f"Lift{whose}")
+        edges = np.arange(np.floor(flown.alpha.min()), np.ceil(flown.alpha.max()) + 1.0)
+        time.hist(flown.alpha, bins=edges, weights=np.full(len(flown.alpha), flown.seconds), color="#9fb8c9")
+        time.set(xlabel="α [deg]", ylabel="time [s/deg]")
+        time.sharex(lift)
+        lift.tick_params(labelbottom=False)
+        polar.plot(s.CD[1], s.CL[1], color=flown.colour, lw=1.8)
+        if s.seen:
+            at = int(np.argmax(s.CL[1]))
+            polar.plot(s.CD[1][at], s.CL[1][at], "o", ms=5.0, color="black", mec="white", zorder=6)
+        polar.set(xlabel="CD [-]", ylabel="CL [-]", title=f"Drag polar{whose}")
     entries: dict[str, Artist] = {}  # one legend for all models
     for ax in axes[::2, 0]:
         handles, labels = ax.get_legend_handles_labels()
         entries = dict(zip(labels, handles, strict=True)) | entries
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
     return figure
-
-
-def _fill(lift: Axes, time: Axes, polar: Axes, flown: StallData) -> None:
-    """Lift and drag as measured, fitted and in steady flow, and the time spent at each angle."""
-    s, whose = flown.stall, f", {flown.title}" if flown.title else ""
-    dots: dict[str, Any] = {"marker": ".", "ls": "none", "alpha": 0.5}
-    for key, mask in (("rising", flown.rising), ("falling", ~flown.rising)):
-        dots["color"], CL = COLOURS[key], flown.measured[mask, 0]
-        lift.plot(flown.alpha[mask], CL, ms=2.5, label=f"measured, α {key}", **dots)
-        polar.plot(flown.measured[mask, 1], CL, ms=2.0, **dots)
-    for k in range(int(flown.manoeuvre[-1]) + 1):
-        mine = flown.manoeuvre == k
-        label = "fitted, as flown" if k == 0 else None
-        lift.plot(flown.alpha[mine], flown.modelled[mine, 0], color="#555555", lw=0.5, alpha=0.8, label=label)
-    degrees = np.rad2deg(s.alpha)
-    lift.fill_between(degrees, s.CL[0], s.CL[2], color=flown.colour, label=f"steady flow, 95 % band{whose}", **BAND)
-    lift.plot(degrees, s.CL[1], color=flown.colour, lw=1.8, label=f"steady flow (α̇ = 0){whose}")
-    _peak(lift, s)
-    lift.set(ylabel="CL [-]", title=f"Lift{whose}")
-    edges = np.arange(np.floor(flown.alpha.min()), np.ceil(flown.alpha.max()) + 1.0)
-    time.hist(flown.alpha, bins=edges, weights=np.full(len(flown.alpha), flown.seconds), color="#9fb8c9")
-    time.set(xlabel="α [deg]", ylabel="time [s/deg]")
-    time.sharex(lift)
-    lift.tick_params(labelbottom=False)
-    polar.plot(s.CD[1], s.CL[1], color=flown.colour, lw=1.8)
-    if s.seen:
-        at = int(np.argmax(s.CL[1]))
-        polar.plot(s.CD[1][at], s.CL[1][at], "o", ms=5.0, color="black", mec="white", zorder=6)
-    polar.set(xlabel="CD [-]", ylabel="CL [-]", title=f"Drag polar{whose}")
 
 
 def _peak(ax: Axes, s: Stall) -> None:

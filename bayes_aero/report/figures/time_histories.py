@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -21,7 +22,6 @@ from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import style
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.plots import Line, Panel, extremes, scale
-from bayes_aero.report.tables.across_cases import PredictedPoints, broken, clock, predicted, what_is_shown
 from bayes_aero.report.text.phrases import bracket, channel_axis, for_people, short, symbol
 
 # Channels of figure 1, in the seed paper's order, then what else tells a manoeuvre.
@@ -281,3 +281,64 @@ def gusts(found: ProcessNoise) -> Figure:
             ax.axhline(0.0, color="#999999", linewidth=0.6)
     figure.suptitle("Estimated gusts, with 95 % bands", fontsize=10.0)
     return figure
+
+
+# --- What the validation figures draw: measured and predicted coefficients at the chosen split's test points.
+
+GAP = 1.0  # s; a line is broken where its neighbouring points are further apart
+
+
+@dataclass(frozen=True)
+class PredictedPoints:
+    """One coefficient at `index` (ascending) of the observations; `gp`, `low`, `high` are None without a GP."""
+
+    index: np.ndarray
+    measured: np.ndarray
+    mle: np.ndarray
+    gp: np.ndarray | None = None
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
+
+    def of(self, manoeuvre: np.ndarray) -> PredictedPoints:
+        """Only the points whose sample is marked in `manoeuvre`, a mask over all samples."""
+        keep = manoeuvre[self.index]
+        cut = (None if part is None else part[keep] for part in (self.gp, self.low, self.high))
+        return PredictedPoints(self.index[keep], self.measured[keep], self.mle[keep], *cut)
+
+
+def predicted(identification: Identification, coefficient: str) -> PredictedPoints:
+    """Predictions at the chosen split's test points (all its folds); without a GP the fit at all samples."""
+    if identification.gp is None:
+        o = identification.observations
+        column = o.coefficients.index(coefficient)
+        return PredictedPoints(np.arange(o.n), np.asarray(o.measured)[:, column], identification.fitted[:, column])
+    folds = [fold[coefficient] for fold in identification.gp.splits[identification.gp.chosen]]
+    names = ("test", "measured", "mle", "gp", "gp_low", "gp_high")
+    index, *columns = (np.concatenate([getattr(v, name) for v in folds]) for name in names)
+    order = np.argsort(index, kind="stable")
+    return PredictedPoints(index[order], *(column[order] for column in columns))
+
+
+def what_is_shown(identification: Identification) -> str:
+    """What the predictions were trained on and where they are shown, for titles."""
+    if identification.gp is None:
+        return "fit to all samples"
+    text = {
+        "random": "trained on a random 70 % of the samples, shown on the rest",
+        "block": "trained on 70 % of the contiguous blocks, shown on the rest",
+        "manoeuvre": "each manoeuvre predicted from the others",
+    }
+    return text.get(identification.gp.chosen, f"{identification.gp.chosen} split, test points")
+
+
+def broken(time: np.ndarray, *columns: np.ndarray, gap: float = GAP) -> tuple[np.ndarray, ...]:
+    """The columns with NaN put in wherever time jumps by more than `gap`, so that a line breaks there."""
+    at = np.flatnonzero(np.diff(time) > gap) + 1
+    return tuple(np.insert(np.asarray(c, float), at, np.nan) for c in (time, *columns))
+
+
+def clock(identification: Identification) -> np.ndarray:
+    """Time of every sample from the start of its manoeuvre, s."""
+    o = identification.observations
+    begin = np.array([o.time[o.manoeuvre == m][0] for m in range(len(o.names))])
+    return o.time - begin[o.manoeuvre]

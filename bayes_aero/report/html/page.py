@@ -6,6 +6,8 @@ the only text that is not is the package's own style, script and plotting librar
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -172,6 +174,20 @@ class Report:
     lead: tuple[Block, ...]
     sections: tuple[Section, ...]
     doubts: tuple[Block, ...] = ()
+
+
+@dataclass(frozen=True)
+class PageContext:
+    """What a page shows beside a result: card, records, provenance, figures by stem, and what was noted of the run."""
+
+    card: Card
+    records: Sequence[FlightRecord]
+    source: Mapping[str, Any]
+    figures: Mapping[str, Path] = field(default_factory=dict)
+    notes: Sequence[str] = ()  # parts that were left out, with the reason
+    consistency: Consistency | None = None
+    failures: Sequence[str] = ()  # parts that failed unexpectedly
+    health: Sequence[HealthFinding] = ()  # faults of channels
 
 
 def section(key: str, title: str, make: Callable[[], Iterable[Block]]) -> Section:
@@ -468,3 +484,47 @@ def page_table(table: Table) -> HtmlTable:
         tuple(k for k, (_, c, _) in enumerate(shown) if c.words),
         table.note,
     )
+
+
+# --- Figures of a run, embedded in the page.
+
+WIDEST = 1600  # pixels; a figure for paper is drawn wider than a screen
+WIDEST_FOLDED = 1100  # the same for one that stands behind a fold
+PALETTE = 48  # of the palette: lines and text need few
+CSS_INCH = 96.0  # pixels of a screen in which a font has its nominal size
+
+
+class Gallery:
+    """The drawn figures by stem, with captions and alternative texts."""
+
+    def __init__(self, paths: Mapping[str, Path], texts: Mapping[str, tuple[str, str]]) -> None:
+        self.paths, self.texts = paths, texts
+
+    def __call__(self, *stems: str, widest: int = WIDEST) -> tuple[Picture, ...]:
+        """The pictures of these stems that were drawn."""
+        pictures = []
+        for stem in (stem for stem in stems if stem in self.paths):
+            (caption, alt), (source, size, natural) = self.texts[stem], embedded(self.paths[stem], widest)
+            pictures.append(Picture(source, alt, caption, *size, natural))
+        return tuple(pictures)
+
+    def folded(self, *stems: str) -> tuple[Picture, ...]:
+        """The pictures at a smaller size."""
+        return self(*stems, widest=WIDEST_FOLDED)
+
+
+def embedded(path: Path, widest: int = WIDEST) -> tuple[str, tuple[int, int], int]:
+    """A PNG as a data URI with a palette of its own, its size (at most `widest` pixels), and its width on a screen."""
+    from PIL import Image
+
+    from bayes_aero.report.style import DPI
+
+    with Image.open(path) as opened:
+        image = opened.convert("RGB")
+    natural = round(CSS_INCH * image.width / DPI)
+    if image.width > widest:
+        image = image.resize((widest, round(image.height * widest / image.width)), Image.Resampling.LANCZOS)
+    small = image.quantize(PALETTE, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    buffer = io.BytesIO()
+    small.save(buffer, format="png", compress_level=9)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"), image.size, natural

@@ -9,9 +9,10 @@ import numpy as np
 from bayes_aero.diagnosis.trajectory_result import View
 from bayes_aero.inference.results import Identification, Interval, Stall
 from bayes_aero.report.figures.diagnosis import telling
+from bayes_aero.report.figures.posterior import CORRELATIONS
 from bayes_aero.report.html.page import Block, HtmlTable, Text
-from bayes_aero.report.pooled import next_flight_sentences
 from bayes_aero.report.tables.comparison import engine_label, methods
+from bayes_aero.report.text.identification import next_flight_sentences
 from bayes_aero.report.text.phrases import WORDS, plus_minus, several
 from bayes_aero.units import number
 
@@ -107,10 +108,9 @@ def identification_alternatives(run: Identification) -> dict[str, tuple[str, str
         name = f"every parameter by {label}: {sizes}{min(m.ess_bulk for m in marginals):.0f}"
         for kind in ("trace", "rank"):
             words[f"{kind}_{engine}"] = CAPTIONS[kind].format(label), f"{kind.capitalize()} plots of {name}."
-    numbered = {"CL": "fig4_correlation_CL", "CD": "fig7_correlation_CD", "Cm": "fig9_correlation_Cm"}
     for c, scores in mle.fit.items():
         text = f"Scatter plot of measured and predicted {c}; maximum likelihood on all samples correlates by "
-        words[numbered.get(c, f"correlation_{c}")] = CAPTIONS["correlation"].format(c), f"{text}{scores.r:.4f}."
+        words[CORRELATIONS[c]] = CAPTIONS["correlation"].format(c), f"{text}{scores.r:.4f}."
     return words
 
 

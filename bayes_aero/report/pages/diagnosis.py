@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
 from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
-from bayes_aero.flight.card import Card
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import design
 from bayes_aero.report.figures.diagnosis import coefficient_panels
 from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, Section, Text, bullets, page_table, section
-from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.page import Block, Fold, Gallery, Section, Text, bullets, page_table, section
 from bayes_aero.report.pages.captions import diagnosis_alternatives, gained, stall_table
 from bayes_aero.report.pages.fly import trajectories
-from bayes_aero.report.tables import across_cases, diagnosis_tables
+from bayes_aero.report.tables import diagnosis_tables
 from bayes_aero.report.text.check import open_sentences
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, findings, sentences
 from bayes_aero.report.text.fly import simulation_gain, trajectory_sentences
@@ -40,23 +35,15 @@ INTERVALS = "Intervals are from normal draws with the covariance of the fit, aut
 
 
 @dataclass(frozen=True)
-class PageContext:
-    """Data of a diagnosis page in addition to the diagnosis; `notes` are stages that were left out, with the reason."""
+class DiagnosisContext(html.PageContext):
+    """Data of a diagnosis page in addition to the diagnosis."""
 
-    card: Card
-    records: Sequence[FlightRecord]
-    source: Mapping[str, Any]
-    figures: Mapping[str, Path] = field(default_factory=dict)
     test_points: Mapping[str, Any] = field(default_factory=dict)
     in_band: CausesInBand | None = None
     revealed: Sequence[str] = ()
-    notes: Sequence[str] = ()
-    consistency: Consistency | None = None
-    failures: Sequence[str] = ()  # parts that failed unexpectedly
-    health: Sequence[HealthFinding] = ()  # faults of channels
 
 
-def diagnosis_page(view: DiagnosisView, context: PageContext) -> html.Report:
+def diagnosis_page(view: DiagnosisView, context: DiagnosisContext) -> html.Report:
     """The page of a diagnosis, by coefficients or by trajectories alone."""
     d, by_coefficients = view.diagnosis, isinstance(view, View)
     gallery = Gallery(context.figures, diagnosis_alternatives(view) if isinstance(view, View) else {})
@@ -80,7 +67,7 @@ def diagnosis_page(view: DiagnosisView, context: PageContext) -> html.Report:
     )
 
 
-def _lead(view: DiagnosisView, context: PageContext, gallery: Gallery) -> tuple[Block, ...]:
+def _lead(view: DiagnosisView, context: DiagnosisContext, gallery: Gallery) -> tuple[Block, ...]:
     """What was hidden, if anything was; what the extension gains; the first figure."""
     lead: list[Block] = [Text(one, "lead") for one in context.revealed]
     if isinstance(view, View) and gained(view):
@@ -95,7 +82,9 @@ def _lead(view: DiagnosisView, context: PageContext, gallery: Gallery) -> tuple[
     return tuple(lead)
 
 
-def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest: Sequence[str]) -> tuple[Section, ...]:
+def _sections(
+    view: DiagnosisView, context: DiagnosisContext, gallery: Gallery, rest: Sequence[str]
+) -> tuple[Section, ...]:
     """Those that depend on what the diagnosis compared: coefficients, or trajectories alone or innovations."""
 
     def flown() -> tuple[Block, ...]:
@@ -118,7 +107,11 @@ def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest:
         def residuals() -> tuple[Block, ...]:
             pictures = gallery.folded("residual_profiles", "residual_colour")
             title = "Residuals: size, composition, autocorrelation, calibration"
-            return (Fold(title, (*map(page_table, across_cases.residual_tables(view)), *pictures)),)
+            return (Fold(title, (*map(page_table, diagnosis_tables.residual_tables(view)), *pictures)),)
+
+        def moves() -> tuple[Block, ...]:
+            known = html.symbols(view.parameters, view.moves, degrees=True)
+            return (page_table(diagnosis_tables.moves_table(view)), known, *gallery("moves")) if view.moves else ()
 
         return (
             section("gain", "Gain of the extended model on hold-out data", lambda: _gain(view, gallery)),
@@ -126,19 +119,7 @@ def _sections(view: DiagnosisView, context: PageContext, gallery: Gallery, rest:
             section("fit", "Measured and simulated coefficients", lambda: _coefficients(view)),
             both,
             section("stall", "The stall", stall),
-            section(
-                "parameters",
-                "Change of the card's parameters",
-                lambda: (
-                    (
-                        page_table(across_cases.moves_table(view)),
-                        html.symbols(view.parameters, view.moves, degrees=True),
-                        *gallery("moves"),
-                    )
-                    if view.moves
-                    else ()
-                ),
-            ),
+            section("parameters", "Change of the card's parameters", moves),
             section("diagnostics", "Diagnostics", residuals),
         )
     listed = () if context.consistency is None else html.open_list(context.consistency)
@@ -168,16 +149,16 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:
     """Scores on hold-out data, then of the manoeuvres one by one, where they were scored; many are folded."""
-    table = across_cases.gain_table(view)
+    table = diagnosis_tables.gain_table(view)
     if table is None:
         return (Text("Nothing was added, so there is no gain to report."),)
-    each: list[Block] = [] if view.holdout is None else [page_table(across_cases.holdout_table(view.holdout))]
+    each: list[Block] = [] if view.holdout is None else [page_table(diagnosis_tables.holdout_table(view.holdout))]
     if each and len(view.names) > FEW:
         each = [Fold("The same, manoeuvre by manoeuvre", tuple(each))]
     return (page_table(table), *each, *gallery("gain"))
 
 
-def _open(d: Diagnosis, context: PageContext) -> tuple[Block, ...]:
+def _open(d: Diagnosis, context: DiagnosisContext) -> tuple[Block, ...]:
     said = findings(d)
     sets = [f"{c.name} or {several(c.ambiguous_with)}" for c in d.causes if c.ambiguous_with]
     rivals = f"Rival explanations on this record: {'; '.join(sets)}."

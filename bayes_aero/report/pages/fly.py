@@ -5,50 +5,31 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import (
-    FITTED,
-    Motion,
-    ProcessNoise,
-    Trajectories,
-    TrajectoryFit,
-)
+from bayes_aero.diagnosis.trajectory_result import FITTED, Motion, ProcessNoise, Trajectories, TrajectoryFit
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
-from bayes_aero.flight.health.finding import Consistency, HealthFinding
-from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.results import Posterior
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.figures.time_histories import FLOWN, MET, MODELS, Curve, output_panels, stem_of
 from bayes_aero.report.frequency import frequency_blocks
 from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
-from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.page import Block, Fold, Gallery, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import LOW, Line, Panel
-from bayes_aero.report.motion import mode_table
 from bayes_aero.report.tables import fly
 from bayes_aero.report.text.fly import prediction_sentences, tolerance_origin
+from bayes_aero.report.text.identification import unfinished
 from bayes_aero.report.text.phrases import WORDS, amounts, for_people, several, symbol
-from bayes_aero.report.text.restraints import unfinished
 from bayes_aero.units import number
 
 
 @dataclass(frozen=True)
-class FlyContext:
-    """What the page needs beside the fit: its sentences, the verdict first, and its notes."""
+class FlyContext(html.PageContext):
+    """What the page needs beside the fit: its sentences, the verdict first; process noise and motion, if any."""
 
-    card: Card
-    records: Sequence[FlightRecord]
-    source: Mapping[str, Any]
-    sentences: Sequence[str]
-    notes: Sequence[str] = ()
-    figures: Mapping[str, Path] = field(default_factory=dict)  # those drawn, by stem
-    consistency: Consistency | None = None
-    failures: Sequence[str] = ()  # parts that failed unexpectedly
-    health: Sequence[HealthFinding] = ()  # what is wrong with channels
+    sentences: Sequence[str] = ()
     process_noise: ProcessNoise | None = None  # the same parameters by a filter
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)  # of that, by sampler
     motion: Motion | None = None
@@ -74,7 +55,9 @@ def fly_page(flown: TrajectoryFit, context: FlyContext) -> html.Report:
             section("parameters", "Parameters", lambda: _parameters(flown, context)),
             section("frequency", "In the frequency domain", lambda: frequency_blocks(flown, context.figures)),
             section(
-                "motion", "Modes of motion", lambda: [page_table(mode_table(motion))] if motion and motion.modes else []
+                "motion",
+                "Modes of motion",
+                lambda: [page_table(fly.mode_table(motion))] if motion and motion.modes else [],
             ),
             section("predictions", "One-step predictions", lambda: _predictions(flown, context)),
             section("posterior", "Posterior", lambda: _posterior(context)),

@@ -14,23 +14,21 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.inference.results import Identification, PosteriorStatus
-from bayes_aero.physics.aircraft import LATERAL, Axis
+from bayes_aero.physics.aircraft import Axis
 from bayes_aero.report.colours import COLOURS
-from bayes_aero.report.figures.posterior import pit_words
+from bayes_aero.report.figures.posterior import CORRELATIONS, pit_words
 from bayes_aero.report.figures.time_histories import Curve
 from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Fold, Text, bullets, page_table, section
-from bayes_aero.report.html.pictures import Gallery
+from bayes_aero.report.html.page import Block, Fold, Gallery, Text, bullets, page_table, section
 from bayes_aero.report.html.plots import Line, Panel
 from bayes_aero.report.pages.captions import DEG, identification_alternatives, interval, stall_table
 from bayes_aero.report.pages.fly import over_measured, sources
-from bayes_aero.report.pooled import next_flight_table
 from bayes_aero.report.tables import run_tables
 from bayes_aero.report.tables.comparison import chosen_posteriors, engine_label, methods, noise_label, ordered, usable
 from bayes_aero.report.tables.fly import given_table
+from bayes_aero.report.tables.run_tables import next_flight_table
 from bayes_aero.report.text.identification import disputed, verdict
-from bayes_aero.report.text.phrases import WORDS, several
-from bayes_aero.report.text.restraints import unparted
+from bayes_aero.report.text.phrases import WORDS, several, unparted
 
 CONTEXT = ("alpha", "elevator", "q", "airspeed", "altitude")
 SIX_CONTEXT = ("alpha", "beta", "elevator", "aileron", "rudder", "p")
@@ -38,12 +36,6 @@ LEGEND = (
     html.MEASURED,
     ("fitted (maximum likelihood)", COLOURS["mle"], "solid"),
     ("error", COLOURS["mle"], "area"),
-)
-CORRELATIONS = (
-    "fig4_correlation_CL",
-    "fig7_correlation_CD",
-    "fig9_correlation_Cm",
-    *(f"correlation_{name}" for name in LATERAL),
 )
 
 
@@ -165,7 +157,7 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     return (
         page_table(run_tables.validation_table(run, each_fold=False)),
         *gallery("gpr_fit", "fig2_gpr_fit"),
-        Fold("Measured against predicted", gallery.folded(*CORRELATIONS)),
+        Fold("Measured against predicted", gallery.folded(*CORRELATIONS.values())),
     )
 
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.report.html.page import Block, Facts, Picture, Report, Text, bullets, filled, page_table, section
-from bayes_aero.report.html.pictures import embedded
-from bayes_aero.report.style import NotDrawn, save
-from bayes_aero.report.tables.across_cases import MOST_BARS, MOST_PANELS, AcrossUnits, across, estimates, panels_of
+from bayes_aero.report.colours import COLOURS
+from bayes_aero.report.html import page as html
+from bayes_aero.report.html.page import Block, Picture, Report, Text, bullets, page_table, section
+from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.tables.table import Table, columns_of
-from bayes_aero.report.text.phrases import WORDS, plain_unit, several
+from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
 from bayes_aero.units import number
 
 MOST_UNITS, MOST_ROWS = 200, 300  # of a table on the page; the files have all
@@ -43,11 +45,11 @@ def study_page(context: StudyContext) -> Report:
         subtitle=f"{len(context.units)} units, each a run of {context.task}",
         verdict=study_headline(context),
         lead=_lead(found, context.folder),
-        sections=filled(
+        sections=html.filled(
             section("findings", "Findings over all units", lambda: bullets(_findings(context, found))),
             section("across", "Scatter and intervals", lambda: _across(found)),
             section("units", "The units", lambda: (_units(context.units, context.folder),)),
-            section("provenance", "Provenance", lambda: (Facts(tuple(context.facts.items())),)),
+            section("provenance", "Provenance", lambda: (html.Facts(tuple(context.facts.items())),)),
         ),
     )
 
@@ -124,7 +126,7 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     groups = [group[0] for _, group in panels_of(found) if group]
     means = several(f"{e.label} {number(float(np.mean(e.value)))} {plain_unit(e.si)}" for e in groups[:MOST_PANELS])
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
-    source, (width, height), natural = embedded(path)
+    source, (width, height), natural = html.embedded(path)
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
     return (Picture(source, f"Estimates of all units. Means: {means}.", caption, width, height, natural),)
@@ -172,3 +174,94 @@ def _units(units: pd.DataFrame, folder: Path) -> Block:
     paths = [(name, folder / "units" / name / "report.html") for name in map(str, shown["unit"])]
     links = tuple(f"units/{quote(name)}/report.html" if path.is_file() else "" for name, path in paths)
     return replace(page_table(table), links=links)
+
+
+# --- Estimates of the units side by side: do their intervals agree with their scatter?
+
+METHODS = {
+    "mle_corrected": ("maximum likelihood, corrected bound", "crb_corrected"),
+    "output_error_corrected": ("output error, corrected bound", "crb_corrected"),
+    "process_noise": ("prediction error with process noise, white innovations", "nuts"),
+    "emcee": ("emcee", "emcee"),
+    "nuts": ("NUTS", "nuts"),
+    "mle": ("maximum likelihood, Cramér–Rao bound", "crb"),
+    "output_error": ("output error, Cramér–Rao bound", "crb"),
+    "flight path": ("flight path", "after"),
+    "coefficients": ("coefficients", "after"),
+    "trajectories": ("trajectories", "after"),
+}
+"""How a method is named and coloured; the first two of a parameter are drawn."""
+DRAWN, MOST_PANELS, MOST_BARS = 2, 18, 60
+
+
+@dataclass(frozen=True)
+class AcrossUnits:
+    """One parameter by one method in every unit that has it; `unit` counts units from 1, values in SI."""
+
+    label: str
+    method: str
+    si: str
+    unit: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    sd: np.ndarray
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation between units; NaN for a single one."""
+        return float(np.std(self.value, ddof=1)) if len(self.value) > 1 else float("nan")
+
+    @property
+    def claimed(self) -> float:
+        """Root mean square of the units' own standard errors."""
+        return float(np.sqrt(np.mean(np.square(self.sd))))
+
+
+def estimates(units: pd.DataFrame, results: pd.DataFrame) -> list[AcrossUnits]:
+    """Every parameter and method of a study, in the order of the results; values that are missing are left out."""
+    number = {name: k for k, name in enumerate(units["unit"], start=1)}
+    found = []
+    for key, part in results.dropna(subset=["value"]).groupby(["cause", "parameter", "method"], sort=False):
+        cause, parameter, method = map(str, key)  # type: ignore[call-overload]
+        label, si = f"{cause}: {parameter}" if cause else parameter, str(part["unit_of_value"].iloc[0])
+        columns = (part[name].to_numpy(float) for name in ("value", "low95", "high95", "sd"))
+        found.append(AcrossUnits(label, method, si, np.array([number[name] for name in part["unit"]]), *columns))
+    return found
+
+
+def panels_of(found: list[AcrossUnits]) -> Iterator[tuple[str, list[AcrossUnits]]]:
+    """Parameters with the methods that are drawn, the most trusted interval first."""
+    order = list(METHODS)
+    for label in dict.fromkeys(e.label for e in found):
+        mine = [e for e in found if e.label == label and e.method in METHODS]
+        yield label, sorted(mine, key=lambda e: order.index(e.method))[:DRAWN]
+
+
+@housed
+def across(found: list[AcrossUnits]) -> Figure:
+    """A panel for each parameter: estimate and 95 % interval of every unit, by its number."""
+    groups = [group for group in panels_of(found) if group[1]][:MOST_PANELS]
+    if not groups:
+        raise NotDrawn("no unit has an estimate")
+    figure, axes = grid_of(len(groups), 3, (3.6, 2.3))
+    last = max(int(e.unit.max()) for _, group in groups for e in group)
+    labels = {}
+    for ax, (label, group) in zip(axes, groups, strict=True):
+        unit, factor = for_people(group[0].si)
+        for k, e in enumerate(group):
+            name, colour = METHODS[e.method]
+            x, y = e.unit + (k - 0.5 * (len(group) - 1)) * 0.25, factor * e.value
+            if last <= MOST_BARS:
+                ends = np.abs(factor * np.stack([e.value - e.low, e.high - e.value]))
+                ends = np.where(np.isfinite(ends), ends, 0.0)
+                shown = ax.errorbar(x, y, ends, fmt="os"[k], ms=3.5, lw=1.1, label=name, color=COLOURS[colour])
+            else:
+                (shown,) = ax.plot(x, y, ".", ms=2.5, label=name, color=COLOURS[colour])
+            labels.setdefault(name, shown)
+        ax.set(title=label, xlim=(0.4, last + 0.6), ylabel=bracket(unit), xlabel="unit")
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.ticklabel_format(axis="y", useOffset=False)
+    figure.legend(labels.values(), labels, loc="outside lower center", ncols=3)
+    figure.suptitle("Estimates of all units, with 95 % intervals" if last <= MOST_BARS else "Estimates of all units")
+    return figure

@@ -11,6 +11,7 @@ from bayes_aero.diagnosis.trajectory_result import (
     FITTED,
     START,
     Error,
+    Motion,
     ProcessNoise,
     SimulatedManoeuvre,
     Trajectories,
@@ -18,7 +19,7 @@ from bayes_aero.diagnosis.trajectory_result import (
 )
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Marginal, Posterior
-from bayes_aero.inference.scores import Calibration, OneStep
+from bayes_aero.inference.scores import OneStep
 from bayes_aero.parameter import Prior
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables.comparison import engine_label
@@ -34,8 +35,7 @@ from bayes_aero.report.tables.table import (
     parameter_columns,
 )
 from bayes_aero.report.text.fly import MODELS, status_sentences
-from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, short
-from bayes_aero.report.text.restraints import unparted
+from bayes_aero.report.text.phrases import WORDS, axis_label, decimals, for_people, plain_unit, several, short, unparted
 from bayes_aero.units import number
 
 MARKS = {"held_by_prior": "held by its prior", "at_bound": "at its bound", "undetermined": "not determined"}
@@ -121,10 +121,6 @@ def prior_text(prior: Prior | None) -> str:
 def _fit(e: Estimate) -> str:
     """As many digits as the standard error allows; three if it is far larger than the value."""
     return f"{e.centre:.{decimals(e.sd)}f}" if 0.0 < e.sd < MAX_RELATIVE_ERROR * abs(e.centre) else number(e.centre, 3)
-
-
-def _departure(x: float) -> str:
-    return f"{'+' if x > 0.0 else ''}{number(x, 2)}"
 
 
 def _bounds(bounds: tuple[float, float]) -> str:
@@ -217,7 +213,7 @@ def initial_table(flown: TrajectoryFit) -> Table:
             Column(
                 [factor * x for *_, x, factor in rows],
                 page="departure",
-                form=_departure,
+                form=lambda x: f"{'+' if x > 0.0 else ''}{number(x, 2)}",
             ),
             Column(priors, page="prior of the departure"),
         ]
@@ -234,15 +230,6 @@ def _label(flown: TrajectoryFit, channel: str) -> str:
 
 
 # --- Tables of a fit with process noise: parameters, gusts, posterior by both samplers, one-step predictions.
-
-CALIBRATION = {
-    Calibration.CALIBRATED: "calibrated",
-    Calibration.TOO_NARROW: "too narrow",
-    Calibration.TOO_WIDE: "too wide",
-    Calibration.NOT_NORMAL: "not normal",
-    Calibration.COLOURED: "coloured",
-    Calibration.UNDECIDED: "undecided",
-}
 
 
 def posterior_table(posteriors: Mapping[str, Posterior]) -> Table:
@@ -290,7 +277,7 @@ def one_step_table(found: OneStep, units: Mapping[str, str]) -> Table:
             column(lambda r: None if r[2].rms is None else r[1] * r[2].rms, "", "RMS", "RMS", _rms),
             column(lambda r: Estimate(*r[2].ratio), "", "e/sd", "e/sd", in_brackets),
             *inside,
-            column(lambda r: CALIBRATION[r[2].calibration], "", "predictions", "predictions"),
+            column(lambda r: r[2].calibration.value.replace("_", " "), "", "predictions", "predictions"),
         ],
         "Errors, and innovations inside their predictive intervals",
         note,
@@ -387,11 +374,7 @@ def hold_out_tolerance_table(flown: Trajectories) -> Table:
         chances = [] if path is None else [path.errors[n].probability for n in banded]
         least.append(min((chance for chance in chances if chance is not None), default=None))
     columns.append(Column(least, page="whole flight inside,\nweakest output", form=".0%", group="probability"))
-    return Table(
-        columns,
-        "Share of the time inside the tolerance",
-        WORDS["notes"]["hold_out_tolerances"],
-    )
+    return Table(columns, "Share of the time inside the tolerance", WORDS["notes"]["hold_out_tolerances"])
 
 
 def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
@@ -404,11 +387,7 @@ def given_table(paths: Sequence[SimulatedManoeuvre]) -> Table:
             Column([factor * error.rms for error in errors], page="RMS", form=short, group=label),
             Column([error.within for error in errors], page="inside", form=".0%", group=label),
         ]
-    return Table(
-        columns,
-        "Error of the simulated trajectories",
-        WORDS["notes"]["given"],
-    )
+    return Table(columns, "Error of the simulated trajectories", WORDS["notes"]["given"])
 
 
 def _flights(flown: Trajectories) -> tuple[Flights, list[Column]]:
@@ -430,3 +409,62 @@ def _changes(
     """A number of each flight by the card's and by the extended model."""
     paths = ([flown.path(name, model, split) for model in MODELS] for split, name in flights)
     return [BeforeAfter(*(None if path is None else get(path.errors[output]) for path in pair)) for pair in paths]
+
+
+# --- Modes of motion.
+
+QUANTITIES = {
+    "period": "period, s",
+    "damping_ratio": "damping ratio",
+    "time_constant": "time constant, s",
+    "time_to_half": "time to half, s",
+    "time_to_double": "time to double, s",
+}
+SWINGS, DECAYS, SPIRALS = ("period", "damping_ratio"), ("time_constant",), ("time_to_half",)
+"""What people read beside the time to double: of an oscillation, of what does not oscillate, of a spiral."""
+
+
+def mode_table(found: Motion) -> Table:
+    """Period and damping, or times, of every mode."""
+    rows = []
+    for mode in found.modes:
+        read = SWINGS if mode.eigenvalue.imag > 0.0 else SPIRALS if mode.name == "spiral" else DECAYS
+        quantities = [(mode, n, Estimate(*x)) for n, x in mode.quantities.items() if n in (*read, "time_to_double")]
+        rows += quantities or [(mode, "", Estimate(math.nan, math.nan))]
+    column = columns_of(rows)
+    estimates = "with process noise, with errors for white innovations" if found.filtered else "of output error"
+    equations = (
+        "the equations of motion with fixed controls, linearised about straight level flight at "
+        f"{found.airspeed:.0f} m/s and {found.altitude:.0f} m"
+    )
+    if math.isnan(found.airspeed):
+        equations = "the card's linear equations"
+    note = (
+        f"Eigenvalues of {equations}, for the estimates {estimates}. In brackets: the standard error in units "
+        "of the last digit, of first order in the parameters."
+    )
+    return Table(
+        [
+            column(lambda r: r[0].name, "", "mode", "mode"),
+            column(
+                lambda r: QUANTITIES.get(r[1], "neither grows nor falls beyond its error"), "", "quantity", "quantity"
+            ),
+            column(lambda r: r[2], "", "value", "value", in_brackets),
+        ],
+        "Modes of motion",
+        note,
+        terminal_note=note,
+    )
+
+
+def motion_sentences(found: Motion | None) -> list[str]:
+    """Why there are no modes, and which have no rate beyond its error."""
+    if found is None:
+        return []
+    sentences = [f"Modes of motion are not given: {found.why_not}."] if found.why_not else []
+    open_ones = [mode.name for mode in found.modes if not mode.quantities]
+    if open_ones:
+        sentences.append(
+            f"Whether the {several(open_ones)} grows or falls is not determined: its rate is within its error."
+        )
+    return sentences

@@ -14,8 +14,7 @@ from bayes_aero.model.noise import Colour
 from bayes_aero.report.frequency import band_text, frequency_columns
 from bayes_aero.report.tables import comparison
 from bayes_aero.report.tables.table import Column, Estimate, Table, columns_of, in_brackets, parameter_columns
-from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several
-from bayes_aero.report.text.restraints import unparted
+from bayes_aero.report.text.phrases import WORDS, from_to, plus_minus, several, unparted
 from bayes_aero.units import number
 
 ON_TERMINAL, ON_PAGE = 3, 4  # manoeuvres fitted alone that are shown one by one; of more only the scatter
@@ -217,6 +216,61 @@ def coverage_table(run: Identification) -> Table | None:
         "Calibration: share of measured samples inside the predictive intervals",
         WORDS["notes"]["coverage"],
     )
+
+
+# --- Joint fit, manoeuvres alone and pooled, scatter between them and next flight.
+
+POOLED_ON_TERMINAL = 2  # manoeuvres that are shown one by one; a file has all
+PARTS = ("", "sd", "ci95_low", "ci95_high")
+
+
+def next_flight_table(run: Identification) -> Table:
+    """A row for each parameter, SI and radians; ValueError if the run has not pooled its manoeuvres."""
+    found = run.next_flight
+    if found is None:
+        raise ValueError("the manoeuvres of this run are not pooled")
+    names = comparison.ordered(found.aircraft, found.parameters)
+    few = len(found.manoeuvres) <= POOLED_ON_TERMINAL
+    joint = comparison.bounds(run.mle, run.mle.crb_corrected)
+    name, unit, both = parameter_columns(names, [comparison.unit_of(run, n) for n in names])
+    columns = [
+        *(name, replace(unit, terminal=None), both),  # a terminal has the units above
+        Column([joint[n] for n in names], ("joint", "joint_sd"), "joint", "joint", terminal_form=in_brackets),
+    ]
+    for m in found.manoeuvres:
+        one_by_one = len(found.manoeuvres) <= ON_PAGE
+        own = found.alone[m]
+        single = [Estimate.normal(*own[n]) if n in own else None for n in names]
+        for kind, values in (("alone", single), ("pooled", [Estimate.of(found.pooled[m][n]) for n in names])):
+            heads = kind if one_by_one else None, f"{m}\npooled" if few and kind == "pooled" else None
+            columns.append(Column(values, (f"{m}_{kind}", f"{m}_{kind}_sd"), *heads, group=m))
+    for key, head, numbers, forms in (
+        ("aircraft", "aircraft", found.aircraft, ("", in_brackets)),
+        ("scatter", "scatter\n95 %", found.scatter, (_scatter_interval, _scatter_interval)),
+        ("next_flight", "next flight\n95 %", found.following, (_digits, _digits)),
+    ):
+        files = tuple(f"{key}_{part}".rstrip("_") for part in PARTS)
+        values = [Estimate.of(numbers[n]) for n in names]
+        columns.append(Column(values, files, head, head.splitlines()[0], *forms))
+    narrowed = [found.narrowed[n] for n in names]
+    columns.append(Column(narrowed, "scatter_over_prior", "scatter\nover prior", "over\nprior", form=".2f"))
+    note = "In brackets: standard deviation in units of the last digit; scatter and next flight: 95 % intervals."
+    return Table(
+        columns,
+        "Joint fit, manoeuvres alone and pooled, and the next flight",
+        WORDS["notes"]["next_flight"],
+        terminal_note=note,
+        dense=True,
+    )
+
+
+def _digits(e: Estimate) -> str:
+    return from_to(e.low, e.high, e.sd)
+
+
+def _scatter_interval(e: Estimate) -> str:
+    """Of a scatter, whose lower end is near zero."""
+    return f"{number(e.low, 2)} to {number(e.high, 2)}"
 
 
 # --- Sentences on the Gaussian process under each kind of hold-out data.

@@ -10,7 +10,7 @@ from bayes_aero.diagnosis.result import CheckReport
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import Agreement, Consistency, OpenError
 from bayes_aero.flight.reading import RecordReport
-from bayes_aero.report.text.phrases import WORDS, for_people, not_testable_sentences, several, size_text
+from bayes_aero.report.text.phrases import WORDS, for_people, not_testable_sentences, several, size_text, unit_behind
 from bayes_aero.units import instant, number
 
 MAX_PARTS = 12  # of a file in a sentence; the JSON has all
@@ -202,7 +202,7 @@ def _estimate(error: OpenError) -> str:
 def among_text(error: OpenError) -> str:
     """The standard error of an error with its imitators possible, as people read it."""
     unit, factor = for_people(error.unit)
-    return f"{factor * error.among:.2g}{'' if unit == '1' else f' {unit}'}"
+    return f"{factor * error.among:.2g}{unit_behind(unit)}"
 
 
 def sizes(error: Mapping[str, Any]) -> str:
@@ -235,7 +235,7 @@ def facts(effect: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The same of one of its parameters, beside its description."""
-    unit = unit_behind(p)
+    unit = unit_behind(p["unit"])
     sentences = [
         ("neutral", f"{shown(p['neutral'])}{unit}: there the effect is absent"),
         ("bounds", f"{shown(p['bounds'][0])} to {shown(p['bounds'][1])}"),
@@ -245,11 +245,6 @@ def parameter_facts(p: Mapping[str, Any]) -> list[tuple[str, str]]:
         least, most = shown(p["least_worth_modelling"]), shown(p["largest_plausible"])
         sentences.append(("sizes", f"smallest worth modelling {least} from neutral, largest plausible {most}"))
     return sentences
-
-
-def unit_behind(p: Mapping[str, Any]) -> str:
-    """The unit as it stands behind a number: nothing for a pure number."""
-    return "" if p["unit"] == "1" else f" {p['unit']}"
 
 
 def worked(effect: Mapping[str, Any]) -> str:

@@ -12,10 +12,9 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
 from bayes_aero.inference.output_error_result import OutputErrorStatus
-from bayes_aero.inference.results import Posterior
 from bayes_aero.inference.scores import COLOURED_INNOVATIONS, Calibration, OneStep
-from bayes_aero.report.text import restraints
-from bayes_aero.report.text.phrases import amounts, nats_text, plus_minus, several, short, size_text, symbol
+from bayes_aero.report.text.identification import inseparable_sentences, sign_sentences
+from bayes_aero.report.text.phrases import amounts, nats_text, plus_minus, several, short, size_text, symbol, unparted
 
 MIN_INFLATION = 1.5  # variance inflation from which a sentence is written; our choice
 MAX_OUTSIDE = 0.5  # share of the time outside a tolerance from which a sentence is written; our choice
@@ -37,7 +36,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
     errors = {n: amounts(flown.units[n], *pair) for n, pair in flown.rms_errors.items()}
     rms = several(f"{symbol(output)} {after}{unit}" for output, (_, after, unit) in errors.items())
     off = f"; the RMS error of the trajectories is {rms}" if fit.status is OutputErrorStatus.CONVERGED else ""
-    sentences = [f"The fit {restraints.unparted(fit.status.value, flown.following)}{bound}{off}."]
+    sentences = [f"The fit {unparted(fit.status.value, flown.following)}{bound}{off}."]
     if left:
         sentences = [f"The fit failed: {fit.status.value}."]
     if flown.worse:
@@ -71,7 +70,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
         sentences.append(f"Residuals grow where the flow has separated ({said}): these samples have less weight.")
     estimates = zip(fit.names, fit.estimate, fit.sd_corrected, strict=True)
     found = {name: (float(value), float(sd)) for name, value, sd in estimates}
-    sentences += restraints.sign_sentences(found, fit.parameters, flown.following)
+    sentences += sign_sentences(found, fit.parameters, flown.following)
     if fit.held_by_prior and not left:
         sentences.append(
             f"The trajectories contain little information on {several(fit.held_by_prior)}; the prior decides."
@@ -82,7 +81,7 @@ def fly_sentences(flown: TrajectoryFit, hindered: str = "", *, disturbed: bool =
             "are not usable. Fix them on the card, or fit with priors."
         )
     if flown.converged:
-        sentences += restraints.inseparable_sentences(fit.inseparable)
+        sentences += inseparable_sentences(fit.inseparable)
     if lost := [p.manoeuvre for p in flown.paths if p.model == FITTED and not p.inside]:
         sentences.append(f"Outside the flight envelope at the end of the fit: {several(lost)}.")
     return sentences
@@ -366,11 +365,6 @@ def prediction_sentences(found: OneStep) -> list[str]:
         f"One-step predictions: share of the samples inside their {level} intervals: {several(inside)}.",
         verdict,
     ]
-
-
-def posterior_sentences(posteriors: Mapping[str, Posterior]) -> list[str]:
-    """Chains that did not converge, and whether the samplers agree."""
-    return [*restraints.unfinished(posteriors), *restraints.agreement_of_engines(posteriors)]
 
 
 def _estimated_gusts(found: ProcessNoise) -> list[str]:
