@@ -74,20 +74,20 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     values |= {p.name: card.fixed[p.name] for n in installed for p in known[n].parameters}
     values |= {p: x for given in request.effects.values() for p, x in given.items()}
     values = {key: jnp.asarray(x, float) for key, x in values.items()}
-    aircraft, grid = flown_model.actual_aircraft(values, card.aircraft), demo.grid_of(request)
-    pilot, start = _piloted(rng, request, grid, flown_model, values, aircraft, chosen)
-    marks = plain_marks(grid.n, grid.dt, 0) | {"elapsed": grid.time}  # from the first sample of the record
+    aircraft, (time, in_record) = flown_model.actual_aircraft(values, card.aircraft), demo.grid_of(request)
+    pilot, start = _piloted(rng, request, time, flown_model, values, aircraft, chosen)
+    marks = plain_marks(len(time), request.dt, 0) | {"elapsed": time}  # from the first sample of the record
     commanded = {"thrust": np.asarray(pilot.thrust)}
     engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
     if engines.effects:
         pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
     if isinstance(start, RigidTrim):
-        flight = fly_rigid(flown_model, values, aircraft, pilot, start, grid.dt)
+        flight = fly_rigid(flown_model, values, aircraft, pilot, start, request.dt)
         flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
     else:
-        flight = fly(flown_model, values, aircraft, pilot, start, grid.dt)
+        flight = fly(flown_model, values, aircraft, pilot, start, request.dt)
     flight = {key: np.asarray(x) for key, x in flight.items()}
-    if left := ENVELOPE.left_by(excursion({key: x[grid.kept] for key, x in flight.items()})):
+    if left := ENVELOPE.left_by(excursion({key: x[in_record] for key, x in flight.items()})):
         raise InputError(
             f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
             "the effects smaller, or change the manoeuvre, --airspeed or --duration"
@@ -97,7 +97,7 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
     recorded = misrecorded(sensors, values, recorded, marks, card.aircraft) if sensors.effects else recorded
     deviations = OTHER_SENSORS | dict(read_card("attas").sensors) | dict(card.sensors)
     scale = 0.0 if request.noise == "none" else request.noise_scale
-    kept = {key: x[grid.kept] for key, x in recorded.items()}
+    kept = {key: x[in_record] for key, x in recorded.items()}
     channels = sensed(rng, kept, replace(card, sensors=deviations), scale, False)
     missing = [c.name for c in card.channels if c.required and c.name != "time" and c.name not in channels]
     if missing:
@@ -105,33 +105,33 @@ def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], na
             f"card {card.name} requires channel {missing[0]}, which the simulator does not make; set required = false"
         )
     noise = {k: x * (request.disturbance if "sigma" in k else 1.0) for k, x in demo.DISTURBANCE.items()}
-    record = FlightRecord.from_arrays(name, grid.time[grid.kept], channels, "simulated")
+    record = FlightRecord.from_arrays(name, time[in_record], channels, "simulated")
     return Synthetic(
         record,
         {key: float(x) for key, x in values.items()},
         {"buffet": request.buffet} | noise,
         {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
-        _notes(request, known, {key: x[grid.kept] for key, x in true.items()}),
+        _notes(request, known, {key: x[in_record] for key, x in true.items()}),
     )
 
 
 def _piloted(
     rng: np.random.Generator,
     request: demo.Request,
-    grid: demo.Grid,
+    time: Float[np.ndarray, " n"],
     model: Model,
     values: Mapping[str, Any],
     aircraft: Aircraft,
     chosen: Sequence[Effect],
 ) -> tuple[Pilot, FlightState | RigidTrim]:
     """What the pilot does and what disturbs him, and the state in which the flight begins."""
-    white = rng.standard_normal((grid.n, 3))
+    white = rng.standard_normal((len(time), 3))
     rho, sigma = ([demo.DISTURBANCE[f"{x}_{name}"] for name in NAMES] for x in ("rho", "sigma"))
-    rho = [x ** (grid.dt / demo.DT) for x in rho]  # their correlation time is the demo's
+    rho = [x ** (request.dt / demo.DT) for x in rho]  # their correlation time is the demo's
     increments = demo.autoregressive(white, rho, [request.disturbance * x for x in sigma])
     if request.manoeuvre == demo.RANDOM_STALL:
         drawn = demo.random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), demo.moved_by(chosen))
-        pilot = demo.resampled(drawn, grid.time)
+        pilot = demo.resampled(drawn, time)
         pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
         alpha = float(pilot.alpha[0])
         airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
@@ -141,7 +141,7 @@ def _piloted(
     else:
         airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
         given = airspeed, request.altitude, request.amplitude
-        pilots, start = standard_pilots(model, values, aircraft, grid.time, *given)
+        pilots, start = standard_pilots(model, values, aircraft, time, *given)
         pilot = pilots[request.manoeuvre]
     return pilot._replace(disturbance=increments, buffet=request.buffet), start
 
