@@ -31,7 +31,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.coefficients import condition_joined
-from bayes_aero.simulate.synthetic_record import misrecorded
+from bayes_aero.simulate.injection import misrecorded
 
 INJECTED = {  # parameter and range of the size's absolute value, SI
     "alpha_bias": ("alpha_bias", 0.01, 0.04),

@@ -46,8 +46,7 @@ from bayes_aero.model.observations import Observations, observe
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.style import housed, panels, save
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
-from bayes_aero.simulate.injection import hidden_flights
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import hidden_flights, synthetic
 
 # Against colour and sample rate
 STEPS = (4, 16)  # of 25 Hz: 6.25 and 1.5625 samples a second

@@ -34,7 +34,7 @@ from bayes_aero.inference.output_error import fit_output_error
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import join, observe
 from bayes_aero.simulate.demo import TRUTH, Request, simulate_stall
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import synthetic
 
 KINDS = ("elevator_3211", "aileron_doublet", "rudder_doublet")
 

@@ -28,8 +28,7 @@ from bayes_aero.flight.card import read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.diagnose import proposed_points
 from bayes_aero.simulate.demo import Request
-from bayes_aero.simulate.injection import draw_hidden
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import draw_hidden, synthetic
 
 FIRST = (("slow_stall",), ("elevator_3211",), ("slow_stall", "elevator_3211"), ("thrust_steps",))
 UNLIKE = ("slow_stall", "elevator_3211", "thrust_steps", "speed_change", "bank_to_bank", "elevator_doublet")

@@ -24,7 +24,7 @@ from bayes_aero.physics.aircraft import Axis
 from bayes_aero.physics.coefficients import coefficients
 from bayes_aero.physics.kinematics import Rotation, lever_arm
 from bayes_aero.simulate.demo import TRUTH
-from bayes_aero.simulate.synthetic_record import misrecorded
+from bayes_aero.simulate.injection import misrecorded
 
 BOTH = tuple(Axis)
 DT, SAMPLES = 0.04, 1000

@@ -146,7 +146,7 @@ def test_whatever_reads_records_makes_the_same_checks():
 # What holds in the whole package
 ENTRY = '''
 """Drag of the elevator, squared."""
-from bayes_aero.effects.lift_drag import ELEVATOR_DRAG
+from bayes_aero.effects.longitudinal import ELEVATOR_DRAG
 from dataclasses import replace
 ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''

@@ -1,6 +1,6 @@
 """The catalogue of effects: every `Effect` at the top level of a module of this package; none is listed elsewhere.
 
-`lift_drag`, `moment`, `lateral` and `separation` are the aerodynamics, `sensors` the errors of the record,
+`longitudinal`, `lateral` and `separation` are the aerodynamics, `sensors` the errors of the record,
 `aircraft_air` those of masses, thrust and air. An effect is one entry (see `effect` in `bayes_aero.effect`).
 
 The `sizes` are engineering judgement for a transport of some 20 t at 60 to 100 m/s, never tuned to a result. The least

@@ -44,34 +44,27 @@ MASS_SCALE = effect(
     source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT,
 )
 
-INERTIA_SCALE = effect(
-    "inertia_scale", "The pitch inertia is larger or smaller than the card says.",
-    "True Iy = (1 + inertia_scale) of the card's.",
-    lambda v, _s, a, _: {"Iy": v["inertia_scale"] * a.Iy},
-    parameter("inertia_scale", "1", "relative departure of Iy from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
-        (-0.5, 1.0)),
-    example=Example({"inertia_scale": -0.05}, {}, {"Iy": -10000.0}, "-5 % of 200000 kg m^2, by hand"),
-    source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT,
-)
 
-ROLL_INERTIA_SCALE = effect(
-    "roll_inertia_scale", "The roll inertia is larger or smaller than the card says.",
-    "True Ix = (1 + roll_inertia_scale) of the card's.",
-    lambda v, _s, a, _: {"Ix": v["roll_inertia_scale"] * a.Ix},
-    parameter("roll_inertia_scale", "1", "relative departure of Ix from the card", Prior("normal", 0.0, 0.15),
-        (0.03, 0.3), (-0.5, 1.0)),
-    example=Example({"roll_inertia_scale": -0.05}, {}, {"Ix": -5000.0}, "-5 % of 100000 kg m^2, by hand"),
-    source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
-)
+def inertia_scale(name: str, inertia: str, what: str, example: tuple[float, float, str], **fields: Any) -> Effect:
+    """A relative error of a moment of inertia. `example`: the error, what it adds to the card's, kg m^2, and why."""
+    error, more, by_hand = example
+    return effect(
+        name, f"The {what} inertia is larger or smaller than the card says.",
+        f"True {inertia} = (1 + {name}) of the card's.",
+        lambda v, _s, a, _: {inertia: v[name] * getattr(a, inertia)},
+        parameter(name, "1", f"relative departure of {inertia} from the card", Prior("normal", 0.0, 0.15), (0.03, 0.3),
+            (-0.5, 1.0)),
+        example=Example({name: error}, {}, {inertia: more}, by_hand),
+        source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, **fields,
+    )
 
-YAW_INERTIA_SCALE = effect(
-    "yaw_inertia_scale", "The yaw inertia is larger or smaller than the card says.",
-    "True Iz = (1 + yaw_inertia_scale) of the card's.",
-    lambda v, _s, a, _: {"Iz": v["yaw_inertia_scale"] * a.Iz},
-    parameter("yaw_inertia_scale", "1", "relative departure of Iz from the card", Prior("normal", 0.0, 0.15),
-        (0.03, 0.3), (-0.5, 1.0)),
-    example=Example({"yaw_inertia_scale": -0.05}, {}, {"Iz": -15000.0}, "-5 % of 300000 kg m^2, by hand"),
-    source=RELATIVE_ERROR, kind=Kind.MASS, stage=Stage.AIRCRAFT, axis=Axis.LATERAL,
+
+INERTIA_SCALE = inertia_scale("inertia_scale", "Iy", "pitch", (-0.05, -10000.0, "-5 % of 200000 kg m^2, by hand"))
+ROLL_INERTIA_SCALE = inertia_scale(
+    "roll_inertia_scale", "Ix", "roll", (-0.05, -5000.0, "-5 % of 100000 kg m^2, by hand"), axis=Axis.LATERAL,
+)
+YAW_INERTIA_SCALE = inertia_scale(
+    "yaw_inertia_scale", "Iz", "yaw", (-0.05, -15000.0, "-5 % of 300000 kg m^2, by hand"), axis=Axis.LATERAL,
 )
 
 INERTIA_PRODUCT = effect(

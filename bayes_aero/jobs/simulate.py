@@ -19,7 +19,7 @@ from bayes_aero.parameter import Parameter
 from bayes_aero.report.html.page import put_page
 from bayes_aero.report.pages.check import simulated_page
 from bayes_aero.simulate.demo import TRUTH, Request
-from bayes_aero.simulate.synthetic_record import Synthetic, synthetic
+from bayes_aero.simulate.injection import Synthetic, synthetic
 from bayes_aero.units import quantity_to_si
 
 SCHEMA = "bayes_aero/truth/1"

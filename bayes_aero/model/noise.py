@@ -4,7 +4,7 @@ log-density of a model under it."""
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -81,18 +81,6 @@ class Noise:
         before = jnp.concatenate([jnp.zeros(1), residual[:-1]])
         z = jnp.where(start, residual, (residual - rho * before) / innovation_sd) / sigma
         return z, jnp.where(start, jnp.log(sigma), jnp.log(sigma * innovation_sd)) + log_growth
-
-    def log_density(
-        self,
-        name: str,
-        values: Mapping[str, Any],
-        residual: Float[Array, " n"],
-        X: Float[Array, " n"],
-        start: Bool[Array, " n"],
-    ) -> Float[Array, " n"]:
-        """Log-density of each sample of one coefficient given the ones before it in its manoeuvre."""
-        z, log_deviation = self.innovation(name, values, residual, X, start)
-        return -0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - log_deviation
 
     def simulate(
         self, values: Mapping[str, Any], white: Float[Array, "n c"], X: Float[Array, " n"], start: Bool[Array, " n"]
@@ -221,11 +209,11 @@ class Density(LogDensity):
 
     def pointwise(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """Log-likelihood of every sample and coefficient, given the samples before it in its manoeuvre."""
-        return jnp.stack(self._by_coefficient(x, self.noise.log_density), axis=-1)
+        return jnp.stack(self._log_densities(x), axis=-1)
 
     def standardised(self, x: Float[Array, " k"]) -> Float[Array, "n c"]:
         """One-step-ahead innovations over their standard deviation: white, unit variance if the model holds."""
-        return jnp.stack([z for z, _ in self._by_coefficient(x, self.noise.innovation)], axis=-1)
+        return jnp.stack([z for z, _ in self._innovations(x)], axis=-1)
 
     def replicate(self, x: Float[Array, " k"], white: Float[Array, "n c"]) -> Float[Array, "n c"]:
         """Coefficients that the model with its noise would have produced from standard normal `white`."""
@@ -234,13 +222,16 @@ class Density(LogDensity):
 
     def log_likelihood(self, x: Float[Array, " k"]) -> Float[Array, ""]:
         """Sum of `pointwise`, taken before the coefficients are put side by side: almost twice as fast."""
-        return sum((jnp.sum(one) for one in self._by_coefficient(x, self.noise.log_density)), start=jnp.zeros(()))
+        return sum((jnp.sum(one) for one in self._log_densities(x)), start=jnp.zeros(()))
 
-    def _by_coefficient(self, x: Float[Array, " k"], function: Callable[..., Any]) -> list[Any]:
-        """A function of the noise model for the residuals of each coefficient."""
+    def _log_densities(self, x: Float[Array, " k"]) -> list[Float[Array, " n"]]:
+        return [-0.5 * (z**2 + jnp.log(2.0 * jnp.pi)) - deviation for z, deviation in self._innovations(x)]
+
+    def _innovations(self, x: Float[Array, " k"]) -> list[tuple[Float[Array, " n"], Float[Array, " n"]]]:
+        """`Noise.innovation` of each coefficient."""
         o, flow, values = self.observations, self._flow(x), self.values(x)
         residuals = {name: o.measured[:, c] - flow[name] for c, name in enumerate(self.model.coefficients)}
-        return [function(name, values, residual, flow["X"], o.start) for name, residual in residuals.items()]
+        return [self.noise.innovation(name, values, r, flow["X"], o.start) for name, r in residuals.items()]
 
     def _flow(self, x: Float[Array, " k"]) -> Mapping[str, Array]:
         """The coefficients and the separation point."""

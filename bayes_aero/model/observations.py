@@ -20,8 +20,8 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import at_common_rate
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
-from bayes_aero.model.records import Flights, joined, marks_of, named_apart, plain_marks, with_sums, without_spikes
-from bayes_aero.physics.aircraft import NAMES, REQUIRED, Aircraft, required_of
+from bayes_aero.model.records import Flights, joined, named_apart, plain_marks, without_spikes
+from bayes_aero.physics.aircraft import NAMES, Aircraft, required_of
 from bayes_aero.physics.coefficients import alike_joined, condition_joined, stacked_coefficients
 from bayes_aero.physics.filters import FILTER_STEP
 
@@ -65,9 +65,9 @@ def response_scales(
     return {name: jax.jvp(partial(correct, name), (x,), (jnp.ones_like(x),))[1] for name, x in series_by_name.items()}
 
 
-def join(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
+def join(records: Sequence[FlightRecord], card: Card, *required: Any) -> Flights:
     """`joined`, for compiled programs."""
-    flights = joined(records, card, required)
+    flights = joined(records, card, *required)
     return replace(flights, channels={name: jnp.asarray(x) for name, x in flights.channels.items()})
 
 
@@ -166,7 +166,7 @@ def observe(
     # Effects that act on the record or the aircraft itself are applied at the values the model fixes for them.
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
-    names = named_apart(records)
+    named_apart(records)
     forming = Forming(forming)
     if forming is Forming.MATCHED:
         records = at_common_rate(records)
@@ -179,29 +179,23 @@ def observe(
                 "fitted to the coefficients; fix it on the card, or use bayes-aero diagnose to estimate it"
             )
     aircraft = model.actual_aircraft(values, card.aircraft)
-    parts, offset = [], 0
-    for record in records:
-        channels = with_sums(record, card)
-        for need in dict.fromkeys((*required_of(model.axes), *model.channels)):
-            if need not in channels and need != "alpha_dot":
-                raise InputError(
-                    f"record {record.name} has no channel {need}, which the model needs; map it on the card"
-                    f"{STEADY if need in ('p', 'r') else ''}"
-                )
-        parts.append(channels | marks_of(record, offset))
-        offset += record.n
-    shared = set.intersection(*(set(part) for part in parts))
-    joined = {key: jnp.asarray(np.concatenate([part[key] for part in parts])) for key in sorted(shared)}
-    marks_by_name = {key: joined.pop(key) for key in MARKS}
-    signals, measured = _formed(model, forming, values, joined, marks_by_name, aircraft)
+
+    def remedy(need: str) -> str:
+        return f"{need}, which the model needs; map it on the card{STEADY if need in ('p', 'r') else ''}"
+
+    required = dict.fromkeys((*required_of(model.axes), *model.channels))
+    flights = join(records, card, [need for need in required if need != "alpha_dot"], remedy)
+    recorded = {key: flights.channels[key] for key in flights.recorded}
+    marks_by_name = {key: flights.channels[key] for key in MARKS}
+    signals, measured = _formed(model, forming, values, recorded, marks_by_name, aircraft)
     return Observations(
         signals=dict(sorted((signals | {key: marks_by_name[key] for key in ("dt", "start")}).items())),
         measured=measured,
         start=marks_by_name["start"],
-        manoeuvre=np.repeat(np.arange(len(records)), [record.n for record in records]),
-        time=np.concatenate([np.asarray(record.time) for record in records]),
+        manoeuvre=flights.manoeuvre,
+        time=flights.time,
         aircraft=aircraft,
-        names=tuple(names),
+        names=flights.names,
         coefficients=model.coefficients,
     )
 

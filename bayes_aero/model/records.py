@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,8 +94,14 @@ class Flights:
         return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, self.channels)
 
 
-def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] = REQUIRED) -> Flights:
-    """The records end to end, without channels that some record lacks; `InputError` where one is `required`."""
+def joined(
+    records: Sequence[FlightRecord],
+    card: Card,
+    required: Sequence[str] = REQUIRED,
+    remedy: Callable[[str], str] = "{}; map it on the card".format,
+) -> Flights:
+    """The records end to end, without channels that some record lacks; `InputError` where one is `required`, which
+    ends in its name with a `remedy`."""
     if not records:
         raise InputError("there is no flight record to work on; name at least one file")
     named_apart(records)
@@ -104,7 +110,7 @@ def joined(records: Sequence[FlightRecord], card: Card, required: Sequence[str] 
         have = with_sums(record, card)
         for need in required:
             if need not in have:
-                raise InputError(f"record {record.name} has no channel {need}; map it on the card")
+                raise InputError(f"record {record.name} has no channel {remedy(need)}")
         parts.append(have | marks_of(record, offset))
         offset += record.n
     shared = set.intersection(*(set(part) for part in parts))

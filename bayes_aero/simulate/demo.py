@@ -281,20 +281,6 @@ class Request:
         return self.duration or SECONDS.get(self.manoeuvre, USUAL_SECONDS)
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Times of all samples that are flown, s, those of them that are recorded, and their interval, s."""
-
-    time: Float[np.ndarray, " n"]
-    kept: slice
-    dt: float
-
-    @property
-    def n(self) -> int:
-        """Samples flown."""
-        return len(self.time)
-
-
 def refuse(request: Request, card: Card) -> None:
     """`InputError` where no such record can be made."""
     if card.linear is not None:
@@ -323,8 +309,8 @@ def refuse(request: Request, card: Card) -> None:
         raise InputError(f"an altitude of {request.altitude:g} m was asked for; the simulated air ends at 11000 m")
 
 
-def grid_of(request: Request) -> Grid:
-    """Time of every sample that is flown, s; the record begins at 0."""
+def grid_of(request: Request) -> tuple[Series, slice]:
+    """Time of every sample that is flown, s, and those of them that are recorded; the record begins at 0."""
     dt, before = request.dt, 2.0 if request.manoeuvre == RANDOM_STALL else BEFORE
     first, kept, last = round(before / dt), round(request.seconds / dt) + 1, round(AFTER / dt)
-    return Grid((np.arange(first + kept + last) - first) * dt, slice(first, first + kept), dt)
+    return (np.arange(first + kept + last) - first) * dt, slice(first, first + kept)

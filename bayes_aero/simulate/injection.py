@@ -1,16 +1,33 @@
-"""Simulated manoeuvres with effects hidden in them, known to the simulator and not to the card."""
+"""Simulated manoeuvres with effects hidden in them, known to the simulator and not to the card; and one synthetic
+record on request: any effects at given sizes, any standard manoeuvre, on the aircraft of a card.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+from scipy.sparse.linalg import LinearOperator, lsmr
 
-from bayes_aero.dynamics.pilot import fly_together
-from bayes_aero.dynamics.trim import FlightState, can_simulate, level_speed, refuse_unsimulated
+from bayes_aero.dynamics.pilot import Pilot, fly, fly_rigid, fly_together, standard_pilots
+from bayes_aero.dynamics.trim import (
+    SIGNALS,
+    Condition,
+    FlightState,
+    RigidTrim,
+    can_simulate,
+    level_speed,
+    refuse_unsimulated,
+    rigid_trim,
+)
 from bayes_aero.effect import Effect, Kind, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
@@ -18,9 +35,8 @@ from bayes_aero.flight.card import Card, read_card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
-from bayes_aero.physics.aircraft import Axis, Envelope, excursion
+from bayes_aero.physics.aircraft import GAMMA, GAS, NAMES, Aircraft, Axis, Envelope, air, excursion
 from bayes_aero.simulate import demo
-from bayes_aero.simulate.synthetic_record import FLOWN, corrected, misrecorded, sensed
 
 FLOWN_AXES = (Axis.LONGITUDINAL,)  # axes on which the simulated aircraft has effects
 NOISES = ("white", "ar1", "buffet", "outliers")
@@ -236,3 +252,259 @@ def _disturbance(rng: np.random.Generator, noise: str, rho: float | None) -> tup
     if noise not in ("ar1", "buffet"):
         return np.zeros((demo.SAMPLES, 3)), 0.0
     return demo.autoregressive(white, rhos, sigma), buffet if noise == "buffet" else 0.0
+
+
+# --- One record on request. Geometry, mass, sensors, their errors that the card fixes, and recorded channels are the
+# card's; the aerodynamics are those of the demo aircraft (`demo.TRUTH`) and whatever is asked for. Physical effects act
+# in flight, sensor errors when it is recorded.
+
+WIDER_ENVELOPE = Envelope({"alpha": (-0.1, 0.45), "airspeed": (15.0, 300.0)})  # rad, m/s: outside, no truth is claimed
+LOADED = 17631.0  # kg, of the aircraft that the random pilot's thrust was chosen for
+
+
+@dataclass(frozen=True)
+class Synthetic:
+    """The record, every parameter that was flown, the noise's deviations (SI), and what the user should know."""
+
+    record: FlightRecord
+    parameters: Mapping[str, float]
+    disturbance: Mapping[str, float]
+    sensor_noise: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+def synthetic(request: demo.Request, card: Card, known: Mapping[str, Effect], name: str = "simulated") -> Synthetic:
+    """Fly and record; `known` are the effects that may be asked for. `InputError` where it cannot be flown."""
+    demo.refuse(request, card)
+    rng = np.random.default_rng([request.seed, 7])
+    rigid = Axis.LATERAL in card.axes
+    base = (*read_card("attas").effects, *(demo.LATERAL_EFFECTS if rigid else ()))
+    # errors of sensors that the card fixes: its model takes them out of every record, so a record has them
+    errors = [known[n] for n in card.effects if n in known and known[n].stage is Stage.CHANNEL and known[n].parameters]
+    fixed = [e for e in errors if all(p.name in card.fixed for p in e.parameters)]
+    installed = [e.name for e in fixed if not e.absent_in(card.fixed)]
+    chosen = [known[n] for n in dict.fromkeys((*base, *installed, *request.effects))]
+    axes, signals = (tuple(Axis), SIGNALS | {"aileron"}) if rigid else ((Axis.LONGITUDINAL,), SIGNALS)
+    for effect in chosen:
+        refuse_unsimulated(effect, signals)
+    flown_model = Model.of([e for e in chosen if e.stage is not Stage.CHANNEL], axes=axes)
+    faults = [e for e in chosen if e.stage is Stage.CHANNEL]
+    values = {name: x for e in chosen for name, x in e.neutral_values.items()}
+    values |= demo.TRUTH | demo.LATERAL_TRUTH if rigid else demo.TRUTH
+    values |= {p.name: card.fixed[p.name] for n in installed for p in known[n].parameters}
+    values |= {p: x for given in request.effects.values() for p, x in given.items()}
+    values = {key: jnp.asarray(x, float) for key, x in values.items()}
+    aircraft, (time, in_record) = flown_model.actual_aircraft(values, card.aircraft), demo.grid_of(request)
+    pilot, start = _piloted(rng, request, time, flown_model, values, aircraft, chosen)
+    marks = plain_marks(len(time), request.dt, 0) | {"elapsed": time}  # from the first sample of the record
+    commanded = {"thrust": np.asarray(pilot.thrust)}
+    engines = Model.of([e for e in faults if e.kind is Kind.PROPULSION], axes=axes)
+    if engines.effects:
+        pilot = pilot._replace(thrust=corrected(engines, values, commanded, marks, card.aircraft)["thrust"])
+    if isinstance(start, RigidTrim):
+        flight = fly_rigid(flown_model, values, aircraft, pilot, start, request.dt)
+        flight |= {"aileron_left": -flight["aileron"], "aileron_right": flight["aileron"]}
+    else:
+        flight = fly(flown_model, values, aircraft, pilot, start, request.dt)
+    flight = {key: np.asarray(x) for key, x in flight.items()}
+    if left := WIDER_ENVELOPE.left_by(excursion({key: x[in_record] for key, x in flight.items()})):
+        raise InputError(
+            f"{request.manoeuvre} with {', '.join(request.effects) or 'no effect'} leaves the envelope: {left}; make "
+            "the effects smaller, or change the manoeuvre, --airspeed or --duration"
+        )
+    true = {key: flight[key] for key in (RIGID if rigid else FLOWN)} | _air_data(flight)
+    sensors, recorded = Model.of([e for e in faults if e.kind is not Kind.PROPULSION], axes=axes), true | commanded
+    recorded = misrecorded(sensors, values, recorded, marks, card.aircraft) if sensors.effects else recorded
+    deviations = OTHER_SENSORS | dict(read_card("attas").sensors) | dict(card.sensors)
+    scale = 0.0 if request.noise == "none" else request.noise_scale
+    kept = {key: x[in_record] for key, x in recorded.items()}
+    channels = sensed(rng, kept, replace(card, sensors=deviations), scale, False)
+    missing = [c.name for c in card.channels if c.required and c.name != "time" and c.name not in channels]
+    if missing:
+        raise InputError(
+            f"card {card.name} requires channel {missing[0]}, which the simulator does not make; set required = false"
+        )
+    noise = {k: x * (request.disturbance if "sigma" in k else 1.0) for k, x in demo.DISTURBANCE.items()}
+    record = FlightRecord.from_arrays(name, time[in_record], channels, "simulated")
+    return Synthetic(
+        record,
+        {key: float(x) for key, x in values.items()},
+        {"buffet": request.buffet} | noise,
+        {key: scale * x for key, x in deviations.items() if key in (*channels, "thrust")},
+        _notes(request, known, {key: x[in_record] for key, x in true.items()}),
+    )
+
+
+def _piloted(
+    rng: np.random.Generator,
+    request: demo.Request,
+    time: Float[np.ndarray, " n"],
+    model: Model,
+    values: Mapping[str, Any],
+    aircraft: Aircraft,
+    chosen: Sequence[Effect],
+) -> tuple[Pilot, FlightState | RigidTrim]:
+    """What the pilot does and what disturbs him, and the state in which the flight begins."""
+    white = rng.standard_normal((len(time), 3))
+    rho, sigma = ([demo.DISTURBANCE[f"{x}_{name}"] for name in NAMES] for x in ("rho", "sigma"))
+    rho = [x ** (request.dt / demo.DT) for x in rho]  # their correlation time is the demo's
+    increments = demo.autoregressive(white, rho, [request.disturbance * x for x in sigma])
+    if request.manoeuvre == demo.RANDOM_STALL:
+        drawn = demo.random_pilot(rng, max(90.0, request.seconds), model.break_angle(values), demo.moved_by(chosen))
+        pilot = demo.resampled(drawn, time)
+        pilot = pilot._replace(thrust=pilot.thrust * (float(aircraft.mass) / LOADED))
+        alpha = float(pilot.alpha[0])
+        airspeed = request.airspeed or level_speed(model, values, aircraft, alpha, request.altitude)
+        start = FlightState(airspeed, alpha, alpha, 0.0, request.altitude)
+        if Axis.LATERAL in model.axes:
+            start = rigid_trim(model, values, aircraft, Condition(airspeed, request.altitude))
+    else:
+        airspeed = request.airspeed or level_speed(model, values, aircraft, np.deg2rad(6.0), request.altitude)
+        given = airspeed, request.altitude, request.amplitude
+        pilots, start = standard_pilots(model, values, aircraft, time, *given)
+        pilot = pilots[request.manoeuvre]
+    return pilot._replace(disturbance=increments, buffet=request.buffet), start
+
+
+def _air_data(flight: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What follows from height and airspeed in a standard atmosphere."""
+    density, sound = (np.asarray(x) for x in air(jnp.asarray(flight["altitude"])))
+    temperature = sound**2 / (GAMMA * GAS)
+    pressure = density * GAS * temperature
+    sea_density, sea_sound = (float(x) for x in air(jnp.asarray(0.0)))
+    impact = pressure * ((1.0 + 0.2 * flight["mach"] ** 2) ** 3.5 - 1.0)
+    sea_pressure = sea_density * sea_sound**2 / GAMMA
+    calibrated = sea_sound * np.sqrt(5.0 * ((impact / sea_pressure + 1.0) ** (2.0 / 7.0) - 1.0))
+    air_data = {"static_temperature": temperature, "static_pressure": pressure}
+    return air_data | {"calibrated_airspeed": calibrated, "radio_altitude": flight["altitude"]}
+
+
+def _notes(request: demo.Request, known: Mapping[str, Effect], true: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Effects whose signals do not move, so that the record cannot show them, and sizes that no aircraft has."""
+    notes = []
+    for name in request.effects:
+        channels = [] if known[name].stage is Stage.CHANNEL else known[name].channels
+        still = [c for c in channels if c in true and np.ptp(true[c]) <= 1e-12]
+        if still:
+            notes.append(f"effect {name} acts through {', '.join(still)}: at rest in this manoeuvre, so it cannot show")
+        for p in known[name].parameters:
+            most = known[name].sizes.get(p.name, (0.0, float("inf")))[1]
+            if abs(request.effects[name].get(p.name, p.neutral) - p.neutral) > most:
+                notes.append(f"{p.name} is beyond {most:g}, the largest plausible departure from {p.neutral:g}")
+    return tuple(notes)
+
+
+# --- From what was flown to what a faulty installation would have recorded: effects of stage CHANNEL run backwards.
+
+Values: TypeAlias = Mapping[str, Any]
+Channels: TypeAlias = Mapping[str, np.ndarray]
+STEPS = 8
+TOLERANCE = 1e-11  # of a channel's largest value
+
+
+class _Correction(eqx.Module):
+    """`Model.corrected` as a function of one matrix, a channel a row, each over its own scale."""
+
+    model: Model = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    values: dict[str, Any]
+    marks: dict[str, Any]
+    aircraft: Aircraft
+    scale: Float[Array, " k"]
+
+    @classmethod
+    def of(
+        cls, model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
+    ) -> tuple[_Correction, Float[Array, "k n"]]:
+        """The correction, and the channels as its matrix."""
+        x = np.stack(list(channels.values()))
+        scale = np.maximum(np.max(np.abs(x), axis=1), 1e-3)
+        correction = cls(model, tuple(channels), dict(values), dict(marks), aircraft, jnp.asarray(scale))
+        return correction, jnp.asarray(x / scale[:, None])
+
+    @eqx.filter_jit
+    def __call__(self, x: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        channels = dict(zip(self.names, x * self.scale[:, None], strict=True))
+        true = self.model.corrected(self.values, channels | self.marks, self.aircraft)
+        return jnp.stack([true[name] for name in self.names]) / self.scale[:, None]
+
+    @eqx.filter_jit
+    def forward(self, x: Float[Array, "k n"], change: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        """Derivative at `x` times `change`."""
+        return jax.jvp(self, (x,), (change,))[1]
+
+    @eqx.filter_jit
+    def backward(self, x: Float[Array, "k n"], weight: Float[Array, "k n"]) -> Float[Array, "k n"]:
+        """Transposed derivative at `x` times `weight`."""
+        return jax.vjp(self, x)[1](weight)[0]
+
+    def derivative(self, x: Float[Array, "k n"]) -> LinearOperator:
+        """The derivative at `x`, on vectors."""
+        on = lambda product: lambda v: np.asarray(product(x, jnp.asarray(v.reshape(x.shape)))).ravel()  # noqa: E731
+        return LinearOperator((x.size,) * 2, matvec=on(self.forward), rmatvec=on(self.backward), dtype=np.float64)  # pyright: ignore[reportCallIssue]
+
+
+def corrected(
+    model: Model, values: Values, channels: Channels, marks: Values, aircraft: Aircraft
+) -> dict[str, np.ndarray]:
+    """`Model.corrected`, compiled, without the marks."""
+    correction, x = _Correction.of(model, values, channels, marks, aircraft)
+    return dict(zip(channels, np.asarray(correction(x) * correction.scale[:, None]), strict=True))
+
+
+def misrecorded(
+    model: Model, values: Values, true: Channels, marks: Values, aircraft: Aircraft
+) -> dict[str, np.ndarray]:
+    """Channels that `Model.corrected` turns into `true`. Gauss-Newton steps from the true channels, each solved for the
+    least change (LSMR: Fong and Saunders, SIAM J. Sci. Comput. 33 (2011) 2950). A plain fixed-point iteration would
+    blow up what a delay leaves near half the sampling rate, where it cannot be undone."""
+    correction, goal = _Correction.of(model, values, true, marks, aircraft)
+    x, left, options = goal, 0.0, {"atol": 1e-13, "btol": 1e-13, "conlim": 0.0, "maxiter": 300}
+    for _ in range(STEPS):
+        error = np.asarray(goal - correction(x))
+        # What LSMR could not solve another step cannot either: it is what a delay has lost. Curvature leaves more.
+        if np.max(np.abs(error)) < TOLERANCE or np.linalg.norm(error) < 2.0 * left:
+            break
+        error = np.where(np.abs(error) < 1e-14, 0.0, error)  # rounding, in channels that no effect touches
+        step, _, _, left, *_ = lsmr(correction.derivative(x), error.ravel(), **options)
+        x = x + jnp.asarray(step.reshape(x.shape))
+    change = np.asarray((x - goal) * correction.scale[:, None])
+    return {name: series + dx for (name, series), dx in zip(true.items(), change, strict=True)}
+
+
+# --- What a recorder stores of a simulated flight: channels by the card's names, with the noise of their sensors.
+
+OTHER_SENSORS = {
+    "ay": 0.02, "phi": 3e-4, "theta": 3e-4, "psi": 3e-4, "beta": 9e-4, "altitude": 0.5, "elevator": 3e-4,
+    "stabilizer": 2e-4, "mach": 6e-4,
+}  # fmt: skip
+"""White noise of channels of which a card says nothing, SI: platform, vane, potentiometers; our choice."""
+
+FLOWN = (  # channels of a flight that a recorder may store, in the order in which their noise is drawn
+    "ax", "ay", "az", "p", "r", "elevator", "q", "phi", "theta", "psi", "alpha", "beta", "airspeed", "altitude",
+    "stabilizer", "rudder", "flap", "spoiler_left", "spoiler_right", "dlc_left", "dlc_right", "mach", "density",
+    "thrust",
+)  # fmt: skip
+RIGID = (*FLOWN, "aileron", "aileron_left", "aileron_right")  # those of a flight in six degrees of freedom
+
+OUTLIER_SHARE, OUTLIER_SIZE, SPIKED = 0.005, 10.0, ("ax", "ay", "az", "q")
+
+
+def sensed(
+    rng: np.random.Generator, channels: Mapping[str, np.ndarray], card: Card, scale: float, spikes: bool
+) -> dict[str, np.ndarray]:
+    """With sensor noise, thrust by engine, outliers; the channels that the card maps."""
+    engines = {f"thrust_{side}": channels["thrust"] / 2.0 for side in ("left", "right")}
+    engine = card.sensors.get("thrust", 0.0) / math.sqrt(2.0)  # each
+    deviations: dict[str, float] = {**OTHER_SENSORS, **card.sensors, **dict.fromkeys(engines, engine)}
+    mapped = {channel.name for channel in card.channels}
+    sensed = {}
+    for name, values in (dict(channels) | engines).items():
+        n, sd = len(values), scale * deviations.get(name, 0.0)
+        noisy = values + sd * rng.standard_normal(n)
+        hit, sign = rng.uniform(size=n) < OUTLIER_SHARE, rng.choice([-1.0, 1.0], n)
+        if spikes and name in SPIKED:
+            noisy = noisy + OUTLIER_SIZE * sd * hit * sign
+        if name in mapped:
+            sensed[name] = noisy
+    return sensed

@@ -22,7 +22,7 @@ from bayes_aero.flight.record import FlightRecord, write_record
 from bayes_aero.inference.output_error import GUSTS
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import plain_marks
-from bayes_aero.simulate.synthetic_record import misrecorded
+from bayes_aero.simulate.injection import misrecorded
 
 UNITS = {
     "time": "s", "airspeed": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s", "ax": "m/s^2", "az": "m/s^2",

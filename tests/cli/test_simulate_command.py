@@ -22,7 +22,7 @@ from bayes_aero.flight.reading import read_record
 from bayes_aero.jobs.options import Manoeuvre
 from bayes_aero.simulate import demo
 from bayes_aero.simulate.demo import Request
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import synthetic
 
 
 def test_a_sensor_error_acts_when_it_is_recorded_and_the_truth_is_beside_the_file(flights):

@@ -34,8 +34,7 @@ from bayes_aero.report.text.diagnosis import diagnosis_sentences
 from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import Request
-from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records, synthetic
 
 
 # Hide an effect, or nothing, in simulated flights and diagnose them; every effect is in test_candidates.py, and the

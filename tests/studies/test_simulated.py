@@ -17,8 +17,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import Forming, marks, observe
 from bayes_aero.model.records import with_sums
 from bayes_aero.simulate.demo import TRUTH, Request
-from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records
-from bayes_aero.simulate.synthetic_record import synthetic
+from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable, hidden_flights, hidden_records, synthetic
 from bayes_aero.study.study import read_study
 
 QUIET = {"noise": "white", "sensor_noise": 0.0}

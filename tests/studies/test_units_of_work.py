@@ -18,11 +18,11 @@ from bayes_aero.errors import ERROR, InputError, no_space
 from bayes_aero.jobs.diagnose import in_background
 from bayes_aero.processes import cores
 from bayes_aero.report.html.page import put_page
+from bayes_aero.study import cluster
 from bayes_aero.study import jit_cache as compiled
-from bayes_aero.study import worker
 from bayes_aero.study.case import MANIFEST, fail_unit, run_unit
+from bayes_aero.study.cluster import Driver, work
 from bayes_aero.study.jit_cache import cache_folder
-from bayes_aero.study.worker import Driver, work
 
 LONG = 20.0  # s: a test that waits so long has failed
 
@@ -88,9 +88,9 @@ def test_a_block_that_fails_ends_it():
 @pytest.fixture
 def driver(tmp_path, monkeypatch):
     """One whose folder is seen, and a worker that does nothing but tell what it was asked for."""
-    monkeypatch.setattr(worker, "configure", lambda: None)
-    monkeypatch.setattr(worker, "FILE_TIMEOUT", 0.1)
-    monkeypatch.setattr(worker, "run_unit", lambda given, _: {"name": given["name"], "argv": list(sys.argv)})
+    monkeypatch.setattr(cluster, "configure", lambda: None)
+    monkeypatch.setattr(cluster, "FILE_TIMEOUT", 0.1)
+    monkeypatch.setattr(cluster, "run_unit", lambda given, _: {"name": given["name"], "argv": list(sys.argv)})
     return Driver.of(tmp_path)
 
 
@@ -143,7 +143,7 @@ def test_a_worker_keeps_to_its_cores_and_the_cache_lies_where_the_user_says(monk
     assert 1 <= cores() <= (os.cpu_count() or 1)
 
 
-WORKER = "from bayes_aero.study import worker; worker.configure()\n"
+WORKER = "from bayes_aero.study import cluster; cluster.configure()\n"
 COMMAND = """import sys; from bayes_aero.cli import main; sys.argv[1:] = ["--version"]
 try: main()
 except SystemExit: pass
@@ -331,7 +331,7 @@ def test_libraries_are_never_given_the_name_of_a_result_to_write_to():
     lone = re.compile(r"to_netcdf\((?!engine)|\.to_csv\((?!index|lineterm|\))|savefig\((?!drawn)|write_bytes\(")
     source = {str(p.relative_to(package)): p.read_text(encoding="utf-8") for p in package.rglob("*.py")}
     assert {name for name, text in source.items() if lone.search(text)} == {"atomic_write.py"}
-    assert {name for name, text in source.items() if "write_text(" in text} == {"export/fmu.py", "study/worker.py"}
+    assert {name for name, text in source.items() if "write_text(" in text} == {"export/fmu.py", "study/cluster.py"}
 
 
 def test_a_full_disk_is_told_by_a_page_and_by_h5py_in_words_alone(tmp_path):
