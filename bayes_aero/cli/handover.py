@@ -42,13 +42,12 @@ def export(
         folder, facts = run(result, to, out=out, card=model, draws=draws, seed=seed)
     if json:
         terminal.print_json(facts | {"folder": str(folder)})
-        return
     sentences = [*facts["sources"], *facts["validity"], *facts["left_out"]]
     if facts["draws"] is not None:
         sentences.append(f"{facts['draws']['count']} draws: {facts['draws']['origin']}.")
     sentences.append(f"The model is in {folder}: {', '.join(facts['files'])}. README.txt says how to use it.")
     for sentence in sentences:
-        terminal.teller().print(sentence, soft_wrap=True)
+        terminal.teller(quiet=json).print(sentence, soft_wrap=True)
 
 
 def open(

@@ -54,11 +54,11 @@ def check(
         failures = report.failures + (() if out is None else write_check(report, out, seed))
     if json:
         terminal.print_json(check_results(report))
-    else:
-        print_report(terminal.teller(), report)
-        terminal.print_failures(terminal.teller(), failures)
-        if out is not None:
-            terminal.teller().print(f"The report is in {out / 'report.html'}", soft_wrap=True)
+    console = terminal.teller(quiet=json)
+    print_report(console, report)
+    terminal.print_failures(console, failures)
+    if out is not None:
+        console.print(f"The report is in {out / 'report.html'}", soft_wrap=True)
     if not report.usable:
         raise typer.Exit(terminal.FAILED)
     terminal.exit_if_failed(failures)
@@ -136,9 +136,7 @@ def card(
         report, failures = put_starter_page(starter, record, target)
     if json:
         terminal.print_json(starter.told | {"card": str(target), "report": None if report is None else str(report)})
-        terminal.exit_if_failed(failures)
-        return
-    console = terminal.teller()
+    console = terminal.teller(quiet=json)
     console.print(f"The card is in {target}. Read its proposals.", soft_wrap=True)
     if starter.todo:
         console.print(f"To be filled in ({len(starter.todo)}): {', '.join(name for name, _ in starter.todo)}.")
@@ -301,9 +299,7 @@ def simulate(
         found, truth, failures = simulate_file(request, card, known, out, page=page)
     if json:
         terminal.print_json(truth)
-        terminal.exit_if_failed(failures)
-        return
-    console, record = terminal.teller(), found.record
+    console, record = terminal.teller(quiet=json), found.record
     console.print(
         f"{manoeuvre}: {record.n} samples, {record.time[-1]:g} s, {len(record.channels)} channels → {out}",
         soft_wrap=True,

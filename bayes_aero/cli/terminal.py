@@ -158,9 +158,8 @@ def exit_if_failed(failures: Sequence[str]) -> None:
 
 def exit_in_doubt(agreement: Consistency | None, health: Sequence[HealthFinding], *, corrects: bool) -> None:
     """Leave with `DOUBT` where a channel is faulty or sensors disagree, but for known errors that were corrected."""
-    disagrees = agreement is not None and agreement.disagrees
-    if disagrees and corrects and agreement is not None and agreement.agreement == "disagree_explained":
-        disagrees = False
+    explained = corrects and agreement is not None and agreement.agreement == "disagree_explained"
+    disagrees = agreement is not None and agreement.disagrees and not explained
     if disagrees or any(finding.grave for finding in health):
         raise typer.Exit(DOUBT)
 

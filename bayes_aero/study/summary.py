@@ -16,10 +16,6 @@ from bayes_aero.report.pages.study import StudyContext, study_headline, study_pa
 from bayes_aero.study.case import MANIFEST
 from bayes_aero.study.study import Study, Unit
 
-UNIT_COLUMNS = (
-    "unit", "state", "task", "records", "card", "effects", "noise", "split", "seed", "seconds", "verdict", "doubts",
-    "error",
-)  # fmt: skip
 RESULT_COLUMNS = (
     "unit", "records", "card", "effects", "noise", "split", "seed", "method", "cause", "parameter", "unit_of_value",
     "value", "sd", "low95", "high95", "status",
@@ -60,7 +56,7 @@ def write_summary(units: Sequence[Unit], folder: Path, out: Path) -> tuple[pd.Da
         )
         if state == "done":
             results += [{"unit": unit.name, **about, **row} for row in ROWS[unit.task](found)]
-    tables = (pd.DataFrame(rows, columns=list(UNIT_COLUMNS)), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
+    tables = (pd.DataFrame(rows), pd.DataFrame(results, columns=list(RESULT_COLUMNS)))
     for table, name in zip(tables, ("units", "summary"), strict=True):
         text = [c for c in table.columns if c not in NUMBERS]
         parquet = table.astype(dict.fromkeys(text, "string")).to_parquet(index=False)
