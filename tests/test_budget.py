@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51732,
+    "bayes_aero: lines": 51737,
     "bayes_aero: files": 193,
     "bayes_aero: private helpers used once": 291,
     "bayes_aero: class names with several meanings": 0,

@@ -350,6 +350,11 @@ class IdentifiedLinear:
         return self.card.name
 
     @property
+    def title(self) -> str:
+        """The card's."""
+        return self.card.title
+
+    @property
     def rows(self) -> LinearCard:
         """The rows of the card."""
         assert self.card.linear is not None
