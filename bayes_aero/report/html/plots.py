@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -90,48 +91,92 @@ def extremes(columns: Sequence[Float[np.ndarray, " n"]], most: int = MOST) -> In
 
 def linked(time: Float[np.ndarray, " n"], panels: Sequence[Panel], name: str, over: Over = TIME) -> dict[str, Any]:
     """Bokeh's JSON of the panels below each other over one shared axis, time (s), called `name` in the document."""
+    from bokeh.core.serialization import Serializer
+
+    empty = np.empty(0)
+    shapes = tuple(
+        (p.name, p.unit, p.shade, p.height, p.band is None, *((x.label, x.colour, x.style, x.width) for x in p.lines))
+        for p in panels
+    )
+    bare = [replace(p, lines=tuple(replace(line, values=empty) for line in p.lines)) for p in panels]
+    if (shapes, over) not in _LAYOUTS:
+        _LAYOUTS[shapes, over] = _layout(bare, over)
+    layout, shared, ranges, sources = _LAYOUTS[shapes, over]
+    limits = [scale(panel.lines, panel.band) for panel in panels]
+    first, last = float(time[0]), float(time[-1])
+    filled = {shared: {"start": first, "end": last, "name": name, "tags": [first, last, [list(x) for x in limits]]}}
+    filled |= {key: {"start": low, "end": high} for key, (low, high) in zip(ranges, limits, strict=True)}
+    for key, panel in zip(sources, panels, strict=True):
+        filled[key] = {"data": Serializer(deferred=False).encode(_columns(time, panel))}
+    return _copied(layout, f"-{next(_COPIES)}", filled)
+
+
+# Bokeh takes long to make its models and to write them: panels of one shape, as of several manoeuvres, are made once.
+_LAYOUTS: dict[Any, tuple[dict[str, Any], str, list[str], list[str]]] = {}
+_COPIES = count()
+
+
+def _copied(node: Any, suffix: str, filled: Mapping[str, Mapping[str, Any]]) -> Any:
+    """A part of Bokeh's JSON with ids of its own, and with what is `filled` in by id."""
+    if isinstance(node, list):
+        return [_copied(x, suffix, filled) for x in node]
+    if not isinstance(node, dict):
+        return node
+    copy = {k: x + suffix if k in ("id", "root_id") else _copied(x, suffix, filled) for k, x in node.items()}
+    if "attributes" in copy:
+        copy["attributes"] |= filled.get(node["id"], {})
+    return copy
+
+
+def _columns(time: Float[np.ndarray, " n"], panel: Panel) -> dict[str, Float[np.ndarray, " m"]]:
+    """What a panel draws, in single precision; parts of a diverged simulation are gaps."""
+    index = extremes([line.values for line in panel.lines])
+    columns = {"t": np.asarray(time[index], np.float32)}
+    for i, line in enumerate(panel.lines):
+        values = line.values[index]
+        columns[f"y{i}"] = np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
+    if panel.band is not None:
+        columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
+    return columns
+
+
+def _layout(panels: Sequence[Panel], over: Over) -> tuple[dict[str, Any], str, list[str], list[str]]:
+    """Bokeh's JSON of panels without values, and the ids of what their values go into: axis, scales, columns."""
     from bokeh.embed import json_item
     from bokeh.layouts import gridplot
     from bokeh.models import CustomJS, Range1d, Span
 
-    shared = Range1d(start=float(time[0]), end=float(time[-1]), bounds="auto", name=name)
+    shared = Range1d(bounds="auto")
     cross = Span(dimension="height", line_dash="dotted", line_color="#777777", line_width=1)
-    figures = [_panel(time, panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
+    figures = [_panel(panel, shared, cross, over, last=panel is panels[-1]) for panel in panels]
     fitting = [_fitting(panel) for panel in panels]
     share = max(min((PAPER - AXIS) / sum(height for _, height in fitting), 1.0), LEAST)
     for f, (label, height) in zip(figures, fitting, strict=True):
         # when printed lower than on a screen, though never than a label is long; the axis stands with the last
         longest = LETTER * max(map(len, label.split("\n")))
         f.tags = [int(min(max(share * height, longest + 6), height)) + (AXIS if f is figures[-1] else 0)]
-    fit = {
-        "x": shared,
-        "first": shared.start,
-        "last": shared.end,
-        "ranges": [f.y_range for f in figures],
-        "full": [[f.y_range.start, f.y_range.end] for f in figures],
-        "sources": [f.renderers[0].data_source for f in figures],
-    }
-    callback = CustomJS(args=fit, code=FIT_HEIGHT)
+    ranges, sources = [f.y_range for f in figures], [f.renderers[0].data_source for f in figures]
+    callback = CustomJS(args={"x": shared, "ranges": ranges, "sources": sources}, code=FIT_HEIGHT)
     for edge in ("start", "end"):  # a zoom to an end of the record moves one of them only
         shared.js_on_change(edge, callback)
     grid = gridplot([[f] for f in figures], sizing_mode="stretch_width", toolbar_location="above", merge_tools=True)
     grid.toolbar.logo = None
-    return dict(json_item(grid))
+    return dict(json_item(grid)), shared.id, [x.id for x in ranges], [x.id for x in sources]
 
 
-def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, *, last: bool) -> Any:
+def _panel(panel: Panel, shared: Any, cross: Any, over: Over, *, last: bool) -> Any:
     from bokeh import models
     from bokeh.plotting import figure
 
     box = models.BoxZoomTool(dimensions="width")
     wheel = models.WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
     others = models.ResetTool(), models.SaveTool(), models.CrosshairTool(overlay=cross)
-    (label, height), (low, high) = _fitting(panel), scale(panel.lines, panel.band)
+    label, height = _fitting(panel)
     f = figure(
         height=height + (AXIS if last else 0),
         sizing_mode="stretch_width",
         x_range=shared,
-        y_range=models.Range1d(start=low, end=high),
+        y_range=models.Range1d(),
         y_axis_label=label,
         x_axis_label=over.label if last else None,
         tools=[box, models.PanTool(dimensions="width"), wheel, *others],
@@ -140,14 +185,7 @@ def _panel(time: np.ndarray, panel: Panel, shared: Any, cross: Any, over: Over, 
         border_fill_color="#ffffff",
         **BORDERS,
     )
-    index = extremes([line.values for line in panel.lines])
-    columns: dict[str, Any] = {"t": np.asarray(time[index], np.float32)}
-    for i, line in enumerate(panel.lines):  # those of a diverged simulation are gaps
-        values = line.values[index]
-        columns[f"y{i}"] = np.where(np.abs(values) < FARTHEST, values, np.nan).astype(np.float32)
-    if panel.band is not None:
-        columns |= {"low": columns["y0"] - np.float32(panel.band), "high": columns["y0"] + np.float32(panel.band)}
-    source = models.ColumnDataSource(columns)
+    source = models.ColumnDataSource(_columns(np.empty(0), panel))
     if panel.band is not None:
         f.varea("t", "low", "high", source=source, fill_color="#999999", fill_alpha=0.28)
     for first, second in panel.shade:

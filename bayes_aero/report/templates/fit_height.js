@@ -1,4 +1,5 @@
 
+const [first, last, full] = x.tags;
 const whole = x.start <= first && x.end >= last;
 ranges.forEach((range, i) => {
   const [bottom, top] = full[i];
