@@ -118,13 +118,13 @@ _COPIES = count()
 
 def _copied(node: Any, suffix: str, filled: Mapping[str, Mapping[str, Any]]) -> Any:
     """A part of Bokeh's JSON with ids of its own, and with what is `filled` in by id."""
-    if isinstance(node, list):
+    if isinstance(node, list | tuple):
         return [_copied(x, suffix, filled) for x in node]
     if not isinstance(node, dict):
         return node
     copy = {k: x + suffix if k in ("id", "root_id") else _copied(x, suffix, filled) for k, x in node.items()}
-    if "attributes" in copy:
-        copy["attributes"] |= filled.get(node["id"], {})
+    if node.get("type") == "object" and node.get("id") in filled:
+        copy["attributes"] = copy.get("attributes", {}) | filled[node["id"]]
     return copy
 
 
