@@ -406,7 +406,8 @@ def gusts_of(source: Source, stated: float | None) -> tuple[dict[str, float], bo
         return {}, True, "Not counted: a linear system does not fly through moving air."
     told = source.told
     if with_process_noise(told):
-        met = {name: float(x) for name, (x, _) in told["process_noise"]["gusts"].items() if name.startswith(GUSTS)}
+        known = {key for name in GUSTS for key in (name, f"{name}_length")}
+        met = {name: float(x) for name, (x, _) in told["process_noise"]["gusts"].items() if name in known}
         strong = [f"{name} {met[name]:.2g} m/s" for name in GUSTS if met.get(name, 0.0) > 1e-3]
         if strong:
             return met, False, f"As the fit with process noise found them in the records: {', '.join(strong)}."

@@ -369,15 +369,15 @@ def _candidates(ax: Axes, ranking: Ranking, view: View) -> None:
         else:  # room neither in the bar nor beside it
             look = {"x": 1.02 * widest, "ha": "right", "color": "black", "bbox": TIGHT}
         ax.text(y=y, s=text, va="center", fontsize=6.0 if "\n" in text else 7.5, zorder=5, **look)
-    if np.isfinite(ranking.threshold):
-        text = f"pale: score below {ranking.threshold:.1f}, which noise\n"
-        text += f"alone exceeds in {100.0 * ranking.level:g} % of replicates"
-        if (left := len(ranking.candidate_scores) - len(leaders)) > 0:
-            text += f"\n{left} more with lower scores: see screen.csv"
-        ax.text(0.99, 0.02, text, transform=ax.transAxes, va="bottom", ha="right", **style.NOTE)
+    below = ["share of the remaining variance explained [%]"]
+    if any(s.score < ranking.threshold for s in leaders):
+        level = f"{100.0 * ranking.level:g} %"
+        below += [f"pale: score below {ranking.threshold:.1f}, which noise", f"alone exceeds in {level} of replicates"]
+    if np.isfinite(ranking.threshold) and (left := len(ranking.candidate_scores) - len(leaders)) > 0:
+        below.append(f"{left} more with lower scores: see screen.csv")
     _rows_of(ax, [s.effect for s in leaders])
     ax.set_xlim(0.0, 1.03 * widest)
-    ax.set_xlabel("share of the remaining variance explained [%]")
+    ax.set_xlabel("\n".join(below))
     ax.set_title(f"First screening, {ranking.stage}")
 
 
