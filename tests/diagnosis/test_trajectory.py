@@ -284,7 +284,8 @@ def test_a_lag_whose_fit_breaks_down_is_a_failure_and_not_no_lag(monkeypatch, br
     fit = Mock(names=(), estimate=(), status=OutputErrorStatus.CONVERGED)
     for name, given in {
         "join": None, "despiked": (None, {}), "aircraft_dynamics": None, "in_windows": fit, "candidate_model": None,
-        "without_lags": None, "_first_state": None, "plausible_selection": "without a lag", "lacking": (), "too_few_windows": "",
+        "without_lags": None, "_first_state": None, "plausible_selection": "without a lag", "lacking": (),
+        "too_few_windows": "",
     }.items():  # fmt: skip
         monkeypatch.setattr(searches, name, lambda *_, given=given, **__: given)
 
