@@ -660,11 +660,14 @@ def test_damaged_files_are_read_in_part_or_refused_soon(suffix, how):
 
 
 def test_a_parser_that_never_ends_is_stopped(monkeypatch, tmp_path):
-    parser = tmp_path / "endless.py"
-    parser.write_text("def groups(data):\n    while True:\n        pass\n")
+    """The child's process is one that sleeps, whatever it is asked."""
+    endless = tmp_path / "endless"
+    endless.write_text("#!/bin/sh\nexec sleep 60\n")
+    endless.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(endless))
     monkeypatch.setattr(process, "TIME_LIMIT", 2.0)
     with pytest.raises(InputError, match="did not finish in 2 s"):
-        process.parsed_apart(b"", str(parser), "log")
+        process.parsed_apart(b"", "ulog", "log")
 
 
 def test_the_libraries_are_not_loaded_before_they_are_needed():
