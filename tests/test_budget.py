@@ -10,17 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "bayes_aero: lines": 51737,
+    "bayes_aero: lines": 51784,
     "bayes_aero: files": 193,
-    "bayes_aero: private helpers used once": 291,
+    "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 25301,
+    "tests: lines": 25305,
     "tests: files": 91,
     "benchmarks: lines": 5909,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
     "CHANGELOG.md: lines": 149,
-    "docs: words": 25096,
+    "docs: words": 25124,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it
 

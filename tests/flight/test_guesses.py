@@ -253,7 +253,7 @@ def flown() -> tuple[FlightRecord, pd.DataFrame]:
     r = flight(0, 0.05, 24.0)
     angles = {
         "AoA_deg": "alpha", "theta_deg": "theta", "phi_deg": "phi", "AOS_deg": "beta", "p_deg_s": "p", "q_deg_s": "q",
-        "r_deg_s": "r", "elev_deg": "elevator",
+        "r_deg_s": "r", "elev_deg": "elevator", "psi_deg": "psi",
     }  # fmt: skip
     columns = {"time_s": r.time, **{heading: r[name] / DEG for heading, name in angles.items()}}
     columns |= {f"{name}_g": r[name] / GRAVITY for name in ("ax", "ay", "az")}

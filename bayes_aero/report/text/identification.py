@@ -10,8 +10,16 @@ import numpy as np
 import pandas as pd
 
 from bayes_aero.flight.health.finding import only_following
-from bayes_aero.inference import results
-from bayes_aero.inference.results import SENSITIVITY_LIMIT, Identification, Posterior, PosteriorStatus
+from bayes_aero.inference.results import (
+    SENSITIVITY_LIMIT,
+    ActiveBound,
+    Identification,
+    Inseparable,
+    NextFlight,
+    Posterior,
+    PosteriorStatus,
+    PriorConflict,
+)
 from bayes_aero.model.noise import Colour
 from bayes_aero.model.observations import Forming
 from bayes_aero.parameter import Parameter
@@ -297,7 +305,7 @@ def next_flight_sentences(run: Identification) -> list[str]:
     return [*said, *_doubts(found)]
 
 
-def _doubts(found: results.NextFlight) -> Iterator[str]:
+def _doubts(found: NextFlight) -> Iterator[str]:
     """Parameters and manoeuvres that do not count, and a sampler that has not converged."""
     for n, manoeuvres in found.undetermined.items():
         others = len(found.manoeuvres) - len(manoeuvres)
@@ -314,7 +322,7 @@ def _doubts(found: results.NextFlight) -> Iterator[str]:
 MIN_ERRORS = 3.0  # standard errors from zero from which a sign is wrong
 
 
-def conflict_sentences(conflicts: Sequence[results.PriorConflict]) -> list[str]:
+def conflict_sentences(conflicts: Sequence[PriorConflict]) -> list[str]:
     """A sentence for each prior that the record contradicts."""
     return [
         f"The card's prior on {c.name}, {plus_minus(*c.prior)}{unit_behind(c.unit)} ({c.source}), contradicts "
@@ -325,7 +333,7 @@ def conflict_sentences(conflicts: Sequence[results.PriorConflict]) -> list[str]:
     ]
 
 
-def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[results.PriorConflict]) -> tuple[str, ...]:
+def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[PriorConflict]) -> tuple[str, ...]:
     """How far the posterior depends on contradicted priors, and which others do, by `prior_sensitivity`'s table."""
     names = [c.name for c in conflicts if c.name in table.index]
     if not names:
@@ -337,7 +345,7 @@ def leaning_sentences(table: pd.DataFrame, conflicts: Sequence[results.PriorConf
     return (f"Sensitivity of the posterior by power-scaling ({SENSITIVITY_LIMIT:g} and above matters): {own}.{more}",)
 
 
-def bound_sentences(found: Sequence[results.ActiveBound]) -> list[str]:
+def bound_sentences(found: Sequence[ActiveBound]) -> list[str]:
     """A sentence for each parameter at its bound."""
     sentences = []
     for b in found:
@@ -353,7 +361,7 @@ def bound_sentences(found: Sequence[results.ActiveBound]) -> list[str]:
     return sentences
 
 
-def inseparable_sentences(found: Sequence[results.Inseparable]) -> list[str]:
+def inseparable_sentences(found: Sequence[Inseparable]) -> list[str]:
     """A sentence for each set of parameters that the record cannot separate."""
     sentences = []
     for one in found:
