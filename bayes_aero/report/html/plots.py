@@ -128,7 +128,7 @@ def _copied(node: Any, suffix: str, filled: Mapping[str, Mapping[str, Any]]) -> 
     return copy
 
 
-def _columns(time: Float[np.ndarray, " n"], panel: Panel) -> dict[str, Float[np.ndarray, " m"]]:
+def _columns(time: Float[np.ndarray, " n"], panel: Panel) -> dict[str, Any]:
     """What a panel draws, in single precision; parts of a diverged simulation are gaps."""
     index = extremes([line.values for line in panel.lines])
     columns = {"t": np.asarray(time[index], np.float32)}
