@@ -14,12 +14,12 @@ LIMITS = {
     "bayes_aero: files": 193,
     "bayes_aero: private helpers used once": 292,
     "bayes_aero: class names with several meanings": 0,
-    "tests: lines": 25305,
+    "tests: lines": 25304,
     "tests: files": 91,
     "benchmarks: lines": 5909,
     "benchmarks: files": 39,
     "benchmarks/README.md: lines": 278,
-    "CHANGELOG.md: lines": 149,
+    "CHANGELOG.md: lines": 150,
     "docs: words": 25124,
 }
 LEFT = 0.02  # share of a limit by which a count may lie below it

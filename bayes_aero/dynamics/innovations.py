@@ -117,7 +117,7 @@ def neighbour_correlation(found: kalman.Filtered) -> Float[np.ndarray, " c"]:
 
 
 # --- Innovations of the linearised filter, and their derivatives by process and measurement noise.
-# Products of small matrices along a path whose motion is linearised already (`linearised.py`). Source: Jazwinski,
+# Products of small matrices along a path whose motion is linearised already. Source: Jazwinski,
 # *Stochastic Processes and Filtering Theory*, 1970, ch. 8.
 
 

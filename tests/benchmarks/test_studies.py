@@ -155,7 +155,7 @@ def test_scipy_and_the_package_reach_one_optimum_each_with_its_own_memory(quick)
     rows = rows_of(written)
     for name in ("bayes_aero", "scipy least_squares, trf", "scipy least_squares, lm"):
         assert float(rows[name][2]) < 1e-2, (name, rows[name])  # nats above the best
-    assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it does without JAX
+    assert float(rows["scipy least_squares, lm"][3]) < 0.6 * float(rows["bayes_aero"][3])  # it loads no JAX
 
 
 SEED = 11

@@ -83,7 +83,7 @@ def test_the_short_period_is_recovered_and_written(program, tmp_path):
 
 
 def test_constant_errors_of_outputs_are_fitted_where_the_card_allows_them(program, tmp_path):
-    """A vane that stands off by another angle in each flight, of which the difference is told."""
+    """A vane that stands off by another angle in each flight, of which the difference is reported."""
     rng, paths = np.random.default_rng(4132), []
     truth = rng.uniform(0.01, 0.02, 2) * [1.0, -1.0]
     text = SHORT_PERIOD + '\n[output_biases]\nalpha = "1.2 deg"\n'

@@ -124,7 +124,7 @@ def test_airspeed_dynamic_pressure_and_mach_number_are_held_against_each_other(s
 
 @pytest.mark.parametrize(("off", "kind"), [(1.0, True), (0.96, True), (1.04, True), (1.0554, False), (0.94, False)])
 def test_an_airspeed_is_calibrated_where_its_ratio_is_that_of_calibrated_airspeed(sound, off, kind):
-    """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is told."""
+    """The root of the density ratio is 0.813 at 4000 m: 0.858 is 5.5 % off. Without a name, the factor is reported."""
     ratio = off * np.sqrt(sound["density"] / 1.225)
     found = [*across(changed(sound, airspeed=sound["airspeed"] * ratio, without=("mach",)), card(**AIR))]
     assert {f.fault for f in found if f.fault != "load"} == {"airspeed_kind" if kind else "factor"}

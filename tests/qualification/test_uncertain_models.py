@@ -269,7 +269,7 @@ def constant_error(rng, sd=1.0):
 @pytest.mark.parametrize("told", [(0.0, 0.0), (1.0, 0.0), (8.0, 0.0), (0.0, 50.0)])
 @pytest.mark.parametrize("rest", [0.0, 0.7])
 def test_the_probability_with_more_information_is_that_of_a_narrower_normal(told, rest):
-    """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is told of another parameter changes nothing."""
+    """sd^2 = 1/(1 + told) + rest^2, and P = 2 Phi(2/sd) - 1; what is known of another parameter changes nothing."""
     errors, test = constant_error(np.random.default_rng(3), rest)
     one, first = _Linear.of(test, errors), np.cov(errors, rowvar=False)
     found = one.probability(errors, _shrunk(errors, first, np.diag(told)))
