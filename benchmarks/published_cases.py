@@ -17,8 +17,8 @@ import jax
 import numpy as np
 import scipy.io
 
+from bayes_aero.diagnosis.result import Setting
 from bayes_aero.diagnosis.trajectories import fit_trajectories
-from bayes_aero.diagnosis.trajectory_result import Setting
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.flight.card import channel_units, read_card

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 
 from bayes_aero.diagnosis.candidate_set import DEFAULT, DiagnosisSettings, by_manoeuvre
+from bayes_aero.diagnosis.result import Confirmation, Size
 from bayes_aero.diagnosis.screening import CandidateScore, uncertainty
 from bayes_aero.diagnosis.selection_state import (
     Products,
@@ -38,21 +39,6 @@ REGRESSORS = ("alpha", "airspeed", "q", "elevator")
 AT_BOUND = 1e-6  # of a parameter's value, within which it lies on a bound: fits stop 1e-9 short
 SLOW = 100.0  # largest variance of slow noise over that of the white noise beside it: ten times its size; our choice
 FILTERED = -0.5  # lag-1 correlation of third differences above which they are not white noise's
-
-
-@dataclass(frozen=True)
-class Size:
-    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
-
-    mean: float
-    sd: float
-    unit: str
-    at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
-
-    @property
-    def ci95(self) -> tuple[float, float]:
-        """Mean -+ 1.96 deviations."""
-        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
 
 
 def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
@@ -364,16 +350,6 @@ def integrated_deviance(
 # some are superfluous, and what is superfluous harms elsewhere: a delay that fits one manoeuvre's noise spoils the
 # simulation of the next. So additions are taken out again one at a time, the least useful first, as long as unseen
 # data do not miss them, or an output is predicted worse with them than without.
-
-
-@dataclass(frozen=True)
-class Confirmation:
-    """What unseen data say of additions; gains of log density with their deviations."""
-
-    kept: tuple[str, ...]  # additions that unseen data miss
-    missed: Mapping[str, tuple[float, float]]  # what each is missed by
-    # Of those not kept, outputs that are predicted worse with the addition.
-    harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
 
 Predicted = Callable[[Sequence[str]], LeftOut]  # unseen data as the model with some of its additions predicts them

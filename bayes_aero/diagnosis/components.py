@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from bayes_aero.diagnosis.accuracy import holdout_deviance_gain
 from bayes_aero.diagnosis.candidate_set import moves, noise_channels
+from bayes_aero.diagnosis.result import ProductTerm, TermFactor
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of, chance_of, null_shares
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, manoeuvre_constants
 from bayes_aero.flight.health.finding import noise_of
@@ -30,59 +31,6 @@ BUMPS = tuple(k / 10.0 for k in range(1, 10))  # and at which it may have a bump
 WIDTHS = (0.07, 0.12, 0.2)  # of a bump, shares of the range
 CLEAR = 3.0  # standard deviations of its noise; nearer to zero, noise decides the sign and makes a dead band
 LAGS = (5.0, 15.0, 40.0)  # chords travelled, time constants of memory
-
-
-@dataclass(frozen=True)
-class TermFactor:
-    """A quantity x of which terms are products."""
-
-    name: str
-    code: str | None  # expression of signals `s`, aircraft `a`, `known` in an effect file; None where it has a state
-    channels: tuple[str, ...]
-    evaluate: Callable[[Signals, Aircraft], Float[np.ndarray, " n"]]
-    lateral: bool = False  # it changes sign with the wings
-    cost: int = 1  # counts as so many factors where two terms are equally good
-    unit: str = "1"
-
-
-@dataclass(frozen=True)
-class ProductTerm:
-    """A product of factors, those of several powers repeated."""
-
-    factors: tuple[TermFactor, ...]
-
-    @property
-    def name(self) -> str:
-        """The product as it is reported: `alpha^2 elevator`."""
-        names = list(dict.fromkeys(f.name for f in self.factors))
-        powers = [sum(f.name == name for f in self.factors) for name in names]
-        return " ".join(name if k == 1 else f"{name}^{k}" for name, k in zip(names, powers, strict=True))
-
-    @property
-    def unit(self) -> str:
-        """Unit of the number that the product is multiplied by, as every coefficient has none."""
-        power = sum(f.unit == "rad" for f in self.factors)
-        return "1" if power == 0 else "1/rad" if power == 1 else f"1/rad^{power}"
-
-    @property
-    def cost(self) -> int:
-        """How long it is: of equally good terms the shortest is reported."""
-        return sum(f.cost for f in self.factors)
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Channels that it reads."""
-        return tuple(dict.fromkeys(c for f in self.factors for c in f.channels))
-
-    @property
-    def code(self) -> str | None:
-        """The expression in an effect file; None where a factor has a state."""
-        codes = [f.code for f in self.factors]
-        return None if None in codes else " * ".join(codes)  # pyright: ignore[reportArgumentType, reportCallIssue]
-
-    def evaluate(self, signals: Signals, aircraft: Aircraft) -> Float[np.ndarray, " n"]:
-        """The product, one value a sample."""
-        return np.prod([f.evaluate(signals, aircraft) for f in self.factors], axis=0)
 
 
 def _channel(name: str, *, lateral: bool = False) -> TermFactor:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import ENOUGH, manoeuvres
+from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
 from bayes_aero.dynamics.pilot import ANYWHERE, EXCITED_CHANNELS, LATERAL_EXCITED_CHANNELS, fly_standard
@@ -61,24 +62,6 @@ class Ambiguity:
     def information(self, information: Information) -> float:
         """Nats, the mean of all pairs, each until it is decided."""
         return float(np.mean([0.5 * min(d, self.enough) ** 2 for d in self.pairs(information)]))
-
-
-@dataclass(frozen=True)
-class TestPoint:
-    """A manoeuvre to be flown."""
-
-    __test__ = False  # no test of pytest's
-
-    manoeuvre: str
-    amplitude: float
-    airspeed: float  # m/s, of the level flight in which it begins
-    altitude: float  # m
-    seconds: float
-    excursion: Mapping[str, tuple[float, float]]  # least and greatest of the envelope's quantities, SI
-    # By question, from the records, the earlier points and this one: standard deviations by which the closest rivals
-    # differ, or the probability to pass a tolerance.
-    expected: tuple[float, ...]
-    rate: float  # nats a second
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_aero.diagnosis.accuracy import (
-    Confirmation,
     LeftOut,
-    Size,
     confirmation,
     implausible,
     implausible_candidate,
@@ -23,10 +21,14 @@ from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, Diagnosi
 from bayes_aero.diagnosis.consistency import SENSOR_KINDS, in_gusts, open_errors
 from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
+    FLIGHT_PATH,
     LITTLE,
+    CancellingPair,
     Cause,
+    Confirmation,
     Diagnosis,
     Gain,
+    Size,
     Tested,
     UnexplainedStructure,
     as_absorbed,
@@ -36,7 +38,6 @@ from bayes_aero.diagnosis.result import (
 from bayes_aero.diagnosis.screening import CandidateScore, screen
 from bayes_aero.diagnosis.search import Search, SearchResult
 from bayes_aero.diagnosis.selection import (
-    CancellingPair,
     Extension,
     absorbed,
     added,
@@ -58,7 +59,6 @@ from bayes_aero.model.model import Model, own_effects
 from bayes_aero.model.records import on_recorded_axes
 from bayes_aero.processes import blas_threads
 from bayes_aero.progress import Progress
-from bayes_aero.residuals.base import FLIGHT_PATH
 
 
 @blas_threads(0)

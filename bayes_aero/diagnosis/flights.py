@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, backward_elimination, normal_draws
+from bayes_aero.diagnosis.accuracy import LeftOut, backward_elimination, normal_draws
 from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, DiagnosisSettings, finite, lag_of
-from bayes_aero.diagnosis.selection import Extension, large
-from bayes_aero.diagnosis.trajectory_result import (
+from bayes_aero.diagnosis.result import (
+    Confirmation,
     Error,
     GustHistory,
     LagTest,
@@ -26,6 +26,7 @@ from bayes_aero.diagnosis.trajectory_result import (
     TrajectoryFit,
     theil_parts,
 )
+from bayes_aero.diagnosis.selection import Extension, large
 from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics, with_biases_of
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.kalman import smooth

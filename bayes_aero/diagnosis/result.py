@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from bayes_aero.diagnosis.accuracy import Size
-from bayes_aero.diagnosis.components import ProductTerm
-from bayes_aero.diagnosis.screening import NoiseReport
-from bayes_aero.diagnosis.selection import Absorbed, CancellingPair, Extension
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import Consistency, HealthFinding
 from bayes_aero.flight.reading import RecordReport
-from bayes_aero.inference.scores import Scores
+from bayes_aero.inference.results import FrequencyFit, FrequencyResponse, Stall
+from bayes_aero.inference.scores import COLOURED_INNOVATIONS, OneStep, Scores
 from bayes_aero.parameter import Parameter
-from bayes_aero.residuals.base import COEFFICIENTS as COEFFICIENTS
-from bayes_aero.residuals.base import FLIGHT_PATH as FLIGHT_PATH
-from bayes_aero.residuals.base import INNOVATIONS as INNOVATIONS
-from bayes_aero.residuals.base import TRAJECTORIES as TRAJECTORIES
+from bayes_aero.physics.aircraft import Aircraft
 
+# With what a model is compared: kinematics alone, which knows sensors and winds, or the model itself.
+FLIGHT_PATH, COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "flight path", "coefficients", "trajectories", "innovations"
 LIKELY = 0.5  # probability beyond which a cause is likelier than all else together
 LITTLE = 0.02  # own share of an effect below which the record hardly excites it; our choice
 
@@ -170,7 +167,7 @@ class Tested:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The whole finding. `sensors` and `aerodynamics` hold both elections with all candidate_scores."""
+    """The whole finding. `sensors` and `aerodynamics` hold both elections with all scores."""
 
     verdict: Verdict
     causes: tuple[Cause, ...]
@@ -178,8 +175,8 @@ class Diagnosis:
     unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
     not_testable: Mapping[str, str]
-    sensors: Extension | None
-    aerodynamics: Extension
+    sensors: Any  # `selection.Extension` of each stage, the flight path's None where it has none
+    aerodynamics: Any
     theta: Float[np.ndarray, " k"]
     split: str
     base_moves: Mapping[str, tuple[float, float, float]]  # base parameter: before, after, deviation after
@@ -324,3 +321,598 @@ class FoundTerm:
     weight: float  # posterior probability of this term among itself and the `others`
     others: tuple[tuple[ProductTerm, float], ...]  # of about the same gain, not told from it, with the weight of each
     least: float  # smallest factor worth modelling, by what it changes over the swing of these flights
+
+
+# --- Simulated trajectories: errors by flight, estimates, tests of effects, a fit by itself.
+
+START, FITTED = "start", "fitted"
+
+
+@dataclass(frozen=True)
+class TheilParts:
+    """Theil's inequality coefficient and the shares of bias, variance and covariance in the mean square error."""
+
+    # Source: Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 11; the shares add up to one.
+
+    theil: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+def theil_parts(measured: Float[np.ndarray, " n"], modelled: Float[np.ndarray, " n"]) -> TheilParts:
+    """U = rms(z - y)/(rms z + rms y); shares (mean z - mean y)^2, (sd z - sd y)^2, 2(1 - r) sd z sd y of the MSE."""
+    z, y = np.asarray(measured), np.asarray(modelled)
+    mse = float(np.mean((z - y) ** 2))
+    if mse == 0.0:
+        return TheilParts(0.0, 0.0, 0.0, 0.0)
+    sz, sy = z.std(), y.std()
+    covariance = float(np.mean((z - z.mean()) * (y - y.mean())))
+    theil = np.sqrt(mse) / (np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)))
+    parts = ((z.mean() - y.mean()) ** 2, (sz - sy) ** 2, 2.0 * (sz * sy - covariance))
+    return TheilParts(float(theil), *(float(part / mse) for part in parts))
+
+
+@dataclass(frozen=True)
+class Error:
+    """One output of one manoeuvre: root mean square and largest error (SI), Theil's coefficient and its parts."""
+
+    rms: float
+    largest: float
+    theil: TheilParts
+    tolerance: float | None
+    within: float | None  # share of samples inside the tolerance
+    probability: float | None  # the posterior's that all of them are
+
+
+@dataclass(frozen=True)
+class SimulatedManoeuvre:
+    """One simulated manoeuvre."""
+
+    manoeuvre: str
+    # card or extended; of a fit by itself (`fit_trajectories`) start or fitted, of parameters from elsewhere given
+    model: str
+    split: str  # fitted (jointly, initial state too) or hold_out (from the measured state); else as the model
+    inside: bool  # the flight envelope
+    errors: Mapping[str, Error]
+    time: Float[np.ndarray, " n"]
+    measured: Mapping[str, np.ndarray]
+    simulated: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class LagTest:
+    """The test of a separation lag: gains in log density, divided by the variance inflation."""
+
+    effect: str
+    gain: float  # of the joint fit
+    kept: bool = False  # hold-out flights confirm the lag
+    unseen: tuple[float, float] = (float("nan"), float("nan"))  # on hold-out flights; NaN where `gain` is too little
+    instead: tuple[str, ...] = ()  # parameters of hysteresis that it replaces
+    slight: bool = False  # too small to be named
+    decisive: float = 3.0  # nats that the joint fit must gain
+
+    @property
+    def gains(self) -> bool:
+        """Whether the joint fit gains enough by it that the hold-out test is worth running."""
+        return self.gain > self.decisive and not self.slight
+
+
+@dataclass(frozen=True)
+class TrajectoryEstimates:
+    """One model as fitted to all trajectories: its parameters (SI) by name, and how the fit ended."""
+
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    status: Enum
+    at_bound: tuple[str, ...]
+    held: tuple[str, ...]  # by their priors: the trajectories say next to nothing of them
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What simulations say of the card's model and of the extended one."""
+
+    paths: tuple[SimulatedManoeuvre, ...]
+    card: TrajectoryEstimates
+    extended: TrajectoryEstimates
+    deviation: Mapping[str, float]  # of the extended model's parameters, the residuals' colour counted
+    variance_inflation: float  # how many times the colour multiplies variances
+    held: Mapping[str, tuple[str, ...]]  # causes held at their joint estimate when a manoeuvre is fitted alone
+    fitted: tuple[str, ...]  # outputs
+    outputs: tuple[str, ...]  # all that were recorded
+    noise_growth: Mapping[str, float] = field(default_factory=dict)  # missed in separated flow, by fitted output
+    lag: LagTest | None = None  # of the separation point, if it was tried
+    asked: Confirmation = field(default_factory=lambda: Confirmation((), {}))  # of the causes: which flight misses
+
+    @property
+    def out(self) -> tuple[str, ...]:
+        """Causes that flight does not miss: the extended model flies without them."""
+        return tuple(e for e in self.asked.missed if e not in self.asked.kept)
+
+    def path(self, manoeuvre: str, model: str, split: str) -> SimulatedManoeuvre | None:
+        """One of the paths."""
+        return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How trajectories are fitted: the settings in which published programs differ.
+
+    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
+    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
+    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
+    between samples, or `held`.
+    """
+
+    outputs: tuple[str, ...] | None = None
+    initial: Mapping[str, float] | None = None
+    priors: bool = True
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class TrajectoryFit:
+    """A fit to whole manoeuvres, in SI and radians.
+
+    Attributes:
+        fit: `OutputErrorResult`: estimates (k,), standard errors and status.
+        start: first values of the parameters, (k,).
+        paths: simulated manoeuvres of the model `start` (first values, measured initial state) or `fitted`.
+        initial: by manoeuvre and state, the value at the first sample and its departure from the measured one.
+        variance_inflation: variance inflation of the residuals; NaN if the model left the envelope.
+        outputs: all recorded outputs; those fitted are in `fit`.
+        units: SI units by channel.
+        window: length of the windows of the first fits, s.
+        noise_growth: noise growth in fully separated flow, by fitted output.
+        setting: settings of the fit.
+        frequency: fits of the same parameters in a band, where one was asked for.
+        frequency_responses: measured and modelled frequency responses there.
+        following: surfaces that only follow the outputs, of which and the aircraft the fit is one of many.
+        by_effects: whether the model is one of effects; otherwise it is a linear system, or the flight path.
+        of_path: whether recorded accelerations and rates were flown, without a model of the aircraft.
+        departure_sd: by state, the prior standard deviation of its departure from the measured one, where it has one.
+    """
+
+    fit: Any
+    start: Float[np.ndarray, " k"]
+    paths: tuple[SimulatedManoeuvre, ...]
+    initial: Mapping[str, Mapping[str, tuple[float, float]]]
+    variance_inflation: float
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    window: float
+    noise_growth: Mapping[str, float] = field(default_factory=dict)
+    setting: Setting = field(default_factory=Setting)
+    frequency: tuple[FrequencyFit, ...] = ()
+    frequency_responses: tuple[FrequencyResponse, ...] = ()
+    following: tuple[str, ...] = ()
+    by_effects: bool = True
+    of_path: bool = False
+    departure_sd: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged; a parameter may be at its bound."""
+        return self.fit.status.name in ("CONVERGED", "AT_BOUND")
+
+    @property
+    def manoeuvres(self) -> tuple[str, ...]:
+        """Names of the manoeuvres."""
+        return tuple(dict.fromkeys(p.manoeuvre for p in self.paths))
+
+    def path(self, manoeuvre: str, model: str) -> SimulatedManoeuvre:
+        """The path of one manoeuvre and model (`start` or `fitted`)."""
+        return next(p for p in self.paths if (p.manoeuvre, p.model) == (manoeuvre, model))
+
+    @property
+    def rms_errors(self) -> dict[str, tuple[float, float]]:
+        """Root mean square error of each output over all manoeuvres, SI: at the first values, and of the fit."""
+
+        def rms(model: str, output: str) -> float:
+            paths = [p for p in self.paths if p.model == model]
+            samples = np.array([len(p.time) for p in paths])
+            return float(np.sqrt(np.average(np.square([p.errors[output].rms for p in paths]), weights=samples)))
+
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulation with the first values may diverge
+            return {output: (rms(START, output), rms(FITTED, output)) for output in self.outputs}
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Outputs most of whose mean square error a fitted flight path has added to that of the record as it is.
+
+        Kinematics has no other errors than those of the sensors: the fit lacks one, and others stand for it.
+        """
+        if not self.of_path:
+            return ()
+        errors = self.rms_errors
+        fitted = (name for name in self.fit.flown.outputs if name in errors)
+        return tuple(n for n in fitted if errors[n][1] ** 2 * (1.0 - NOT_NOISE) > errors[n][0] ** 2)
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One parameter: estimate and standard error by either fit, `apart` combined standard errors, SI."""
+
+    name: str
+    unit: str
+    coefficients: tuple[float, float]
+    trajectories: tuple[float, float]
+    apart: float
+
+
+@dataclass(frozen=True)
+class GustHistory:
+    """The gusts that one manoeuvre met, given all of its samples."""
+
+    manoeuvre: str
+    time: Float[np.ndarray, " n"]  # s from its start
+    gusts: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]  # mean and standard deviation, m/s
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """A fit with process noise, SI and radians, standard errors for white innovations."""
+
+    status: str  # how the fit ended
+    converged: bool  # whether its numbers mean something
+    gain: float  # log likelihood beyond that of output error, nats
+    estimates: Mapping[str, tuple[float, float]]  # by parameter, each with its standard error
+    F: Mapping[str, float]  # process noise by state, unit of the state per square root of a second
+    noise_sd: Mapping[str, float]  # standard deviation of the measurement noise by output
+    autocorrelation: Mapping[str, float]  # of neighbouring innovations; 0 if the disturbance is as modelled
+    # Intensity (m/s) and scale length (m) of each gust, and of buffet (1; chords) where the flow separates, by
+    # parameter, with standard errors.
+    gusts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    histories: tuple[GustHistory, ...] = ()  # what was met, by manoeuvre; empty where no gust has an intensity
+    one_step: OneStep | None = None  # whether one-step predictions are calibrated; None without convergence
+    covariance: Float[np.ndarray, "k k"] | None = None  # of the `estimates`, in their order
+
+    @property
+    def preferred(self) -> bool:
+        """Whether it describes the record better than output error does."""
+        return self.converged and self.gain > 0.0
+
+
+# --- Modes of motion of a fitted model.
+
+HALF = math.log(2.0)
+
+
+@dataclass(frozen=True)
+class FlownMode:
+    """A mode with its uncertainty."""
+
+    name: str  # short period, phugoid, Dutch roll, roll, spiral; other where no name fits
+    eigenvalue: complex  # 1/s; of a pair the one of positive imaginary part
+    sd: tuple[float, float]  # standard errors of its real and imaginary part, 1/s
+    # Period, time_constant, time_to_half and time_to_double in s, damping_ratio; each with its standard error. What the
+    # data do not tell apart from none is left out.
+    quantities: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Modes about straight level flight."""
+
+    airspeed: float  # m/s; NaN of linear cards
+    altitude: float  # m
+    modes: tuple[FlownMode, ...] = ()
+    why_not: str = ""  # why there are no modes
+    filtered: bool = False  # the modes are of the estimates with process noise, not of output error
+
+
+# --- What is shown of a diagnosis, as plain data: both models at every sample, rankings, scores on hold-out data.
+
+LEADERS = 10  # candidates of a stage that are listed, by their scores
+CONSIDERED = 3  # and by the share of what is left that they explain
+LEVELS = (0.5, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class ResidualProfile:
+    """Mean residual of a coefficient in bins of equal count of a channel, and the deviation of each mean."""
+
+    channel: str
+    centre: Float[np.ndarray, " b"]
+    mean: Float[np.ndarray, " b"]
+    deviation: Float[np.ndarray, " b"]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One model fitted to all manoeuvres."""
+
+    residual: Float[np.ndarray, "n c"]  # of the coefficients at the recorded rate
+    signals: Mapping[str, np.ndarray]  # what explains the coefficients, by name, (n,)
+    # By coefficient: scores, Theil's parts, autocorrelation at lag 1 and calibration of the residuals.
+    composition: Mapping[str, Mapping[str, Any]]
+    profiles: tuple[tuple[ResidualProfile, ...], ...]  # by coefficient, the clearest dependence first
+    state: Any  # the regression problem at its optimum: `selection_state.SelectionState`, and its fit
+    fit: Any
+
+
+@dataclass(frozen=True)
+class ParameterMove:
+    """A parameter of the card before and after the causes are added; standard errors count the autocorrelation."""
+
+    before: float
+    after: float
+    sd_before: float
+    sd_after: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """Covariance (k, k) of the extended model's estimates, SI, for coloured residuals; `names` (k) are its rows."""
+
+    names: tuple[str, ...]
+    matrix: Float[np.ndarray, "k k"]
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """One candidate of a stage's first screening, at its best value."""
+
+    effect: str
+    kind: str
+    score: float
+    p_value: float
+    explains: float  # share of the remaining variance that it would take away, by which candidates are taken in turn
+    estimate: Mapping[str, tuple[float, float]]  # and standard error, by parameter
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates of one stage, the highest score first; `threshold` is what noise alone exceeds in a share `level`."""
+
+    stage: str
+    candidate_scores: tuple[RankedCandidate, ...]
+    threshold: float
+    level: float
+
+    @property
+    def leaders(self) -> tuple[RankedCandidate, ...]:
+        """Those that tables and figures show: the `LEADERS` highest scores, and what is considered first."""
+        first = {s.effect for s in sorted(self.candidate_scores, key=lambda s: -s.explains)[:CONSIDERED]}
+        return tuple(s for k, s in enumerate(self.candidate_scores) if k < LEADERS or s.effect in first)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What one model gains on another in one coefficient of one manoeuvre, unseen; each with its deviation."""
+
+    elpd: float  # log density, nats, the colour's cost counted, where noise grows with separated flow as it was found
+    elpd_sd: float
+    r2: float  # difference of R2, which weighs every sample alike and so hangs on the few of the deepest stall
+    r2_sd: float
+
+
+@dataclass(frozen=True)
+class HoldoutScores:
+    """Both models on each manoeuvre, in the fit and on hold-out data (means over blocks of about 5 Hz)."""
+
+    names: tuple[str, ...]  # of the manoeuvres
+    # Of each coefficient, by model (`card`, `extended`), data (`fitted`, `hold_out`) and the manoeuvre's number.
+    scores: Mapping[tuple[str, str, int], Mapping[str, Scores]]
+    gains: Mapping[tuple[str, str], Compared]  # of the extended model, on hold-out data, by manoeuvre and coefficient
+    hold_out: float  # standard errors of a loss that is significant
+
+    def worse(self) -> list[tuple[str, str]]:
+        """Manoeuvres and coefficients for which the extended model loses log density significantly (one-sided, 5 %)."""
+        return [pair for pair, gain in self.gains.items() if gain.elpd < -self.hold_out * gain.elpd_sd]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisView:
+    """A diagnosis with what is derived from it, by coefficients (see `View`) or by trajectories alone."""
+
+    diagnosis: Diagnosis
+    rankings: tuple[Ranking, ...]
+    moves: Mapping[str, ParameterMove]
+    covariance: JointCovariance | None = None
+    trajectories: Trajectories | None = None
+
+    @property
+    def unseen_scores(self) -> tuple[Mapping[str, Scores], Mapping[str, Scores]] | None:
+        """Scores of each coefficient on hold-out data: the card's model, and with all causes that are confirmed."""
+        measured = [c.gain for c in self.diagnosis.causes if c.gain.before]
+        if not measured:
+            return None
+        confirmed = [c.gain for c in self.diagnosis.causes if c.gain.before and c.confirmed]
+        return measured[0].before, confirmed[-1].after if confirmed else measured[0].before
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(DiagnosisView):
+    """A diagnosis by coefficients."""
+
+    card: Fitted
+    extended: Fitted
+    measured: Float[np.ndarray, "n c"]  # coefficients that the card reconstructs
+    manoeuvre: Int[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]  # from the start of each manoeuvre, s
+    names: tuple[str, ...]
+    channels: Mapping[str, Any]  # (n,) all that was recorded or derived, as the card's model has them
+    parameters: tuple[Parameter, ...]
+    stalls: Mapping[str, Stall] = field(default_factory=dict)  # by model: card, and extended where it differs
+    holdout: HoldoutScores | None = None  # None where it was not computed
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return self.card.state.outputs
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was added to the card's model."""
+        sensors = self.diagnosis.sensors
+        return bool(self.extended.state.active or (sensors is not None and sensors.state.active))
+
+    @property
+    def seconds(self) -> float:
+        """Sampling time, s."""
+        return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
+
+
+@dataclass(frozen=True)
+class Size:
+    """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""
+
+    mean: float
+    sd: float
+    unit: str
+    at_bound: bool = False  # the fit wants to go on beyond the parameter's bounds: this is no measurement of it
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """Mean -+ 1.96 deviations."""
+        return self.mean - 1.96 * self.sd, self.mean + 1.96 * self.sd
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What unseen data say of additions; gains of log density with their deviations."""
+
+    kept: tuple[str, ...]  # additions that unseen data miss
+    missed: Mapping[str, tuple[float, float]]  # what each is missed by
+    # Of those not kept, outputs that are predicted worse with the addition.
+    harmed: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+
+
+# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
+# third through the filter, and weak colour (0.5 from sample to sample) little more.
+COLOURED = 0.36
+
+
+@dataclass(frozen=True)
+class NoiseReport:
+    """Colour, growth with separation and outliers of the residuals, by coefficient."""
+
+    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
+    deviation: Mapping[str, float]
+    noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
+    outliers: Mapping[str, int]  # repaired samples by channel
+    of_innovations: bool = False  # `lag1` is then that of neighbouring samples, which white noise leaves at 0
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """Outputs whose residuals are correlated beyond what the filters of the reconstruction make."""
+        if self.of_innovations:
+            return tuple(name for name, r in self.lag1.items() if abs(r) > COLOURED_INNOVATIONS)
+        return tuple(name for name, r in self.lag1.items() if r > COLOURED)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Which of colored, buffet, outliers are present."""
+        present = {
+            "colored": bool(self.coloured),
+            "buffet": max(self.noise_growth.values()) > 1.5,
+            "outliers": sum(self.outliers.values()) > 0,
+        }
+        return tuple(name for name, there in present.items() if there)
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up."""
+
+    effect: str
+    parameter: str
+    unit: str
+    control: str
+    estimate: tuple[float, float]  # its value in the fit, with its deviation
+    usual: tuple[float, float]  # that of its prior
+    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
+    # knows the prior's width.
+    sizes: dict[str, Size]
+
+    @property
+    def members(self) -> frozenset[str]:
+        """The effects among which the record does not decide, the card's own included."""
+        return frozenset((self.effect, *self.sizes))
+
+
+@dataclass(frozen=True)
+class CancellingPair:
+    """Two causes whose large contributions cancel: the record determines only parameters[0] + factor parameters[1]."""
+
+    effects: tuple[str, str]
+    parameters: tuple[str, str]
+    factor: float
+    mean: float  # of the departures from neutral, SI
+    sd: float
+    unit: str
+    correlation: float  # of the two estimates
+
+
+@dataclass(frozen=True)
+class TermFactor:
+    """A quantity x of which terms are products."""
+
+    name: str
+    code: str | None  # expression of signals `s`, aircraft `a`, `known` in an effect file; None where it has a state
+    channels: tuple[str, ...]
+    evaluate: Callable[[Mapping[str, Any], Aircraft], Float[np.ndarray, " n"]]
+    lateral: bool = False  # it changes sign with the wings
+    cost: int = 1  # counts as so many factors where two terms are equally good
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class ProductTerm:
+    """A product of factors, those of several powers repeated."""
+
+    factors: tuple[TermFactor, ...]
+
+    @property
+    def name(self) -> str:
+        """The product as it is reported: `alpha^2 elevator`."""
+        names = list(dict.fromkeys(f.name for f in self.factors))
+        powers = [sum(f.name == name for f in self.factors) for name in names]
+        return " ".join(name if k == 1 else f"{name}^{k}" for name, k in zip(names, powers, strict=True))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the number that the product is multiplied by, as every coefficient has none."""
+        power = sum(f.unit == "rad" for f in self.factors)
+        return "1" if power == 0 else "1/rad" if power == 1 else f"1/rad^{power}"
+
+    @property
+    def cost(self) -> int:
+        """How long it is: of equally good terms the shortest is reported."""
+        return sum(f.cost for f in self.factors)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that it reads."""
+        return tuple(dict.fromkeys(c for f in self.factors for c in f.channels))
+
+    @property
+    def code(self) -> str | None:
+        """The expression in an effect file; None where a factor has a state."""
+        codes = [f.code for f in self.factors]
+        return None if None in codes else " * ".join(codes)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+    def evaluate(self, signals: Mapping[str, Any], aircraft: Aircraft) -> Float[np.ndarray, " n"]:
+        """The product, one value a sample."""
+        return np.prod([f.evaluate(signals, aircraft) for f in self.factors], axis=0)
+
+
+@dataclass(frozen=True)
+class TestPoint:
+    """A manoeuvre to be flown."""
+
+    __test__ = False  # no test of pytest's
+
+    manoeuvre: str
+    amplitude: float
+    airspeed: float  # m/s, of the level flight in which it begins
+    altitude: float  # m
+    seconds: float
+    excursion: Mapping[str, tuple[float, float]]  # least and greatest of the envelope's quantities, SI
+    # By question, from the records, the earlier points and this one: standard deviations by which the closest rivals
+    # differ, or the probability to pass a tolerance.
+    expected: tuple[float, ...]
+    rate: float  # nats a second

@@ -7,7 +7,7 @@ estimate over a deviation that knows the residual's colour, and the largest such
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,7 +34,6 @@ from bayes_aero.inference.covariance import (
     stationary_series,
     variance_inflation,
 )
-from bayes_aero.inference.scores import COLOURED_INNOVATIONS
 
 # --- The colour of residuals: an autoregression per output, the uncertainty it leaves, and noise records made from it.
 
@@ -184,38 +183,6 @@ def lag1_within(residual: Float[np.ndarray, " n"], manoeuvre: Int[np.ndarray, " 
 
 
 # --- The noise that a diagnosis leaves: its colour, growth and outliers.
-
-# Lag-1 correlation of means over five samples, our choice from a dozen simulated flights: white noise leaves up to a
-# third through the filter, and weak colour (0.5 from sample to sample) little more.
-COLOURED = 0.36
-
-
-@dataclass(frozen=True)
-class NoiseReport:
-    """Colour, growth with separation and outliers of the residuals, by coefficient."""
-
-    lag1: Mapping[str, float]  # of means over five samples: at the recorded rate the filter makes 0.9 of white noise
-    deviation: Mapping[str, float]
-    noise_growth: Mapping[str, float]  # noise at full separation over that in attached flow
-    outliers: Mapping[str, int]  # repaired samples by channel
-    of_innovations: bool = False  # `lag1` is then that of neighbouring samples, which white noise leaves at 0
-
-    @property
-    def coloured(self) -> tuple[str, ...]:
-        """Outputs whose residuals are correlated beyond what the filters of the reconstruction make."""
-        if self.of_innovations:
-            return tuple(name for name, r in self.lag1.items() if abs(r) > COLOURED_INNOVATIONS)
-        return tuple(name for name, r in self.lag1.items() if r > COLOURED)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Which of colored, buffet, outliers are present."""
-        present = {
-            "colored": bool(self.coloured),
-            "buffet": max(self.noise_growth.values()) > 1.5,
-            "outliers": sum(self.outliers.values()) > 0,
-        }
-        return tuple(name for name, there in present.items() if there)
 
 
 # --- Candidates with the model projected out: what each would explain, how sure that is, and how far two are apart.

@@ -14,8 +14,8 @@ from bayes_aero.diagnosis.accuracy import filtered_channels
 from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
-from bayes_aero.diagnosis.result import FoundTerm, ParameterChange, UnexplainedStructure
-from bayes_aero.diagnosis.screening import NoiseReport, lag1_within, screen
+from bayes_aero.diagnosis.result import INNOVATIONS, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.screening import lag1_within, screen
 from bayes_aero.diagnosis.selection import (
     Extension,
     SelectionStep,
@@ -47,7 +47,7 @@ from bayes_aero.model.records import Flights
 from bayes_aero.parameter import Prior
 from bayes_aero.physics.aircraft import FLIGHT, required_of
 from bayes_aero.progress import Progress
-from bayes_aero.residuals.base import INNOVATIONS, WINDOW, FlightPathError, too_few_windows
+from bayes_aero.residuals.base import WINDOW, FlightPathError, too_few_windows
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.residuals.output_error import FilterError, OutputError
 

@@ -10,7 +10,8 @@ from itertools import combinations, product
 import numpy as np
 from jaxtyping import Int
 
-from bayes_aero.diagnosis.accuracy import Size, addition_gain, implausible, largest_noise_bias, sizes, truncated
+from bayes_aero.diagnosis.accuracy import addition_gain, implausible, largest_noise_bias, sizes, truncated
+from bayes_aero.diagnosis.result import Absorbed, CancellingPair, Size
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
     PartialledRegression,
@@ -392,26 +393,6 @@ CONTROLS = (
 AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the manoeuvres; our choice
 
 
-@dataclass(frozen=True)
-class Absorbed:
-    """A `parameter` of the card's `effect` that acts through a `control` at rest, and what it may have taken up."""
-
-    effect: str
-    parameter: str
-    unit: str
-    control: str
-    estimate: tuple[float, float]  # its value in the fit, with its deviation
-    usual: tuple[float, float]  # that of its prior
-    # By effect, how large each would be, were it the whole cause and the parameter as usual, with a deviation that
-    # knows the prior's width.
-    sizes: dict[str, Size]
-
-    @property
-    def members(self) -> frozenset[str]:
-        """The effects among which the record does not decide, the card's own included."""
-        return frozenset((self.effect, *self.sizes))
-
-
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect that is large enough for a name: seen with the parameter
     held, not seen with it free within its prior."""
@@ -487,19 +468,6 @@ def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k
 # --- Two named terms that cancel: what the record knows of them is one combination, not either.
 # Pitch rate and the rate of the angle of attack move together in most manoeuvres. A fit then sets a large term
 # against another large one; neither is measured. The combination of the two with the least variance is.
-
-
-@dataclass(frozen=True)
-class CancellingPair:
-    """Two causes whose large contributions cancel: the record determines only parameters[0] + factor parameters[1]."""
-
-    effects: tuple[str, str]
-    parameters: tuple[str, str]
-    factor: float
-    mean: float  # of the departures from neutral, SI
-    sd: float
-    unit: str
-    correlation: float  # of the two estimates
 
 
 def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:

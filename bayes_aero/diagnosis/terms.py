@@ -11,11 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.accuracy import LeftOut, Size, holdout_deviance_gain, truncated
+from bayes_aero.diagnosis.accuracy import LeftOut, holdout_deviance_gain, truncated
 from bayes_aero.diagnosis.components import (
     SAME,
     SEPARATED,
-    ProductTerm,
     TermColumn,
     Trial,
     columns_of,
@@ -24,7 +23,7 @@ from bayes_aero.diagnosis.components import (
     polynomials,
     term_of,
 )
-from bayes_aero.diagnosis.result import FoundTerm, UnexplainedStructure
+from bayes_aero.diagnosis.result import FoundTerm, ProductTerm, Size, UnexplainedStructure
 from bayes_aero.diagnosis.screening import (
     CandidateScore,
     PartialledRegression,

@@ -7,7 +7,7 @@ extended model misses grows as the flow separates, and counts for less there (se
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayes_aero.diagnosis.candidate_set import manoeuvres
-from bayes_aero.diagnosis.flight_path_check import sensor_noise
+from bayes_aero.diagnosis.consistency import sensor_noise
 from bayes_aero.diagnosis.flights import (
     CandidateFit,
     FlightNoise,
@@ -31,23 +31,27 @@ from bayes_aero.diagnosis.flights import (
     simulated,
     with_lag,
 )
-from bayes_aero.diagnosis.result import Diagnosis, OutputMiss, Tested, verdict_of
-from bayes_aero.diagnosis.trajectory_result import (
+from bayes_aero.diagnosis.result import (
     FITTED,
     HALF,
     START,
+    Diagnosis,
     Disagreement,
     FlownMode,
     LagTest,
     Motion,
+    OutputMiss,
     ProcessNoise,
     Setting,
+    Tested,
     Trajectories,
     TrajectoryEstimates,
     TrajectoryFit,
+    verdict_of,
 )
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, biased_dynamics, unbiased
 from bayes_aero.dynamics.linear import LinearDynamics, Steady, modes
+from bayes_aero.dynamics.path import PathDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
 from bayes_aero.errors import InputError
@@ -55,7 +59,7 @@ from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import channels_of
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.output_error import fit_cascade, fit_output_error, trajectories
-from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus
+from bayes_aero.inference.output_error_result import OutputErrorResult, OutputErrorStatus, initial_state_sd
 from bayes_aero.inference.results import CONFLICT_LIMIT, MleResult, MleStatus
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
@@ -114,8 +118,8 @@ def compare_trajectories(
     sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
     return Trajectories(
         paths=tuple(paths),
-        card=TrajectoryEstimates.of(contenders["card"].fit),
-        extended=TrajectoryEstimates.of(fit, gone),
+        card=_estimates(contenders["card"].fit),
+        extended=_estimates(fit, gone),
         deviation={n: float(x) for n, x in zip(fit.names, sd, strict=True) if n not in gone},
         variance_inflation=inflation,
         held={label(fit.flown, k): tuple(n for n in names if n not in gone) for k, names in silent[best.name].items()},
@@ -125,6 +129,14 @@ def compare_trajectories(
         lag=lag,
         asked=flies.confirmation,
     )
+
+
+def _estimates(fit: OutputErrorResult, gone: Collection[str] = ()) -> TrajectoryEstimates:
+    """Of a fit, without the parameters that are `gone`."""
+    values = {n: float(x) for n, x in zip(fit.names, fit.estimate, strict=True) if n not in gone}
+    units = {p.name: p.unit for p in fit.parameters if p.name in values}
+    held = tuple(n for n in fit.held_by_prior if n in values)
+    return TrajectoryEstimates(values, units, fit.status, fit.at_bound, held)
 
 
 def _contenders(
@@ -255,9 +267,15 @@ def fit_trajectories(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, START, START, still, bands)
         paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, bands)
+    fitted_states = setting.priors and setting.initial is None
     return TrajectoryFit(
-        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting
-    )
+        fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting,
+        by_effects=isinstance(unbiased(dynamics), AircraftDynamics),
+        of_path=isinstance(dynamics, PathDynamics),
+        departure_sd=dict(zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True))
+        if fitted_states
+        else {},
+    )  # fmt: skip
 
 
 def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[str, tuple[float, float]]]:

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
-from bayes_aero.diagnosis.accuracy import Size, holdout_deviance_gain, recording_noise
+from bayes_aero.diagnosis.accuracy import holdout_deviance_gain, recording_noise
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings, manoeuvres
 from bayes_aero.diagnosis.components import Trial, families, in_batches, parts_of, term_of
-from bayes_aero.diagnosis.result import ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.result import ParameterChange, Size, UnexplainedStructure
 from bayes_aero.diagnosis.screening import (
     Autocorrelation,
     ScreeningResult,

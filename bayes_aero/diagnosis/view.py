@@ -14,13 +14,14 @@ from scipy import stats
 from bayes_aero.diagnosis.accuracy import LeftOut, measured_blocks, normal_draws, scores_of, truncated
 from bayes_aero.diagnosis.candidate_set import by_manoeuvre
 from bayes_aero.diagnosis.design import flights_of, narrowed
-from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, SizeInBand
-from bayes_aero.diagnosis.screening import ScreeningResult, lag1_within, uncertainty
-from bayes_aero.diagnosis.selection import Extension, explained
-from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
-from bayes_aero.diagnosis.trajectory_result import (
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    FLIGHT_PATH,
     LEVELS,
+    Cause,
+    CausesInBand,
     Compared,
+    Diagnosis,
     DiagnosisView,
     Fitted,
     HoldoutScores,
@@ -29,9 +30,13 @@ from bayes_aero.diagnosis.trajectory_result import (
     RankedCandidate,
     Ranking,
     ResidualProfile,
+    SizeInBand,
     View,
     theil_parts,
 )
+from bayes_aero.diagnosis.screening import ScreeningResult, lag1_within, uncertainty
+from bayes_aero.diagnosis.selection import Extension, explained
+from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
 from bayes_aero.inference.calibration import stall_of
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
@@ -40,7 +45,6 @@ from bayes_aero.inference.scores import score
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import LATERAL, NAMES
-from bayes_aero.residuals.base import FLIGHT_PATH
 from bayes_aero.residuals.equation_error import Band, FrequencyError, sampling_times
 
 DRAWS = 400  # of a model's parameters, for the intervals of its stall

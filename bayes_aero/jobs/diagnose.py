@@ -17,9 +17,8 @@ from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import next_test_points
 from bayes_aero.diagnosis.diagnose import diagnose, judged_on_held_out_flights, sensors_not_missed
-from bayes_aero.diagnosis.result import Diagnosis
+from bayes_aero.diagnosis.result import TRAJECTORIES, Diagnosis, Trajectories, View
 from bayes_aero.diagnosis.trajectories import compare_trajectories, with_tested
-from bayes_aero.diagnosis.trajectory_result import Trajectories, View
 from bayes_aero.diagnosis.view import causes_in_band, view_of, with_holdout_scores, with_stalls
 from bayes_aero.dynamics.pilot import ANYWHERE
 from bayes_aero.dynamics.trim import can_simulate
@@ -48,7 +47,6 @@ from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
 from bayes_aero.report.tables.diagnosis_tables import causes_table, changes_table, screen_table, terms_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import revealed
-from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.simulate.injection import FLOWN_AXES, draw_hidden, flyable
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from bayes_aero.diagnosis.consistency import in_gusts, no_flight_path
 from bayes_aero.diagnosis.flights import with_process_noise
+from bayes_aero.diagnosis.result import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.diagnosis.trajectories import fit_disagreements, fit_trajectories, motion_of, still_apart
-from bayes_aero.diagnosis.trajectory_result import FITTED, ProcessNoise, Setting, TrajectoryFit
 from bayes_aero.dynamics.flight import DERIVED, Dynamics, aircraft_dynamics, taken_as_zero
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.path import path_dynamics

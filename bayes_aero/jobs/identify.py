@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_aero.diagnosis.flights import fly_given
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.reading import rate_notes

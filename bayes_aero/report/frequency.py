@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.result import CausesInBand
-from bayes_aero.diagnosis.trajectory_result import TrajectoryFit
+from bayes_aero.diagnosis.result import CausesInBand, TrajectoryFit
 from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html.page import Block, Gallery, bullets

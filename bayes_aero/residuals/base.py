@@ -22,8 +22,6 @@ from bayes_aero.physics.kinematics import ANGLES, RATES, as_symmetric, integral,
 from bayes_aero.units import number
 
 DIRECTIONS_PER_CALL = 16
-FLIGHT_PATH = "flight path"  # with what a model is compared: kinematics alone, which knows sensors and winds
-COEFFICIENTS, TRAJECTORIES, INNOVATIONS = "coefficients", "trajectories", "innovations"  # or the model itself
 
 
 class ResidualModel(ABC):
@@ -262,7 +260,7 @@ class FlightPathError(Blockwise):
     flights: Flights
     model: Model
     path: tuple[str, ...]
-    stage = FLIGHT_PATH
+    stage = "flight path"
     kinematic = True
 
     @property

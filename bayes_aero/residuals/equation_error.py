@@ -30,7 +30,6 @@ from bayes_aero.physics.coefficients import stacked_coefficients
 from bayes_aero.physics.filters import differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
 from bayes_aero.residuals.base import (
-    COEFFICIENTS,
     AddedSeries,
     Blockwise,
     Made,
@@ -56,7 +55,7 @@ class EquationError(Blockwise, eqx.Module):
     model: Model = eqx.field(static=True)
     measuring: tuple[int, ...] = eqx.field(static=True)  # parameters on which the measured coefficients depend
     path: tuple[str, ...] = eqx.field(static=True)  # flight-path outputs
-    stage = COEFFICIENTS
+    stage = "coefficients"
 
     @classmethod
     def of(cls, flights: Flights, model: Model) -> EquationError:

@@ -37,8 +37,6 @@ from bayes_aero.model.records import Flights
 from bayes_aero.physics.filters import FILTER_STEP
 from bayes_aero.residuals.base import (
     DIRECTIONS_PER_CALL,
-    INNOVATIONS,
-    TRAJECTORIES,
     WINDOW,
     AddedSeries,
     Made,
@@ -56,7 +54,7 @@ class OutputError(ResidualModel, eqx.Module):
     windows: SegmentTrajectories
     place: Int[np.ndarray, " m"]  # indices of the complete blocks
     model: Model = eqx.field(static=True)
-    stage = TRAJECTORIES
+    stage = "trajectories"
 
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
@@ -177,7 +175,7 @@ class FilterError(OutputError):
     # They are not averaged over blocks as outputs are. The sensitivity to a sensor error contains the noise of that
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     by: Observer
-    stage = INNOVATIONS
+    stage = "innovations"
     stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
     averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
 

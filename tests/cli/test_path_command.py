@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from calling import answer, page_of, refused
 
-from bayes_aero.diagnosis.trajectory_result import TrajectoryFit
+from bayes_aero.diagnosis.result import TrajectoryFit
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card import read_card
 from bayes_aero.flight.channel import Channel

@@ -12,19 +12,22 @@ from parts import part
 from stranger import flown
 from stranger_six import drawn, fly
 
-from bayes_aero.diagnosis.accuracy import Size, filtered_channels, recording_noise
+from bayes_aero.diagnosis.accuracy import filtered_channels, recording_noise
 from bayes_aero.diagnosis.candidate_set import CandidateModel
 from bayes_aero.diagnosis.consistency import (
+    LIGHT_TURBULENCE,
     Blocks,
     KnownErrors,
     check_sensors,
     consistency,
     errors_of_path,
+    gusts,
     in_gusts,
     screen_sensor_errors,
+    sensor_noise,
 )
 from bayes_aero.diagnosis.diagnose import diagnose
-from bayes_aero.diagnosis.flight_path_check import LIGHT_TURBULENCE, gusts, sensor_noise
+from bayes_aero.diagnosis.result import Size
 from bayes_aero.diagnosis.selection import Extension
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState
 from bayes_aero.effects import CATALOGUE

@@ -16,17 +16,25 @@ from stranger_six import Plane, drawn, fly
 from bayes_aero.diagnosis import accuracy, consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
 from bayes_aero.diagnosis import selection as selecting
-from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size, backward_elimination, implausible
+from bayes_aero.diagnosis.accuracy import LeftOut, backward_elimination, implausible
 from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel
 from bayes_aero.diagnosis.consistency import errors_of_diagnosis
 from bayes_aero.diagnosis.design import standard
 from bayes_aero.diagnosis.flights import left_out_of
-from bayes_aero.diagnosis.result import Cause, Diagnosis, UnexplainedStructure, Verdict, verdict_of
+from bayes_aero.diagnosis.result import (
+    Cause,
+    Confirmation,
+    Diagnosis,
+    SimulatedManoeuvre,
+    Size,
+    UnexplainedStructure,
+    Verdict,
+    verdict_of,
+)
 from bayes_aero.diagnosis.screening import ScreeningResult, autocorrelation_of, uncertainty
 from bayes_aero.diagnosis.search import SearchResult
 from bayes_aero.diagnosis.selection import Extension, cancelling
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, linearised
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
 from bayes_aero.dynamics.segments import SegmentTrajectories
 from bayes_aero.effect import sized
 from bayes_aero.effects import CATALOGUE

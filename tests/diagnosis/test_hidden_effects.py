@@ -13,11 +13,11 @@ from stranger import HIDDEN, Recorder, flown
 from stranger_six import Fighter, Plane, drawn, fly
 
 from bayes_aero.diagnosis import search as stages
-from bayes_aero.diagnosis.accuracy import Size, integrated_deviance
+from bayes_aero.diagnosis.accuracy import integrated_deviance
 from bayes_aero.diagnosis.candidate_set import DEFAULT, candidate_model, manoeuvres
 from bayes_aero.diagnosis.consistency import Blocks, check_sensors, screen_sensor_errors
 from bayes_aero.diagnosis.diagnose import diagnose, rivals_of
-from bayes_aero.diagnosis.result import COEFFICIENTS, Verdict
+from bayes_aero.diagnosis.result import COEFFICIENTS, TRAJECTORIES, Size, Verdict
 from bayes_aero.diagnosis.search import search_in_stages
 from bayes_aero.diagnosis.selection import noise_shares
 from bayes_aero.diagnosis.selection_state import Products, moved
@@ -31,7 +31,6 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import required_of
 from bayes_aero.report.text.diagnosis import diagnosis_sentences
-from bayes_aero.residuals.base import TRAJECTORIES
 from bayes_aero.residuals.equation_error import EquationError
 from bayes_aero.simulate.demo import Request
 from bayes_aero.simulate.injection import flyable, hidden_flights, hidden_records, synthetic

@@ -16,10 +16,10 @@ from scipy.linalg import lstsq
 from scipy.signal import lfilter
 
 from bayes_aero.diagnosis import accuracy, diagnose, selection
-from bayes_aero.diagnosis.accuracy import Confirmation, LeftOut, Size
+from bayes_aero.diagnosis.accuracy import LeftOut
 from bayes_aero.diagnosis.candidate_set import DEFAULT, CandidateModel, candidate_model
 from bayes_aero.diagnosis.diagnose import judged_on_held_out_flights
-from bayes_aero.diagnosis.result import Verdict, as_absorbed
+from bayes_aero.diagnosis.result import Absorbed, Confirmation, Size, Verdict, as_absorbed
 from bayes_aero.diagnosis.screening import (
     Autocorrelation,
     CandidateScore,
@@ -29,7 +29,7 @@ from bayes_aero.diagnosis.screening import (
     autocorrelations_of,
     block_jackknife_covariance,
 )
-from bayes_aero.diagnosis.selection import Absorbed, Extension, absorbed, worth
+from bayes_aero.diagnosis.selection import Extension, absorbed, worth
 from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse
 from bayes_aero.diagnosis.unexplained import left_beside
 from bayes_aero.diagnosis.view import compared, profiles

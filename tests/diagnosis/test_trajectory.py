@@ -23,8 +23,18 @@ from bayes_aero.diagnosis.accuracy import LeftOut
 from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.diagnose import diagnose
 from bayes_aero.diagnosis.flights import fly_given
-from bayes_aero.diagnosis.result import OutputMiss, Verdict, as_tested, as_white
-from bayes_aero.diagnosis.screening import NoiseReport
+from bayes_aero.diagnosis.result import (
+    INNOVATIONS,
+    LagTest,
+    NoiseReport,
+    OutputMiss,
+    ProcessNoise,
+    SimulatedManoeuvre,
+    TrajectoryFit,
+    Verdict,
+    as_tested,
+    as_white,
+)
 from bayes_aero.diagnosis.search import in_windows
 from bayes_aero.diagnosis.selection_state import constants_of_manoeuvres
 from bayes_aero.diagnosis.trajectories import (
@@ -36,7 +46,6 @@ from bayes_aero.diagnosis.trajectories import (
     motion_of,
     still_apart,
 )
-from bayes_aero.diagnosis.trajectory_result import LagTest, ProcessNoise, SimulatedManoeuvre, TrajectoryFit
 from bayes_aero.diagnosis.view import band_of, causes_in_band, with_sensor_errors_held
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import Steady
@@ -57,7 +66,6 @@ from bayes_aero.physics.aircraft import FLIGHT
 from bayes_aero.report.design import in_band_sentences
 from bayes_aero.report.figures.diagnosis import spectrum
 from bayes_aero.report.text.fly import disagreement_sentences, settled_sentences
-from bayes_aero.residuals.base import INNOVATIONS
 from bayes_aero.simulate.demo import TRUTH, simulate_stall
 from bayes_aero.simulate.injection import Beyond, flyable, hidden_records
 

@@ -18,8 +18,8 @@ from linear_cards import (
     short_period_flight,
 )
 
+from bayes_aero.diagnosis.result import Setting
 from bayes_aero.diagnosis.trajectories import fit_trajectories
-from bayes_aero.diagnosis.trajectory_result import Setting
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.pilot import multisines
 from bayes_aero.errors import InputError

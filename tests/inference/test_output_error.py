@@ -22,7 +22,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from bayes_aero.diagnosis.candidate_set import candidate_model
-from bayes_aero.diagnosis.trajectory_result import FITTED
+from bayes_aero.diagnosis.result import FITTED
 from bayes_aero.dynamics.flight import aircraft_dynamics
 from bayes_aero.dynamics.linear import linear_dynamics
 from bayes_aero.dynamics.segments import segments

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, card_of, record_of, short_period_flight
 
-from bayes_aero.diagnosis.trajectory_result import FITTED, START, Error, SimulatedManoeuvre, TrajectoryFit, theil_parts
+from bayes_aero.diagnosis.result import FITTED, START, Error, SimulatedManoeuvre, TrajectoryFit, theil_parts
 from bayes_aero.jobs.fly import fly
 from bayes_aero.jobs.io.fly_json import Flight
 from bayes_aero.report.pages.study import StudyContext

@@ -12,7 +12,7 @@ import xarray as xr
 from calling import holds
 from PIL import Image
 
-from bayes_aero.diagnosis.trajectory_result import DiagnosisView
+from bayes_aero.diagnosis.result import INNOVATIONS, TRAJECTORIES, DiagnosisView
 from bayes_aero.flight.health.finding import HealthFinding
 from bayes_aero.inference.results import PosteriorStatus
 from bayes_aero.jobs.provenance import provenance
@@ -37,7 +37,6 @@ from bayes_aero.report.pages.diagnosis import DiagnosisContext, diagnosis_page
 from bayes_aero.report.pages.identification import headline, identification_page
 from bayes_aero.report.style import NotDrawn
 from bayes_aero.report.tables.run_tables import coverage_table, parameter_table
-from bayes_aero.residuals.base import INNOVATIONS, TRAJECTORIES
 
 HOSTILE = """<script>alert(1)</script>"'&$$x$$</title>"""
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 import bayes_aero as ba
 from bayes_aero.diagnosis.candidate_set import DEFAULT
-from bayes_aero.diagnosis.trajectory_result import Compared, GustHistory, HoldoutScores, ProcessNoise
+from bayes_aero.diagnosis.result import Compared, GustHistory, HoldoutScores, ProcessNoise
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.inference.results import Marginal, MleStatus, NextFlight, PosteriorStatus
 from bayes_aero.inference.scores import Scores

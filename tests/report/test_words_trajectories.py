@@ -8,8 +8,7 @@ from calling import holds
 from report_samples import flight, with_offsets
 from rich.console import Console
 
-from bayes_aero.diagnosis.accuracy import Confirmation
-from bayes_aero.diagnosis.trajectory_result import Disagreement, LagTest, ProcessNoise
+from bayes_aero.diagnosis.result import Confirmation, Disagreement, LagTest, ProcessNoise
 from bayes_aero.inference.output_error_result import OutputErrorStatus
 from bayes_aero.inference.scores import Calibration, OneStep, Predicted, Share
 from bayes_aero.report.figures.posterior import one_step_quantiles

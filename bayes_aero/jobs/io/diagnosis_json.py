@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, Cause, CausesInBand, Diagnosis, FoundTerm, Tested
-from bayes_aero.diagnosis.trajectory_result import DiagnosisView, SimulatedManoeuvre, Trajectories, View
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    Cause,
+    CausesInBand,
+    Diagnosis,
+    DiagnosisView,
+    FoundTerm,
+    SimulatedManoeuvre,
+    Tested,
+    Trajectories,
+    View,
+)
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.health.finding import Consistency, HealthFinding

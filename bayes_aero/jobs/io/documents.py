@@ -14,8 +14,7 @@ from msgspec import UnsetType as Unset
 from msgspec.json import schema
 from msgspec.structs import fields
 
-from bayes_aero.diagnosis.result import CausesInBand, SizeInBand
-from bayes_aero.diagnosis.selection import CancellingPair
+from bayes_aero.diagnosis.result import CancellingPair, CausesInBand, SizeInBand
 from bayes_aero.flight.health.finding import Consistency, Departure, HealthFinding
 from bayes_aero.inference.scores import Share as InsideShare
 

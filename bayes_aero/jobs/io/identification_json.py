@@ -11,7 +11,7 @@ import xarray as xr
 from msgspec import UNSET
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.inference.results import (
     FrequencyFit,
     GPReport,

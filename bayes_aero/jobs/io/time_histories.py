@@ -10,8 +10,8 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre as FlightPath
-from bayes_aero.diagnosis.trajectory_result import View
+from bayes_aero.diagnosis.result import SimulatedManoeuvre as FlightPath
+from bayes_aero.diagnosis.result import View
 from bayes_aero.errors import failure, plain_line
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Identification

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.signal import welch
 
-from bayes_aero.diagnosis.result import FLIGHT_PATH
-from bayes_aero.diagnosis.trajectory_result import Fitted, Ranking, Trajectories, View
+from bayes_aero.diagnosis.result import FLIGHT_PATH, Fitted, Ranking, Trajectories, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.scores import Scores, score
 from bayes_aero.report import style

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
-from bayes_aero.diagnosis.trajectory_result import View
+from bayes_aero.diagnosis.result import View
 from bayes_aero.errors import failure
 from bayes_aero.progress import Progress
 from bayes_aero.report.figures import diagnosis, posterior, prior, time_histories

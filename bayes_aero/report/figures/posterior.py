@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
-from bayes_aero.diagnosis.trajectory_result import ProcessNoise
+from bayes_aero.diagnosis.result import ProcessNoise
 from bayes_aero.inference.results import Identification, Posterior
 from bayes_aero.inference.scores import score
 from bayes_aero.model.noise import Colour

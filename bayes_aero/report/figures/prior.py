@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.diagnosis.trajectory_result import View
+from bayes_aero.diagnosis.result import View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Identification, Posterior, Stall
 from bayes_aero.model.noise import Noise

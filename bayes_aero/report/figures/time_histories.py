@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayes_aero.diagnosis.trajectory_result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
+from bayes_aero.diagnosis.result import FITTED, START, ProcessNoise, SimulatedManoeuvre, TrajectoryFit, View
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Identification
 from bayes_aero.inference.scores import score

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import View
+from bayes_aero.diagnosis.result import View
 from bayes_aero.inference.results import Identification, Interval, Stall
 from bayes_aero.report.figures.diagnosis import telling
 from bayes_aero.report.figures.posterior import CORRELATIONS

@@ -8,8 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import COEFFICIENTS, INNOVATIONS, TRAJECTORIES, CausesInBand, Diagnosis
-from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Ranking, View
+from bayes_aero.diagnosis.result import (
+    COEFFICIENTS,
+    INNOVATIONS,
+    TRAJECTORIES,
+    CausesInBand,
+    Diagnosis,
+    DiagnosisView,
+    Ranking,
+    View,
+)
 from bayes_aero.physics.aircraft import LATERAL
 from bayes_aero.report import design
 from bayes_aero.report.figures.diagnosis import coefficient_panels

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import FITTED, Motion, ProcessNoise, Trajectories, TrajectoryFit
+from bayes_aero.diagnosis.result import FITTED, Motion, ProcessNoise, Trajectories, TrajectoryFit
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.inference.results import Posterior

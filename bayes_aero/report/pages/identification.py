@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import SimulatedManoeuvre
+from bayes_aero.diagnosis.result import SimulatedManoeuvre
 from bayes_aero.effect import Stage
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.channel import STANDARD_CHANNELS

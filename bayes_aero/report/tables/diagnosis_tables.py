@@ -8,8 +8,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayes_aero.diagnosis.result import INNOVATIONS, Cause, Diagnosis
-from bayes_aero.diagnosis.trajectory_result import LEVELS, DiagnosisView, HoldoutScores, Ranking, View
+from bayes_aero.diagnosis.result import (
+    INNOVATIONS,
+    LEVELS,
+    Cause,
+    Diagnosis,
+    DiagnosisView,
+    HoldoutScores,
+    Ranking,
+    View,
+)
 from bayes_aero.report.tables.table import NONE, BeforeAfter, Column, Estimate, Table, columns_of, or_dash
 from bayes_aero.report.text.phrases import WORDS, bracket, for_people, from_to, plain_unit, several, size_text
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from bayes_aero.diagnosis.trajectory_result import (
+from bayes_aero.diagnosis.result import (
     FITTED,
     START,
     Error,

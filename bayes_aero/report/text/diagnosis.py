@@ -7,8 +7,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.result import LITTLE, Cause, Diagnosis, ParameterChange, Tested, Verdict
-from bayes_aero.diagnosis.trajectory_result import DiagnosisView, Trajectories
+from bayes_aero.diagnosis.result import (
+    LITTLE,
+    Cause,
+    Diagnosis,
+    DiagnosisView,
+    ParameterChange,
+    Tested,
+    Trajectories,
+    Verdict,
+)
 from bayes_aero.effect import Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayes_aero.diagnosis.trajectory_result import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
+from bayes_aero.diagnosis.result import FITTED, Disagreement, ProcessNoise, Trajectories, TrajectoryFit
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.flight.channel import STANDARD_CHANNELS
 from bayes_aero.flight.record import TOLERANCES
