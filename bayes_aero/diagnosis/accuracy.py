@@ -191,7 +191,6 @@ def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
 
 
 def split_name(state: SelectionState) -> str:
-    """How data were left out."""
     return "manoeuvre" if len(state.responses.flights.lengths) > 1 else "block"
 
 
@@ -211,11 +210,11 @@ class LeftOut:
     @classmethod
     def refitted(cls, state: SelectionState) -> LeftOut:
         """With the effects that are in, every fit brought to its own optimum."""
-        residual = np.zeros_like(state.residual)
-        for number, fold in enumerate(state.folds):
-            others = [f for f in range(len(state.folds)) if f != number]
-            theta = optimum(state, others, state.settings.hold_out_steps)
-            residual[fold] = np.asarray(state.responses.evaluate(theta)[0])[:, state.kept_outputs][fold]
+
+        def fitted(others: list[int]) -> np.ndarray:
+            return optimum(state, others, state.settings.hold_out_steps)
+
+        residual = state.responses.holdout(state.folds, fitted, state.outputs)
         return cls._of(state, residual)
 
     @classmethod
@@ -242,7 +241,6 @@ class LeftOut:
         return cls(residual, growth, state.inside, state.outputs, lengths, inflation, by_output)
 
     def density(self) -> Float[np.ndarray, " m"]:
-        """Log predictive density of every row, all outputs together."""
         return self.densities().sum(axis=1)
 
     def densities(self) -> Float[np.ndarray, "m c"]:
@@ -253,7 +251,6 @@ class LeftOut:
         return log_density(residual, np.mean((residual / noise_growth) ** 2, axis=0) * noise_growth**2)
 
     def gain(self, before: LeftOut) -> tuple[float, float]:
-        """Log density beyond `before`, over the variance inflation, and its deviation."""
         return log_score_gain(before.density(), self.density(), self.variance_inflation, self.lengths)
 
     def output_gains(self, before: LeftOut) -> dict[str, tuple[float, float]]:
@@ -269,14 +266,13 @@ class LeftOut:
 
 
 def scores_of(names: Sequence[str], z: Float[np.ndarray, "m c"], e: Float[np.ndarray, "m c"]) -> dict[str, Scores]:
-    """Scores of measured coefficients `z` with residuals `e`."""
     return {name: score(z[:, c], z[:, c] - e[:, c]) for c, name in enumerate(names)}
 
 
 def measured_blocks(state: SelectionState) -> Float[np.ndarray, "m c"]:
     """Coefficients as the card reconstructs them from the record, averaged over blocks."""
     card = state.full.card_only(state.theta)
-    return np.asarray(state.responses.block(state.responses.evaluate(card)[1]["measured"]))
+    return np.asarray(state.responses.block(state.responses.predict(card)["measured"]))
 
 
 def truncated(state: SelectionState, effects: Sequence[str]) -> SelectionState:
@@ -391,7 +387,6 @@ def backward_elimination(
 
 
 def confirmation(state: SelectionState) -> Confirmation:
-    """What unseen data confirm of all additions of a state."""
     return backward_elimination(
         state.active,
         lambda effects: LeftOut.first_order(state, effects),

@@ -104,7 +104,6 @@ class DiagnosisSettings:
         return bool(gain < -max(self.ambiguous, -NormalDist().inv_cdf(chance) * se))
 
     def degraded(self, gains: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        """Of the gains of several outputs, those that are losses."""
         return {name: gain for name, gain in gains.items() if self.degrades(*gain, among=len(gains))}
 
 
@@ -131,7 +130,6 @@ class CandidateModel:
 
     @property
     def neutral(self) -> dict[str, float]:
-        """Neutral value of every parameter, finite."""
         return {p.name: finite(p.neutral) for p in self.model.parameters}
 
     @property
@@ -159,7 +157,6 @@ class CandidateModel:
         return mean - theta[np.asarray(index, int)], deviation**-2.0
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
-        """Index of each parameter in the model's free vector."""
         return np.array([self.model.names.index(name) for name in names], int)
 
     def own_columns(self, *effects: str) -> np.ndarray:
@@ -167,12 +164,10 @@ class CandidateModel:
         return self.columns([name for effect in effects for name in self.parameters_of(effect)])
 
     def parameters_of(self, effect: str) -> tuple[str, ...]:
-        """Parameters that an effect owns."""
         return tuple(p.name for e in self.model.effects if e.name == effect for p in e.parameters)
 
 
 def finite(neutral: float) -> float:
-    """A neutral value, or what stands for one at infinity."""
     return neutral if math.isfinite(neutral) else FAR
 
 
@@ -251,7 +246,6 @@ def _moves(x: np.ndarray, least: float = 1e-9) -> bool:
 
 
 def by_manoeuvre(x: np.ndarray, flights: Flights) -> list[np.ndarray]:
-    """A channel (n,) of each manoeuvre."""
     return np.split(x, np.cumsum(flights.lengths)[:-1])
 
 
@@ -302,7 +296,6 @@ def too_short(seconds: float, settings: DiagnosisSettings = DEFAULT) -> str:
 
 
 def manoeuvres(manoeuvre: Int[np.ndarray, " m"]) -> tuple[slice, ...]:
-    """The blocks of each manoeuvre."""
     edges = np.flatnonzero(np.diff(manoeuvre, prepend=-1, append=-1))
     return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
 

@@ -133,7 +133,6 @@ def library(
 
 
 def _places(x: Float[np.ndarray, " n"], shares: Sequence[float]) -> list[float]:
-    """Quantiles of x, rounded to what is worth reporting."""
     return list(dict.fromkeys(float(np.round(q, 3)) for q in np.quantile(x, shares)))
 
 
@@ -161,7 +160,7 @@ def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Compone
 
 def smooth_components(state: SelectionState) -> list[Component]:
     """A smooth function, in each coefficient, of every recorded channel that moves and is more than white noise."""
-    signals, flights, knots = state.responses.evaluate(state.theta)[1], state.responses.flights, state.settings.knots
+    signals, flights, knots = state.responses.predict(state.theta), state.responses.flights, state.settings.knots
     skipped = (*SKIPPED, *noise_channels(flights))
     names = [n for n in (*flights.recorded, "elapsed", "X") if n in signals and n not in skipped]
     components = []
@@ -200,7 +199,6 @@ def is_periodic(component: Component) -> bool:
 
 
 def _in_each(state: SelectionState, channel: str, columns: dict[str, Float[np.ndarray, "m w"]]) -> list[Component]:
-    """Components that act on one coefficient each."""
     components = []
     for coefficient, column in columns.items():
         basis = np.zeros((len(column), len(state.outputs), column.shape[1]))
@@ -239,7 +237,6 @@ def parts_of(state: SelectionState, count: int) -> tuple[slice, ...]:
 
 
 def chunks(state: SelectionState) -> tuple[slice, ...]:
-    """Parts of the manoeuvres by which sinusoids and offsets are judged."""
     return parts_of(state, state.settings.manoeuvre_parts)
 
 
@@ -282,7 +279,6 @@ class Trial:
 
     @cached_property
     def fit(self) -> RegressionFit:
-        """With the component in."""
         return self.state.fit_columns(self.wide)
 
     @cached_property
@@ -292,7 +288,6 @@ class Trial:
 
     @cached_property
     def gain(self) -> float:
-        """Deviance that it gains on folds that were left out."""
         return holdout_deviance_gain(self.state, self.wide)
 
     @property
@@ -390,7 +385,6 @@ def likeness(state: SelectionState, effects: Sequence[str], column: TermColumn) 
 
 
 def _able(state: SelectionState, signals: Signals) -> Callable[[str], bool]:
-    """Whether a channel was recorded and moves."""
     flights = state.responses.flights
     noise = noise_channels(flights)
     return lambda channel: channel in signals and channel not in noise and moves(signals[channel], flights, 1e-6)

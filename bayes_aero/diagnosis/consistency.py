@@ -89,7 +89,6 @@ def consistency(
 
 
 def _flights(records: Sequence[FlightRecord], card: Card) -> Flights:
-    """The manoeuvres' channels of the flight path, spikes repaired."""
     return repaired(as_the_card_states(joined(records, card, PATH_CORE), card))[0]
 
 
@@ -154,7 +153,6 @@ def in_gusts(records: Sequence[FlightRecord], card: Card, seed: int = 0) -> dict
 
 
 def _manoeuvres(flights: Flights) -> Iterator[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
-    """Name, time, and channels of the flight path of each."""
     begin = 0
     for name, length in zip(flights.names, flights.lengths, strict=True):
         part = slice(begin, begin + length)
@@ -277,7 +275,6 @@ class Blocks:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of the disagreement."""
         return int(self._own.max())
 
     def _centred(self, x: np.ndarray) -> np.ndarray:
@@ -568,14 +565,12 @@ class _RecordedPath:
 
 
 def _windows(n: int, dt: float) -> list[slice]:
-    """Equal parts of about `WINDOW` s."""
     parts = max(1, round(n * dt / WINDOW))
     edges = np.linspace(0, n, parts + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def _local(x: Float[np.ndarray, "n c"], dt: float) -> Float[np.ndarray, "w c"]:
-    """Root mean square within each window about its own straight line."""
     return np.stack([_rms_about_line(x[part][None])[0] for part in _windows(len(x), dt)])
 
 
@@ -591,7 +586,6 @@ def _measures(
     outputs: Sequence[str],
     time: Float[np.ndarray, " n"],
 ) -> _Measures:
-    """All three measures of the recorded residual, the first, and of those of noise."""
     windows = _windows(len(time), float(time[-1] - time[0]) / (len(time) - 1))
     constants = _Constants(residual[1:], columns, time)
     values = []
@@ -619,7 +613,6 @@ class _Constants:
     def __init__(
         self, noise: Float[np.ndarray, "r n c"], columns: Float[np.ndarray, "m n c"], time: Float[np.ndarray, " n"]
     ) -> None:
-        """`noise` gives the scale of the outputs; a constant error of each sensor makes `columns` of the residual."""
         self.step = max(1, len(time) // THINNED)
         self.scale = np.sqrt(np.mean([np.var(x[:: self.step], axis=0) for x in noise], axis=0))
         wind = np.zeros_like(columns[:1])
@@ -632,7 +625,6 @@ class _Constants:
         self.basis = directions[:, strengths > RANK * strengths.max(initial=0.0)]
 
     def rms_without(self, centred: Float[np.ndarray, "r n c"]) -> Float[np.ndarray, "r c"]:
-        """Root mean square of each output once they are taken out."""
         x = centred[:, :: self.step] / self.scale
         rows = x.reshape(len(x), -1)
         left = rows - (rows @ self.basis) @ self.basis.T
@@ -704,7 +696,6 @@ def gusts(
     keep = math.exp(-dt / (SCALE_LENGTH / max(airspeed, 1.0)))
 
     def response(n: int) -> Float[np.ndarray, " n"]:
-        """To a single sample of one."""
         k = np.arange(n)
         second = math.sqrt(3.0) + (1.0 - math.sqrt(3.0)) * (1.0 - keep) * (k + 1) if across else 1.0
         return keep**k * second

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from bayes_aero.diagnosis.candidate_set import ENOUGH, manoeuvres
+from bayes_aero.diagnosis.candidate_set import ENOUGH, CandidateModel, manoeuvres
 from bayes_aero.diagnosis.result import TestPoint
 from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of
 from bayes_aero.diagnosis.selection_state import SelectionState, inverse, linearised
@@ -28,7 +28,7 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import marks
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis, Envelope, altitude_of_density, excursion
-from bayes_aero.residuals.base import flight_path
+from bayes_aero.residuals.base import ResidualModel, flight_path
 from bayes_aero.residuals.equation_error import EquationError
 
 AMPLITUDES, FASTER = (0.5, 1.0, 1.5), (1.0, 1.15)  # of the standard inputs, and of the records' first airspeed
@@ -47,7 +47,6 @@ class Ambiguity:
 
     @property
     def label(self) -> str:
-        """In words."""
         return " or ".join(self.effects)
 
     def pairs(self, information: Information) -> list[float]:
@@ -56,7 +55,6 @@ class Ambiguity:
         return [float(min(deviations[a, b], deviations[b, a])) for a, b in combinations(self.effects, 2)]
 
     def deviations(self, information: Information) -> float:
-        """By which the closest pair differs."""
         return min(self.pairs(information))
 
     def information(self, information: Information) -> float:
@@ -77,7 +75,6 @@ class TestPoints:
 
     @property
     def expected(self) -> tuple[float, ...]:
-        """Deviations by question when all points are flown."""
         return self.points[-1].expected if self.points else self.present
 
 
@@ -91,7 +88,6 @@ class Variant:
 
     @property
     def seconds(self) -> float:
-        """Length of its record."""
         return self.flown.seconds[self.manoeuvre]
 
 
@@ -172,7 +168,6 @@ def possible_points(
 
 
 def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
-    """Manoeuvres that no amplitude or airspeed makes possible, with the reason."""
     flown = {name for variant in variants for name in variant.flown}
     refused = {name: why for variant in variants for name, why in variant.refused.items() if name not in flown}
     if not envelope.programmed_inputs:
@@ -228,7 +223,6 @@ class ResidualNoise:
     growth: Float[np.ndarray, " c"]
 
     def of(self, outputs: Sequence[str]) -> ResidualNoise:
-        """Of those outputs alone that are among `outputs`."""
         at = [c for c, name in enumerate(self.outputs) if name in outputs]
         colour = Autocorrelation(self.colour.phi[at], self.colour.sigma[at])
         return ResidualNoise(tuple(self.outputs[c] for c in at), self.variance[at], colour, self.growth[at])
@@ -236,9 +230,8 @@ class ResidualNoise:
 
 def noise_of(state: SelectionState) -> ResidualNoise:
     """Residuals of the coefficients and, where it was recorded, of the flight path at the present parameters."""
-    residual, signals = state.responses.evaluate(jnp.asarray(state.theta))
-    residual, manoeuvre = np.array(residual), state.responses.manoeuvre
-    apart = state.responses.separated(signals)
+    responses, manoeuvre = state.responses, state.responses.manoeuvre
+    residual, apart = responses.residuals(state.theta, responses.outputs).copy(), responses.separated(state.theta)
     growth = np.zeros(residual.shape[1])
     for c, name in enumerate(state.responses.outputs):
         if name in state.outputs and np.any(apart > 0.0):
@@ -274,7 +267,6 @@ class Information:
         return Information(labels, matrix, score, prior)
 
     def without(self, labels: Sequence[str]) -> Information:
-        """With these columns held at their values."""
         at = [k for k, label in enumerate(self.labels) if label not in labels]
         rows = np.ix_(at, at)
         kept = tuple(self.labels[k] for k in at)
@@ -452,8 +444,7 @@ def of_records(state: SelectionState, chosen: Sequence[Effect], noise: ResidualN
     """The present records, linearised at the parameters of the state, with the `chosen` effects as candidates."""
     flights_of(state)
     full = replace(state.full, candidates=tuple(chosen))
-    known = state if state.outputs == noise.outputs else None
-    return _linearised(replace(state, full=full), state.theta, noise, known)
+    return _linearised(state, full, state.responses, state.theta, noise)
 
 
 def on_record(
@@ -469,17 +460,14 @@ def on_record(
     responses = replace(EquationError.of(flights, model), path=path)  # the same outputs everywhere: compiled once
     seen = noise.of((*model.coefficients, *flight_path(flights)))  # with wings level: nothing of sideslip and bank
     full = replace(state.full, model=model, candidates=tuple(chosen))
-    there = replace(state, full=full, responses=responses)
-    return _linearised(there, np.array([theta[name] for name in model.names]), seen)
+    return _linearised(state, full, responses, np.array([theta[name] for name in model.names]), seen)
 
 
 def _linearised(
-    state: SelectionState, theta: Float[np.ndarray, " k"], noise: ResidualNoise, known: SelectionState | None = None
+    state: SelectionState, full: CandidateModel, responses: ResidualModel, theta: np.ndarray, noise: ResidualNoise
 ) -> LinearisedRecord:
-    """Model, candidates and record of `state` at `theta`; what is `known` there is not computed again."""
-    full, responses = state.full, state.responses
+    """Model, candidates and record at `theta`, with the additions and the inflation of `state`."""
     active = tuple(e for e in state.active if e not in {c.name for c in full.candidates})
-    inflation = state.variance_inflation
-    there = linearised(full, responses, noise.outputs, theta, active, variance_inflation=inflation, known=known)
-    apart = responses.separated(responses.evaluate(jnp.asarray(theta))[1])
-    return LinearisedRecord(replace(there, noise_growth=1.0 + noise.growth * apart[:, None]), noise, full.candidates)
+    there = linearised(full, responses, noise.outputs, theta, active, like=state)
+    growth = 1.0 + noise.growth * responses.separated(theta)[:, None]
+    return LinearisedRecord(replace(there, noise_growth=growth), noise, full.candidates)

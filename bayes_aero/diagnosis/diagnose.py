@@ -23,7 +23,6 @@ from bayes_aero.diagnosis.result import (
     COEFFICIENTS,
     FLIGHT_PATH,
     LITTLE,
-    CancellingPair,
     Cause,
     Confirmation,
     Diagnosis,
@@ -88,15 +87,20 @@ def diagnose(
     if gains_wanted and result.testable_now:
         candidates, kept_of, failed = _confirmed(result, progress)
     else:
-        candidates, kept_of, failed = causes_of(result, {}, None), {n: x.state.active for n, x in result.stages}, ()
+        candidates, kept_of, failed = (
+            causes_of(result, {}, None),
+            {n: x.state.active for n, x in result.stages.items()},
+            (),
+        )
+    compared = result.model.state.responses.stage
     # Offsets between manoeuvres are in the model beside the causes.
-    hardly = stand_ins(candidates, result.by_stage, [one for one in result.unknown if not one.offsets])
+    hardly = stand_ins(candidates, result.stages, [one for one in result.unknown if not one.offsets])
     causes, beyond, unnamed = attributed(candidates, settings, hardly)
     unknown = (*result.unknown, *structure_of(result, (*unnamed, *beyond)))
-    kept = tuple(name for name in kept_of[result.stages[-1][0]] if name not in {c.name for c in beyond})
+    kept = tuple(name for name in kept_of[compared] if name not in {c.name for c in beyond})
     causes, beyond = without_conditional(causes, beyond)
     minor = (*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed))
-    state, tested = result.model.state, None if result.testable_now else Tested({})
+    tested = None if result.testable_now else Tested({})
     taken_up = absorbed(result.model)
     return Diagnosis(
         verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *result.changes), tested), result.noise), taken_up),
@@ -107,16 +111,20 @@ def diagnose(
         not_testable=result.not_testable,
         sensors=result.sensors,
         aerodynamics=result.model,
-        theta=state.theta,
-        split=split_name(state),
+        theta=result.model.state.theta,
+        split=split_name(result.model.state),
         base_moves=moves_of(result.model),
         kept=kept,
         failures=(*result.failures, *failed),
         notes=(*left_out, *result.notes),
-        together=together_of(result.stages, causes),
+        together=tuple(
+            pair
+            for stage, extension in result.stages.items()
+            for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
+        ),
         beyond=beyond,
         tested=tested,
-        compared=result.stages[-1][0],
+        compared=compared,
         gusts=gusts,
         changes=result.changes,
         terms=result.terms,
@@ -135,7 +143,7 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
         return bool(gain.degraded) or result.full.settings.degrades(gain.elpd, gain.elpd_se)
 
     def asked() -> tuple[list[Cause], Kept]:
-        confirmations = {stage: confirmation(one.state) for stage, one in result.stages}
+        confirmations = {stage: confirmation(one.state) for stage, one in result.stages.items()}
         while True:
             causes = causes_of(result, confirmations, progress)
             losing = [c for c in causes if c.confirmed and loses(c.gain)]
@@ -148,7 +156,7 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
     if causes is not None:
         return (*causes, failures)
     untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
-    return untested, {stage: () for stage, _ in result.stages}, failures
+    return untested, dict.fromkeys(result.stages, ()), failures
 
 
 def without_conditional(
@@ -162,9 +170,8 @@ def without_conditional(
 def causes_of(
     searched: SearchResult, confirmations: Mapping[str, Confirmation], progress: Progress | None
 ) -> list[Cause]:
-    """What every stage named; with gains on unseen data where these were asked to confirm it."""
     causes, full = list[Cause](), searched.full
-    for stage, extension in searched.stages:
+    for stage, extension in searched.stages.items():
         sure = confirmations.get(stage)
         measured = {}
         if sure is not None and extension.causes:
@@ -229,13 +236,12 @@ def _causes_in(
 
 
 def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
-    """A gain with the outputs because of which backward elimination took a cause out."""
     return gain if sure is None else replace(gain, degraded={**gain.degraded, **sure.harmed.get(name, {})})
 
 
 def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has."""
-    effects, extensions = {e.name: e for e in result.full.candidates}, result.by_stage
+    effects, extensions = {e.name: e for e in result.full.candidates}, result.stages
     several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
     structures = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
     least, described = result.full.settings.unnamed_share, {u.coefficient for u in result.unknown}
@@ -244,14 +250,6 @@ def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[Unexpl
         return c.name in extensions[c.stage].state.active or (u.share >= least and u.coefficient not in described)
 
     return tuple(u for c, u in structures if left(c, u))
-
-
-def together_of(stages: Sequence[tuple[str, Extension]], causes: Sequence[Cause]) -> tuple[CancellingPair, ...]:
-    """Pairs of named causes of one stage that cancel."""
-    pairs_by_stage = [
-        cancelling(extension, [c.name for c in causes if c.stage == stage]) for stage, extension in stages
-    ]
-    return tuple(pair for pairs in pairs_by_stage for pair in pairs)
 
 
 def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
@@ -265,7 +263,6 @@ def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
 
 
 def _excited(state: SelectionState, name: str) -> bool:
-    """Whether every manoeuvre moves what the effect acts through: the spread of its sensitivities within each."""
     if len(state.responses.flights.lengths) == 1:
         return True
     S = state.S[:, :, state.full.own_columns(name)]  # without the noise growth, which moves anything
@@ -351,7 +348,7 @@ def gains_of(
         pairs[name] = before, after
         before = after if name in kept else before
     gained = {name: (*after.gain(before), split_name(state)) for name, (before, after) in pairs.items()}
-    if state.outputs == state.responses.model.coefficients:
+    if state.of_coefficients:
         measured = measured_blocks(state)
         return {n: Gain(*gained[n], base.scores(measured), after.scores(measured)) for n, (_, after) in pairs.items()}
     if extension is aerodynamics:  # no coefficients to score

@@ -103,7 +103,6 @@ def simulated(
 
 
 def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.ndarray, "k k"]:
-    """Of the parameters, under a likelihood that counts each sample for one in `inflation`, and their priors."""
     return inflation * fit.covariance
 
 
@@ -237,7 +236,6 @@ class FlightNoise:
 
     @classmethod
     def of(cls, fit: OutputErrorResult) -> FlightNoise:
-        """From a fit to all."""
         return cls(trajectory_variance_inflation(fit), SeparatedFlow.of(fit))
 
     def on(self, flown: SegmentTrajectories, without: int | None = None) -> SegmentTrajectories:
@@ -331,7 +329,6 @@ def left_out_of(paths: Sequence[SimulatedManoeuvre], flown: SegmentTrajectories,
 def _left_out(
     scaled: Sequence[Float[np.ndarray, "_ c"]], flown: SegmentTrajectories, inflation: float, *, flyable: bool = True
 ) -> LeftOut:
-    """From residuals by segment that are divided by the noise growth already."""
     residual, lengths = np.concatenate(scaled), [len(r) for r in scaled]
     everywhere = np.ones(len(residual), bool)
     return LeftOut(residual, np.ones_like(residual), everywhere, flown.outputs, lengths, inflation, flyable=flyable)
@@ -457,7 +454,6 @@ class HeldOutFlights:
         return replace(self.contender, held={**self.contender.held, **gone})
 
     def _gone(self, effects: Sequence[str]) -> dict[str, float]:
-        """Neutral values of what is asked and not among `effects`."""
         return {name: x for e, values in self.neutral.items() if e not in effects for name, x in values.items()}
 
     @cached_property

@@ -104,9 +104,9 @@ class SharedNoise:
 
 
 class Middle:
-    """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours.
+    """`Autocorrelation.meat` of many sets of columns, each by itself, made ready once for many colours."""
 
-    The columns of each fold and output, divided by the output's variance, stand side by side, the last block first."""
+    # The columns of each fold and output, divided by the output's variance, stand side by side, the last block first.
 
     def __init__(
         self, S: Float[np.ndarray, "m c k"], variance: np.ndarray, folds: Sequence[slice], places: Sequence[np.ndarray]
@@ -195,7 +195,7 @@ class PartialledRegression:
         self.wanted = np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(self.wanted, block) for block in blocks]
         S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        self.inside = state.inside
+        self.inside, self.responses = state.inside, state.responses
         A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
         cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
@@ -206,20 +206,18 @@ class PartialledRegression:
         self.middle = Middle(self.P, fit.variance, state.folds, self.place)
 
     def right(self, residual: Float[np.ndarray, "*r m c"]) -> Float[np.ndarray, "*r w"]:
-        """Right sides of the normal equations of any number of records."""
         return np.tensordot(residual * self.weight, self.P, 2)
 
     def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"] | None = None
+        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """First-order estimate and its covariance for each block: under a colour, or by how far stretches disagree,
-        whatever the colour, where that makes it less sure."""
-        right = self.right(residual)
+        """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
+        right, stretch = self.right(residual), self.responses.stretch
         whole = self.middle.under_each([colour], range(len(self.place)))[1]
         estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
         covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
         for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
-            if stretch is not None:
+            if self.responses.freedom:
                 P = self.P[:, :, place]
                 rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
                 between = bread @ cluster_covariance(rows, stretch) @ bread
@@ -260,12 +258,12 @@ class PartialledRegression:
         estimates: Sequence[np.ndarray],
         own: int,
         colour: Autocorrelation,
-        stretch: Int[np.ndarray, " m"] | None,
+        blocks: Int[np.ndarray, " m"],
     ) -> Float[np.ndarray, " j"]:
         """Variance inflation along the difference of what each block and block `own` explain (1 for `own`)."""
         explained = [self.P[:, :, place] @ estimate for place, estimate in zip(self.place, estimates, strict=True)]
         D = np.stack([part - explained[own] for part in explained], axis=2)
-        return inflation_along(D, self.weight, self.folds, colour, residual - explained[own], stretch)
+        return inflation_along(D, self.weight, self.folds, colour, (residual - explained[own], blocks))
 
 
 def inflation_along(
@@ -273,26 +271,19 @@ def inflation_along(
     weight: Float[np.ndarray, " c"],
     folds: Sequence[slice],
     colour: Autocorrelation,
-    left: Float[np.ndarray, "m c"] | None = None,
-    stretch: Int[np.ndarray, " m"] | None = None,
+    left_in_blocks: tuple[Float[np.ndarray, "m c"], Int[np.ndarray, " m"]] | None = None,
 ) -> Float[np.ndarray, " j"]:
-    """Variance inflation along j directions under a colour, or by how far stretches of what is `left` disagree."""
+    """Variance inflation along j directions: by colour, or by how far blocks of what is left disagree where more."""
     variance = Middle(D, 1.0 / weight, folds, []).under_each([colour], [])[0][0]
-    if stretch is not None and left is not None:
-        rows = np.einsum("mcj,c,mc->mj", D, weight, left, optimize=True)
-        # where that is more
-        variance = np.maximum(variance, np.diag(cluster_covariance(rows, stretch)))
+    if left_in_blocks is not None and left_in_blocks[1].max():
+        rows = np.einsum("mcj,c,mc->mj", D, weight, left_in_blocks[0], optimize=True)
+        variance = np.maximum(variance, np.diag(cluster_covariance(rows, left_in_blocks[1])))
     return variance_inflation(variance, np.einsum("mcj,c,mcj->j", D, weight, D, optimize=True))
 
 
-def score(estimate: np.ndarray, covariance: np.ndarray, freedom: int) -> float:
-    score = equivalent(estimate, covariance)
-    return as_normal(score, freedom) if freedom else score
-
-
 def as_normal(score: float, freedom: int) -> float:
-    """Student's score as the normal one of the same tail probability."""
-    return -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
+    """Student's score as the normal one of the same tail probability; itself without degrees of freedom."""
+    return score if not freedom else -float(ndtri(max(stdtr(freedom, -score), 1e-300)))
 
 
 def largest_p_value(estimate: np.ndarray, covariance: np.ndarray, freedom: int, among: int) -> float:
@@ -317,8 +308,7 @@ def noise_growth_of(state: SelectionState, fit: RegressionFit) -> Float[np.ndarr
     coefficients = state.responses.model.coefficients
     if not set(state.outputs) & set(coefficients):
         return np.ones_like(state.residual)
-    _, signals = state.responses.evaluate(state.theta)
-    apart = state.responses.separated(signals)
+    apart = state.responses.separated(state.theta)
     residual = state.left(fit) * state.noise_growth
     colour = autocorrelation_of(residual, state.folds)
     noise_growth = np.ones_like(residual)  # b by least squares of |innovation| on 1 - X
@@ -383,7 +373,6 @@ class ScreeningResult:
         return float(np.sort(self.nulls)[-above]) if 0 < above <= len(self.nulls) else math.nan
 
     def of(self, effect: str) -> CandidateScore | None:
-        """The best standing of one effect."""
         return next((s for s in self.candidate_scores if s.effect == effect), None)
 
 
@@ -396,9 +385,8 @@ def screen(
     without: str | None = None,
     noise: SharedNoise | None = None,
 ) -> ScreeningResult:
-    """Fit every candidate, all active parameters free; draw noise-only replicates (`nulls`) under the present model.
-    `without` takes one addition out first, to first order: it is then a candidate, and the others are told `apart` from
-    it."""
+    """Fit every candidate beside all active parameters; draw noise-only replicates (`nulls`) under the present model.
+    `without` takes one addition out first: it is then a candidate, and the others are told `apart` from it."""
     if without is not None:
         state = state.without([without])
         fit = state.fit()
@@ -411,12 +399,11 @@ def screen(
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
-    stretch, freedom = state.responses.stretch, state.responses.freedom
-    estimates, covariances = projected.scores(residual, colour, stretch)
+    estimates, covariances = projected.scores(residual, colour)
     gains = _gains(state, fit, [b[1] for b in blocks])
     before = projected.deviance(residual)
     away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
-    apart = None if away is None else projected.apart(residual, estimates, away, colour, stretch)
+    apart = None if away is None else projected.apart(residual, estimates, away, colour, state.responses.stretch)
     scores = []
     for j, (effect, own_columns, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
@@ -429,7 +416,7 @@ def screen(
                 columns=tuple(int(i) for i in own_columns),
                 value=value,
                 gain=float(gains[0][j]) if possible else 0.0,
-                score=score(estimates[j], covariances[j], freedom) if possible else 0.0,
+                score=as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
                 log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own_columns], prior),
                 step=tuple(float(x) for x in step),
@@ -465,8 +452,7 @@ def null_scores(
 def null_shares(
     state: SelectionState, colour: Autocorrelation, variance: Float[np.ndarray, " c"], seed: int
 ) -> Float[np.ndarray, " r"]:
-    """Largest share of one output's variance that any block, acting on one output, explains in each noise-only record,
-    of this autocorrelation and these variances."""
+    """Largest share of one output's variance that any block of one output explains in each record of such noise."""
     # Both are what is left with the component in whose share is judged: with it out, structure would pass for slow
     # noise, and noise of the other outputs for a share of it.
     fit, count = state.fit_columns(state.columns(), held=variance), state.settings.unnamed_replicates
@@ -498,7 +484,6 @@ def chance_of(score: float, nulls: Float[np.ndarray, " r"]) -> float:
 
 
 def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros."""
     columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(own) for own in blocks)
     rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
     step, _, _, deviance = state.products.fit_many(rows, state.mean, state.precision)
@@ -529,31 +514,28 @@ def uncertainty(
 def block_jackknife_covariance(
     state: SelectionState, fit: RegressionFit
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Active columns but those with which windows begin, and the covariance of their estimates from how far these move
-    when a part of the flights is left out (see `jackknife_covariance`)."""
-    stretch = state.responses.jackknife_blocks
-    assert stretch is not None
+    """Active columns but those with which windows begin, and the covariance of their estimates by the jackknife."""
     columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
     left = state.left(fit)
-    parts = []  # information of each stretch on these columns, its beginning free, and what it adds to the right side
-    for k in range(int(stretch.max()) + 1):
-        here = (stretch == k) & state.inside
+
+    def products(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Information of a part on these columns, its beginning free, and what it adds to the right side."""
+        here = part & state.inside
         S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
         S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
-        right = np.einsum("mci,c,mc->i", S, weight, left[here])
-        parts.append((np.einsum("mci,c,mcj->ij", S, weight, S), right))
+        return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, left[here])
+
+    parts = state.responses.by_part(products)
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
-    moves = np.array([inverse(whole - information) @ right for information, right in parts])
-    return columns, jackknife_covariance(moves)
+    return columns, jackknife_covariance(np.array([inverse(whole - N) @ right for N, right in parts]))
 
 
 def jackknife_errors(
-    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"] | None
+    state: SelectionState, fit: RegressionFit, blocks: Int[np.ndarray, " m"]
 ) -> Float[np.ndarray, " k"]:
-    """Standard error of each of the fit's columns by `block_jackknife_covariance`, less than which none is; zero where
-    there are no `blocks`."""
+    """Least standard error of each of the fit's columns, by the jackknife; zero where all is one block."""
     errors = np.zeros(len(fit.columns))
-    if blocks is not None:
+    if blocks.max():
         columns, covariance = block_jackknife_covariance(state, fit)
         errors[np.isin(fit.columns, columns)] = np.sqrt(np.diag(covariance))
     return errors
@@ -562,12 +544,10 @@ def jackknife_errors(
 def jackknife_p_value(
     state: SelectionState, fit: RegressionFit, columns: Int[np.ndarray, " k"], size: Float[np.ndarray, " k"], among: int
 ) -> float:
-    """p-value of an addition of this `size` by how far it moves without each block, Bonferroni over `among`."""
+    """p-value of an addition of this `size` by how far it moves without each part, Bonferroni over `among`."""
     own, covariance = block_jackknife_covariance(state, fit)
     at = [int(np.flatnonzero(own == c)[0]) for c in columns]
-    blocks = state.responses.jackknife_blocks
-    assert blocks is not None
-    return largest_p_value(size, covariance[np.ix_(at, at)], int(blocks.max()), among)
+    return largest_p_value(size, covariance[np.ix_(at, at)], int(state.responses.parts.max()), among)
 
 
 # --- A candidate judged under the colour that is left once it is in.
@@ -617,7 +597,6 @@ class RefitScore:
     def _left(
         self, noises: Float[np.ndarray, "r m c"], leaders: Sequence[tuple[int, Float[np.ndarray, " _"]]]
     ) -> list[Autocorrelation]:
-        """The colour of each noise record once its leader is taken out."""
         P, place = self.projected.P, self.projected.place
         left = [noise - P[:, :, place[j]] @ estimate for noise, (j, estimate) in zip(noises, leaders, strict=True)]
         return autocorrelations_of(np.array(left), self.state.folds)
@@ -625,7 +604,6 @@ class RefitScore:
     def _judged(
         self, j: int, residuals: Float[np.ndarray, "r m c"], colours: Sequence[Autocorrelation]
     ) -> tuple[Float[np.ndarray, "r w"], Float[np.ndarray, "r w w"]]:
-        """Estimate and covariance of one block in each of r records."""
         bread, P = self.projected.bread[j], self.projected.P[:, :, self.projected.place[j]]
         middle = Middle(P, self.fit.variance, self.state.folds, [np.arange(P.shape[2])])
         right = np.tensordot(residuals * self.projected.weight, P, 2)

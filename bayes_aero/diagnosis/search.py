@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,7 @@ from bayes_aero.diagnosis.accuracy import filtered_channels
 from bayes_aero.diagnosis.candidate_set import CandidateModel, DiagnosisSettings, candidate_model, lag_of
 from bayes_aero.diagnosis.components import has_chunks, offsets_left
 from bayes_aero.diagnosis.consistency import check_sensors, widened
-from bayes_aero.diagnosis.result import INNOVATIONS, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
+from bayes_aero.diagnosis.result import FLIGHT_PATH, FoundTerm, NoiseReport, ParameterChange, UnexplainedStructure
 from bayes_aero.diagnosis.screening import lag1_within, screen
 from bayes_aero.diagnosis.selection import (
     Extension,
@@ -57,44 +57,34 @@ class SearchResult:
     """What a search for missing effects has found, whichever way the model meets the record."""
 
     full: CandidateModel
-    stages: tuple[tuple[str, Extension], ...]  # extensions by stage, the model's own last
+    stages: Mapping[str, Extension]  # extensions by stage, the model's own last
     unknown: tuple[UnexplainedStructure, ...]
     noise: NoiseReport
-    notes: tuple[str, ...] = ()
-    failures: tuple[str, ...] = ()  # parts that failed unexpectedly
-    changes: tuple[ParameterChange, ...] = ()
-    terms: tuple[FoundTerm, ...] = ()
-    forms: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # as good as a cause; see `Forms.rivals`
+    notes: tuple[str, ...]
+    failures: tuple[str, ...]  # parts that failed unexpectedly
+    changes: tuple[ParameterChange, ...]
+    terms: tuple[FoundTerm, ...]
+    forms: Mapping[str, tuple[str, float]]  # as good as a cause; see `Forms.rivals`
 
     @property
     def testable_now(self) -> bool:
         """Whether hold-out data can be tested at once; trajectories are when they are compared."""
-        return self.model.state.responses.stationary
+        return not self.model.state.responses.freedom
 
     @property
     def model(self) -> Extension:
-        """The extension of the model itself."""
-        return self.stages[-1][1]
+        return list(self.stages.values())[-1]
 
     @property
     def sensors(self) -> Extension | None:
         """The extension of the flight path, by errors of sensors."""
-        return self.stages[0][1] if len(self.stages) > 1 else None
+        return self.stages.get(FLIGHT_PATH)
 
     @property
     def not_testable(self) -> Mapping[str, str]:
         """Why effects could not be tested: a lag is tested where the search has tried it and added it."""
-        added = {name for _, extension in self.stages for name in extension.state.active}
+        added = {name for extension in self.stages.values() for name in extension.state.active}
         return {name: why for name, why in self.full.not_testable.items() if name not in added}
-
-    @property
-    def by_stage(self) -> Mapping[str, Extension]:
-        """The extensions by name of the stage."""
-        return dict(self.stages)
-
-
-def _by_stage(*extensions: Extension) -> tuple[tuple[str, Extension], ...]:
-    return tuple((extension.state.responses.stage, extension) for extension in extensions)
 
 
 def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
@@ -106,8 +96,8 @@ def lacking(records: Sequence[FlightRecord], card: Card) -> tuple[str, ...]:
 def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseReport:
     """Colour, size, growth and outliers of what the extended model leaves; of coefficients at the recorded rate."""
     state, names = extension.state, extension.state.outputs
-    if names == state.responses.model.coefficients:
-        left = np.asarray(state.responses.evaluate(state.theta)[1]["residual"])[:, : len(names)]
+    if state.of_coefficients:
+        left = state.responses.predict(state.theta)["residual"][:, : len(names)]
         blocks, manoeuvre = np.asarray(state.responses.block(left)), state.responses.manoeuvre
         lag1 = [lag1_within(x, manoeuvre) for x in blocks.T]
         growth = [float(x) for x in state.noise_growth.max(axis=0)]
@@ -117,7 +107,7 @@ def noise_report(extension: Extension, outliers: Mapping[str, int]) -> NoiseRepo
         growth = [1.0] * len(names)
     deviation = {name: float(x.std()) for name, x in zip(names, left.T, strict=True)}
     colour, grown = (dict(zip(names, x, strict=True)) for x in (lag1, growth))
-    return NoiseReport(colour, deviation, grown, dict(outliers), state.responses.stage == INNOVATIONS)
+    return NoiseReport(colour, deviation, grown, dict(outliers), state.responses.white)
 
 
 @dataclass(frozen=True)
@@ -159,35 +149,41 @@ class Search:
             lambda: forms_of(both.aerodynamics, left, seed=self.seed + 3000),
             Forms((), ()),
         )
-        aerodynamics = withdrawn(both.aerodynamics, (*left.replaced, *forms.replaced), forms.sizes)
         notes = []
         if filtered := filtered_channels(flights):
             notes.append(
                 f"The record shows no white noise of {', '.join(filtered)} (filtered before recording, or none): sizes "
                 "are not corrected for the bias from such noise, and their intervals do not include it."
             )
-        if not has_chunks(aerodynamics.state):
+        if not has_chunks(both.aerodynamics.state):
             notes.append("Periodic structure was not tested: a manoeuvre is too short to be divided into blocks.")
         notes += [
             f"The flight path alone selects {name}, which can be due to gusts. This correction degrades the fit of the "
             "coefficients by more than the flight path gains, so it is not made."
             for name in both.denied
         ]
-        return SearchResult(
-            full,
-            _by_stage(*(() if both.sensors is None else (both.sensors,)), aerodynamics),
-            (*described(left.unknown, forms), *offsets_found(aerodynamics, forms.idle)),
-            noise_report(aerodynamics, outliers),
-            tuple(notes),
-            (*failures, *failed),
-            changes=left.changes,
-            terms=forms.terms,
-            forms=forms.rivals,
-        )
+        forms = forms._replace(unknown=described(left.unknown, forms))
+        extensions = both.sensors, withdrawn(both.aerodynamics, (*left.replaced, *forms.replaced), forms.sizes)
+        return self._result(full, extensions, forms, outliers, (notes, (*failures, *failed)), left.changes)
+
+    def _result(
+        self,
+        full: CandidateModel,
+        extensions: Sequence[Extension | None],
+        forms: Forms,
+        outliers: Mapping[str, int],
+        notes_and_failures: tuple[Sequence[str], Sequence[str]],
+        changes: tuple[ParameterChange, ...] = (),
+    ) -> SearchResult:
+        stages = {x.state.responses.stage: x for x in extensions if x is not None}
+        model = list(stages.values())[-1]
+        unknown = (*forms.unknown, *offsets_found(model, forms.idle))
+        notes, failures = map(tuple, notes_and_failures)
+        noise = noise_report(model, outliers)
+        return SearchResult(full, stages, unknown, noise, notes, failures, changes, forms.terms, forms.rivals)
 
     def innovations(self) -> SearchResult:
-        """What a filter does not foresee of all recorded outputs, in air that is not at rest. A gust moves vane and
-        accelerometers together, as no error of a sensor does."""
+        """What a filter does not foresee: a gust moves vane and accelerometers together, as no error of a sensor."""
         if self.progress:
             self.progress("process noise", 0.0)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
@@ -208,9 +204,9 @@ class Search:
         return self._with_terms(extension, flights, outliers, notes)
 
     def trajectories(self) -> SearchResult:
-        """In airspeed, alpha, attitude, pitch rate and altitude alone, where no accelerometer gives the coefficients.
-        Less is seen than there: a trajectory integrates what a coefficient shows at once. A lag of the separation point
-        is tried where something is missing."""
+        """In airspeed, flow angles, attitude, rates and altitude, where no accelerometer gives the coefficients."""
+        # Less is seen than there: a trajectory integrates what a coefficient shows at once. A lag of the separation
+        # point is tried where something is missing.
         if why := too_few_windows(self.records):
             raise InputError(why)
         flights, outliers = despiked(join(self.records, self.card, FLIGHT))
@@ -249,28 +245,18 @@ class Search:
         failures: Sequence[str] = (),
     ) -> SearchResult:
         """The result of a search in trajectories or innovations, with terms of the library for what is left."""
-        left, failed = attempted(
+        forms, failed = attempted(
             "The form of what the catalogue does not explain was not sought",
             lambda: flown_forms(extension, seed=self.seed + 3000, progress=self.progress),
             Forms((), ()),
         )
         if still := taken_as_zero(flights):
             notes.append(f"Not recorded, and taken as zero: {', '.join(still)}.")
-        extension = withdrawn(extension, left.replaced, left.sizes)
-        return SearchResult(
-            extension.state.full,
-            _by_stage(extension),
-            (*left.unknown, *offsets_found(extension, left.idle)),
-            noise_report(extension, outliers),
-            tuple(notes),
-            (*failures, *failed),
-            terms=left.terms,
-            forms=left.rivals,
-        )
-
-    # --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
+        extension = withdrawn(extension, forms.replaced, forms.sizes)
+        return self._result(extension.state.full, [extension], forms, outliers, (notes, (*failures, *failed)))
 
 
+# --- The two stages of a diagnosis by coefficients, and what each has to say of the other's finding.
 # The flight path names errors of sensors that the coefficients would silently absorb. In gusts it may name one that is
 # not there; then the coefficients, which do not wander, lose far more by the correction than the flight path gains.
 
@@ -337,8 +323,7 @@ def search_in_stages(
 
 
 def _after(full: CandidateModel, sensors: Extension | None) -> CandidateModel:
-    """What the coefficients may still add, once the flight path has named its sensors; what this says of those that it
-    did not elect is their prior, for the coefficients must not contradict it."""
+    """What the coefficients may still add after the flight path, which is the prior of the sensors it did not elect."""
     if sensors is None:
         return replace(full, priors={})
     taken = {*sensors.state.active, *(n for larger in sensors.larger for n in without_hold(larger))}
@@ -396,8 +381,7 @@ class _Filtered(NamedTuple):
         before: PredictionErrorResult | None,
         progress: Progress | None,
     ) -> tuple[SelectionState, PredictionErrorResult]:
-        """The filter's fit with these additions, from the one `before`, and the problem linearised there, all other
-        candidates neutral."""
+        """The filter's fit with these additions, from the one `before`, and the problem linearised there."""
         if progress:
             progress("process noise", 0.0)
         full, names = self.full, self.full.model.names
@@ -409,10 +393,9 @@ class _Filtered(NamedTuple):
         gusty, filtered = fit_disturbed(whole, start, self.R, exact=False, similar=before)
         if filtered.status is PredictionErrorStatus.DIVERGED:
             raise InputError(f"process noise cannot be estimated: {filtered.status.value}")
-        assert isinstance(gusty.dynamics, AircraftDynamics)
         # The gusts' parameters are no candidate's, so that they stay what the filter found of them.
-        effects = gusty.dynamics.model.effects
-        gusts = [e for e in effects if e.disturbance is not None and e not in full.model.effects]
+        gusty_dynamics: Any = gusty.dynamics
+        gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
         full = replace(full, model=full.model.extended(*gusts))
         values = full.neutral | dict(zip(filtered.names, filtered.estimate, strict=True))
         theta = np.array([values[name] for name in full.model.names])
@@ -429,8 +412,7 @@ def _searched(
     before: Extension | None = None,
     barred: tuple[str, ...] = (),
 ) -> tuple[Extension, PredictionErrorStatus]:
-    """One addition after the other; after each, gusts and noise are estimated anew. What is larger than aircraft have
-    is `barred`, and all is sought again; `before` it was in."""
+    """One addition after the other; after each, gusts and noise are estimated anew, as in `plausible_selection`."""
     begin = known
     active: tuple[str, ...] = ()
     apart: tuple[str, ...] = ()

@@ -177,14 +177,13 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
 def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
     """Coefficients that an addition changes; where simulations or innovations are compared, all whose constant the card
     has; none along the flight path."""
-    coefficients = state.responses.model.coefficients
-    if state.outputs == coefficients:
+    if state.of_coefficients:
         reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
         return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
     if state.responses.kinematic:
         return ()
     own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
-    return tuple(n for n in coefficients if constant_of(n) in own)
+    return tuple(n for n in state.responses.model.coefficients if constant_of(n) in own)
 
 
 def sized(extension: Extension) -> Extension:
@@ -239,7 +238,7 @@ def _election(
         p = screening.p_value(standing.score)
         if p <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, screening, gain)
-    if not state.responses.stationary:  # no stationary colour holds, with a leader in or out
+    if state.responses.freedom:  # no stationary colour holds, with a leader in or out
         for standing, gain in able[: settings.candidates_refitted]:
             wider = refitted(added(state, standing))
             p = between_p_value(*wider, standing.effect, len(screening.candidate_scores))
@@ -273,8 +272,7 @@ def mixes_noise(state: SelectionState, standing: CandidateScore) -> bool:
     # Noise of the angle of attack is in CL and in Cm at once. A shift of the CG adds CL to Cm, which hides that noise
     # under a diagonal covariance and explains nothing. Only constants of the aircraft mix coefficients as measured;
     # what any other effect leaves out of one of them may rightly be in another, too.
-    coefficients = state.responses.model.coefficients
-    if state.outputs != coefficients or standing.together >= state.settings.least_share_correlated * standing.gain:
+    if not state.of_coefficients or standing.together >= state.settings.least_share_correlated * standing.gain:
         return False
     return any(e.name == standing.effect and e.stage is Stage.AIRCRAFT for e in state.full.candidates)
 
@@ -298,7 +296,6 @@ def added(state: SelectionState, winner: CandidateScore) -> SelectionState:
 
 
 def removed(state: SelectionState, effect: str) -> SelectionState:
-    """The state without one of its additions, that effect's parameters at neutral."""
     return truncated(state, [e for e in state.active if e != effect])
 
 
@@ -397,7 +394,7 @@ def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect that is large enough for a name: seen with the parameter
     held, not seen with it free within its prior."""
     state, fit, parameters = extension.state, extension.fit, []
-    if state.outputs != state.responses.model.coefficients:
+    if not state.of_coefficients:
         return ()
 
     def at_rest(column: int) -> bool:

@@ -67,7 +67,6 @@ class Products:
 
     @cached_property
     def total(self) -> Float[np.ndarray, "c k k"]:
-        """Inner products summed over folds."""
         return self.gram.sum(axis=0)
 
     def shifted(self, columns: Int[np.ndarray, " k"], by: Float[np.ndarray, " k"]) -> Products:
@@ -84,8 +83,7 @@ class Products:
         precision: Float[np.ndarray, " K"],
         held: Float[np.ndarray, " c"] | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit j sets of columns at once, each with the normal prior of its steps: steps, information, variances,
-        deviances."""
+        """Steps, information, variances and deviances of j sets of columns, each with the normal prior of its steps."""
         gram, n = self.total, float(self.count.sum())
         j, k = columns.shape
         full = np.concatenate([np.zeros((j, 1), int), columns + 1], axis=1)
@@ -183,19 +181,15 @@ class Component:
 
     @property
     def label(self) -> str:
-        """What it is called beside others."""
         return f"{self.coefficient} over {self.channel}"
 
 
 @dataclass(frozen=True)
 class SelectionState:
-    """Parameters `theta` (all of the full model's), residuals and sensitivities there.
+    """Parameters `theta` (all of the full model's), residuals and sensitivities there, of the outputs of one stage."""
 
-    Outputs are those of one stage of the criticism: the coefficients, or the flight path. Columns beyond the
-    parameters: the flight-path offsets, active always; a column for every scanned value of a candidate that has no
-    slope at neutral; and a last one of zeros, which fills up blocks of unequal width.
-    """
-
+    # Columns beyond the parameters: what is free in every fit, such as where the flight path begins; one for every
+    # scanned value of a candidate without a slope at neutral; a last one of zeros, which fills blocks of unequal width.
     full: CandidateModel
     responses: ResidualModel
     outputs: tuple[str, ...]
@@ -217,8 +211,12 @@ class SelectionState:
 
     @property
     def settings(self) -> DiagnosisSettings:
-        """Thresholds of the diagnosis."""
         return self.full.settings
+
+    @property
+    def of_coefficients(self) -> bool:
+        """Whether the outputs are the coefficients themselves, not what is flown with them or the flight path."""
+        return self.outputs == self.responses.model.coefficients
 
     def least_share(self, share: float) -> float:
         """A least share of the variance of means over `FILTER_STEP` samples, as of these: noise averages out."""
@@ -347,16 +345,15 @@ def linearised(
     outputs: tuple[str, ...],
     theta: Float[np.ndarray, " k"],
     active: tuple[str, ...] = (),
-    noise_growth: Float[np.ndarray, "m c"] | None = None,
-    variance_inflation: float = 1.0,
-    known: SelectionState | None = None,
     apart: tuple[str, ...] = (),
+    like: SelectionState | None = None,
 ) -> SelectionState:
-    """The state at `theta`: residuals, sensitivities to every parameter, and their inner products; what is `known`
-    there is not computed again. Coefficients `apart` have a free offset in every manoeuvre."""
-
+    """The state at `theta`, with a free offset in every manoeuvre of coefficients `apart` and noise as in `like`."""
+    same = like if like is not None and like.responses is responses and like.outputs == outputs else None
+    known = same if same is not None and np.array_equal(same.theta, theta) else None  # not computed again
+    variance_inflation = 1.0 if like is None else like.variance_inflation
     keep = [responses.outputs.index(name) for name in outputs]
-    if known is not None and np.array_equal(known.theta, theta):
+    if known is not None:
         residual, S, scanned = known.residual, known.S[:, :, : len(theta)], known.scanned
     else:
         residual, S = responses.linearise(theta)
@@ -375,11 +372,11 @@ def linearised(
                     continue
                 there = theta.copy()
                 there[at] = value
-                other = np.asarray(responses.evaluate(there)[0])[:, keep]
+                other = responses.residuals(there, outputs)
                 extra.append(((residual - other) / (value - theta[at]))[:, :, None])
     S = np.concatenate([S, *extra, np.zeros((*residual.shape, 1))], axis=2)
     S = np.where(np.abs(S) < LARGEST, S, 0.0)
-    noise_growth = np.ones_like(residual) if noise_growth is None else noise_growth
+    noise_growth = np.ones_like(residual) if same is None else same.noise_growth
     folds = folds_of(responses.manoeuvre, responses.seconds, full.settings)
     mean, precision = full.prior(range(len(theta)), theta)
     precision = variance_inflation * precision
@@ -387,9 +384,8 @@ def linearised(
     nothing = np.zeros(extra[0].shape[2])
     # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
     size = [_spread(residual, ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
-    flat = np.concatenate(
-        [nothing[len(size) :], variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))]
-    )
+    wide = variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))
+    flat = np.concatenate([nothing[len(size) :], wide])
     mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
     precision = np.concatenate([precision, flat, precision[of_scans], [1.0]])
     products = Products.of(residual / noise_growth, S / noise_growth[:, :, None], folds)
@@ -407,11 +403,7 @@ def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) 
 
 
 def constants_of_manoeuvres(
-    full: CandidateModel,
-    manoeuvre: Int[np.ndarray, " m"],
-    outputs: Sequence[str],
-    S: Float[np.ndarray, "m c k"],
-    name: str,
+    full: CandidateModel, manoeuvre: Int[np.ndarray, " m"], outputs: Sequence[str], S: np.ndarray, name: str
 ) -> Float[np.ndarray, "m c o"]:
     """Sensitivity to a coefficient's constant in every manoeuvre: of itself, or of flown outputs to the model's one."""
     if name in outputs:
@@ -443,8 +435,7 @@ def moved(
 ) -> SelectionState:
     """The state at other parameters, with other effects in or coefficients `apart`, with the same noise growth."""
     active, apart = state.active if active is None else active, state.apart if apart is None else apart
-    noise = state.noise_growth, state.variance_inflation
-    return linearised(state.full, state.responses, state.outputs, theta, active, *noise, state, apart)
+    return linearised(state.full, state.responses, state.outputs, theta, active, apart, state)
 
 
 # --- Parameters fitted to the residuals of any folds by Gauss-Newton.
@@ -472,7 +463,7 @@ def optimum(state: SelectionState, folds: Sequence[int], most: int = REFITS) -> 
 
     def deviance_at(theta: Float[np.ndarray, " k"]) -> float:
         """The deviance of `local_fit` without its regression, from the residuals alone."""
-        residual = np.asarray(state.responses.evaluate(theta)[0])[:, state.kept_outputs]
+        residual = state.responses.residuals(theta, state.outputs)
         none = np.arange(0)
         mean, precision = state.full.prior(at, theta)
         prior = state.variance_inflation * float(np.sum(precision * mean**2))
@@ -523,14 +514,12 @@ def _fit_at(
     beside = state.columns()
     beside = beside[beside >= len(state.theta)]  # offsets, and components that are in
     S = np.concatenate([S, state.S[:, :, beside]], axis=2)
-    products = Products.of(
-        residual / state.noise_growth, S / state.noise_growth[:, :, None], [state.folds[f] for f in folds]
-    )
+    growth, chosen = state.noise_growth, [state.folds[f] for f in folds]
+    products = Products.of(residual / growth, S / growth[:, :, None], chosen)
     mean, precision = state.full.prior(at, theta)
     precision = state.variance_inflation * precision
     mean, precision = np.append(mean, state.mean[beside]), np.append(precision, state.precision[beside])
     free = np.arange(S.shape[2])
     only = products.fit(free[len(at) :], mean, precision)  # parameters as they are; offsets and variances adapt
-    return products.fit(free, mean, precision, held), only.deviance + float(
-        np.sum(precision[: len(at)] * mean[: len(at)] ** 2)
-    )
+    prior = float(np.sum(precision[: len(at)] * mean[: len(at)] ** 2))
+    return products.fit(free, mean, precision, held), only.deviance + prior

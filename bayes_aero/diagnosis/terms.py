@@ -85,7 +85,6 @@ class SelectedTerm:
 
 
 def components_of(terms: Sequence[SelectedTerm]) -> list[Component]:
-    """What selected terms add to the outputs."""
     return [term.column.component for term in terms]
 
 
@@ -185,7 +184,7 @@ def sized(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTe
     """All terms fitted together, beside the parameters of the model."""
     whole = state.with_components((), components_of(terms))
     fit = whole.fit()
-    errors = jackknife_errors(whole, fit, state.responses.jackknife_blocks)
+    errors = jackknife_errors(whole, fit, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
     own = slice(len(fit.columns) - len(terms), None)
     rows = zip(terms, fit.step[own], deviation[own], strict=True)
@@ -295,7 +294,7 @@ def _weighed(
     projected, residual = PartialledRegression(trial, fit, trial.component_columns), trial.left(fit)
     right = projected.right(residual)
     estimates = [bread @ right[place] for bread, place in zip(projected.bread, projected.place, strict=True)]
-    apart = projected.apart(residual, estimates, 0, colour, trial.responses.jackknife_blocks)
+    apart = projected.apart(residual, estimates, 0, colour, trial.responses.parts)
     lost = np.array([nats(best - gain, x) for (_, gain), x in zip(near, apart, strict=True)])
     weights = weights_of(lost - lost.min(), [c.term.cost for c, _ in near])
     close = np.flatnonzero(lost - lost.min() < state.settings.ambiguous)
@@ -335,12 +334,10 @@ class _Model:
 
     @property
     def wide(self) -> SelectionState:
-        """The state with the terms in."""
         return self.state.with_components((), self.components)
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """Terms and polynomials."""
         return (*components_of(self.terms), *self.functions)
 
     @cached_property
@@ -379,12 +376,11 @@ class _Model:
         state, fits, lefts = self.state, (self.fitted[0], other.fitted[0]), (self.fitted[1], other.fitted[1])
         better = int(fits[1].deviance < fits[0].deviance)
         D, weight = np.where(state.inside[:, None], lefts[0] - lefts[1], 0.0)[:, :, None], 1.0 / fits[better].variance
-        colour, blocks = autocorrelation_of(lefts[better], state.folds), state.responses.jackknife_blocks
-        (inflation,) = inflation_along(D, weight, state.folds, colour, lefts[better], blocks)
+        colour, left = autocorrelation_of(lefts[better], state.folds), (lefts[better], state.responses.parts)
+        (inflation,) = inflation_along(D, weight, state.folds, colour, left)
         return nats(fits[1].deviance - fits[0].deviance, float(inflation)) - self.cost + other.cost
 
     def degrades(self, other: _Model) -> bool:
-        """Whether hold-out data are predicted worse than by another."""
         before, after = (LeftOut.first_order(one.wide, one.state.active) for one in (other, self))
         return self.state.settings.degrades(*after.gain(before))
 
@@ -504,7 +500,7 @@ def _without(state: SelectionState, effects: Sequence[str], apart: tuple[str, ..
 
 def _reached(bare: SelectionState, state: SelectionState, shown: Collection[str]) -> list[str]:
     """Coefficients that lack something without what is contested: all, where the residuals are no coefficients."""
-    if state.outputs != state.responses.model.coefficients:
+    if not state.of_coefficients:
         return list(state.responses.model.coefficients)
     more = float(state.products.count.sum()) * np.log(bare.fit().variance / state.fit().variance)
     lacking = [nats(x, state.variance_inflation) > state.settings.ambiguous for x in more]
@@ -536,7 +532,6 @@ def _beside(
 
 
 def _curved(model: _Model, curves: Sequence[Component]) -> _Model:
-    """With the functions that earn their cost."""
     for curve in curves:
         wider = replace(model, functions=(*model.functions, curve))
         model = wider if wider.beyond(model) > 0.0 else model
@@ -561,7 +556,6 @@ def _negligible(model: _Model) -> list[str]:
 
 
 def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model:
-    """With functions in place of a cause or of offsets."""
     return replace(model.less(item), functions=tuple(functions))
 
 
@@ -580,7 +574,6 @@ def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]
 
 
 def _fitted(model: _Model) -> _Model:
-    """With the parameters at the optimum beside the terms."""
     state = model.wide
     return replace(model, state=moved(model.state, optimum(state, range(len(state.folds)))))
 

@@ -310,7 +310,6 @@ def beyond_noise(flown: Trajectories, records: Sequence[FlightRecord], card: Car
     lengths = [record.n for record in records]
 
     def rms(output: str, split: str) -> float:
-        """Over all flights of one split."""
         paths = [p for p in flown.paths if (p.model, p.split) == ("extended", split)]
         squares, samples = [p.errors[output].rms ** 2 for p in paths], [len(p.time) for p in paths]
         return float(np.sqrt(np.average(squares, weights=samples))) if paths else float("nan")

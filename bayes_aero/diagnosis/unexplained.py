@@ -120,7 +120,7 @@ def testable(state: SelectionState) -> bool:
     """Whether the state is of coefficients that are modelled, and every manoeuvre long enough to be divided."""
     parts = parts_of(state, state.settings.change_parts)
     long = all(part.stop - part.start > ORDER for part in parts)
-    return state.outputs == state.responses.model.coefficients and long and bool(len(_free(state)) and _over(state))
+    return state.of_coefficients and long and bool(len(_free(state)) and _over(state))
 
 
 def _promising(
@@ -174,7 +174,6 @@ def holdout_gain_of(state: SelectionState, component: Component, chosen: Sequenc
 
 
 def _free(state: SelectionState) -> Int[np.ndarray, " p"]:
-    """Columns of the aerodynamic parameters that are free in the model."""
     moved = [e for e in state.full.model.effects if e.kind is Kind.AERODYNAMICS and e.stage > Stage.INFLOW]
     own, names = {p for e in moved for p in state.full.parameters_of(e.name)}, state.full.model.names
     return np.array([c for c in state.columns() if c < len(names) and names[c] in own], int)
@@ -186,7 +185,6 @@ def _over(state: SelectionState) -> list[Span]:
 
 
 def _leader(scan: ChangeScan, estimates: Float[np.ndarray, "n p"]) -> tuple[tuple[int, int], float]:
-    """The change that takes most deviance away, and how much."""
     gains = scan.gains(estimates)
     span, parameter = np.unravel_index(int(np.argmax(gains)), gains.shape)
     return (int(span), int(parameter)), float(gains[span, parameter])
@@ -314,7 +312,6 @@ class ChangeScan:
         return shares
 
     def _summed(self, x: Float[np.ndarray, "m ..."]) -> Float[np.ndarray, "n ..."]:
-        """Sums over each span."""
         total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
         return total[self._end] - total[self._begin]
 
@@ -326,7 +323,6 @@ class ChangeScan:
         return np.where(self._idle, 0.0, right / self.information)
 
     def gains(self, estimates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n p"]:
-        """Deviance that each change takes away, variances held."""
         return estimates**2 * self.information
 
     def explained(self, span: int, parameter: int, estimate: float) -> Float[np.ndarray, "m c"]:
@@ -482,7 +478,6 @@ def constants_of(state: SelectionState, name: str) -> Int[np.ndarray, " k"]:
 
 
 def _left(extension: Extension, components: Sequence[FoundComponent], replaced: tuple[str, ...]) -> Left:
-    """What was found, as it is reported."""
     unknown, changes, chosen = [], [], [f.component for f in components]
     bare = components[-1].state.without([name for name in replaced if name in components[-1].state.active])
     last = extension.steps[-1] if extension.steps else None
@@ -536,7 +531,6 @@ def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> Foun
 
 
 def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
-    """The best function of a channel or of time."""
     tried = state.settings.unnamed_tried
     for folds, components, least in families(state):
         batches, leaders = in_batches(state, components, folds), []
@@ -576,7 +570,6 @@ def _changing_in(extension: Extension, seed: int) -> tuple[float, FoundComponent
 
 
 def _margin(state: SelectionState, gained: float, of_causes: float) -> float:
-    """Deviance by which a component predicts more than it must to take the place of causes that gain `of_causes`."""
     return gained - state.settings.stand_in * max(of_causes, 0.0) - 6.0 * state.variance_inflation
 
 

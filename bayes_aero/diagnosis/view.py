@@ -79,14 +79,14 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
         after = refitted(truncated(last.state, diagnosis.kept))
     flights = diagnosis.aerodynamics.state.responses.flights
     begin = np.cumsum([0, *flights.lengths[:-1]])
-    signals = details(before[0])
+    signals = before[0].responses.predict(before[0].theta)
     channels = {**before[0].responses.flights.channels, **signals}  # one abscissa for both models
-    card, extended = (_fitted(*model, np.asarray(signals["measured"]), channels) for model in (before, after))
+    card, extended = (_fitted(*model, signals["measured"], channels) for model in (before, after))
     return View(
         diagnosis=diagnosis,
         card=card,
         extended=extended,
-        measured=np.asarray(signals["measured"]),
+        measured=signals["measured"],
         manoeuvre=flights.manoeuvre,
         time=flights.time - flights.time[begin][flights.manoeuvre],
         names=flights.names,
@@ -98,13 +98,7 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
     )
 
 
-def details(state: SelectionState) -> Mapping[str, np.ndarray]:
-    """Signals, X, measured, modelled and residual coefficients at the recorded rate."""
-    return {key: np.asarray(value) for key, value in state.responses.evaluate(state.theta)[1].items()}
-
-
 def with_stalls(view: View) -> View:
-    """The same with the stall of the card's model, and of the extended one where there is one."""
     models = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}
     return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
 
@@ -114,7 +108,7 @@ def _fitted(
 ) -> Fitted:
     """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces, and over what
     follows from it."""
-    signals = details(state)
+    signals = state.responses.predict(state.theta)
     residual = signals["residual"][:, : len(state.outputs)]
     block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
     names = [name for name in recorded if name in channels and name not in RESPONSES]
@@ -157,7 +151,6 @@ def _stall(fitted: Fitted) -> Stall:
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
-    """Parameters of the card's own effects."""
 
     def deviations(fitted: Fitted) -> dict[str, float]:
         columns, covariance = covariance_of(fitted)
@@ -274,7 +267,6 @@ def compared(
 
 
 def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
-    """Candidates of every stage."""
     rankings, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
     for stage, extension in stages.items():
         if extension is not None and extension.steps:

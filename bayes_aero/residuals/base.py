@@ -25,14 +25,12 @@ DIRECTIONS_PER_CALL = 16
 
 
 class ResidualModel(ABC):
-    """Residuals of flights under one model of many effects, as means over m blocks of samples.
-
-    An implementation is a dataclass (with JAX an `equinox.Module`) with the fields `flights` and `model`.
-    """
+    """Residuals of flights under one model of many effects, as means over m blocks of samples."""
 
     flights: Flights
     model: Model
     stage: ClassVar[str]  # with what the model is compared
+    white: ClassVar[bool] = False  # of a correct model, sample by sample
     kinematic: ClassVar[bool] = False  # the flight path alone: of its errors the coefficients say what they make worse
 
     def with_channels(self, channels: Mapping[str, AnyArray]) -> ResidualModel:
@@ -61,24 +59,18 @@ class ResidualModel(ABC):
         """Length of a block, s."""
 
     @property
-    def stretch(self) -> Int[np.ndarray, " m"] | None:
-        """The stretch of each block, where residuals start again in every stretch and are not stationary; else None."""
-        return None
-
-    @property
-    def stationary(self) -> bool:
-        """Whether an autoregression describes the residuals' noise."""
-        return self.stretch is None
+    def stretch(self) -> Int[np.ndarray, " m"]:
+        """The stretch of each block, in each of which residuals start again; all one where they are stationary."""
+        return np.zeros(len(self.manoeuvre), int)
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of the scatter between stretches; 0 where residuals are stationary."""
-        return 0 if self.stretch is None else int(self.stretch.max())
+        """Degrees of freedom of the scatter between stretches; 0 where an autoregression describes the noise."""
+        return int(self.stretch.max())
 
     @property
-    def jackknife_blocks(self) -> Int[np.ndarray, " m"] | None:
-        """The part of the flights of each block, where terms are judged by how far they move when a part is left out;
-        None where the residual's colour tells."""
+    def parts(self) -> Int[np.ndarray, " m"]:
+        """The part of each block, by which terms are judged as one is left out; all one where the colour tells."""
         return self.stretch
 
     @property
@@ -86,9 +78,31 @@ class ResidualModel(ABC):
         """Samples of which each residual is the mean."""
         return FILTER_STEP
 
-    def separated(self, signals: Mapping[str, AnyArray]) -> Float[np.ndarray, " m"]:
+    def separated(self, theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
         """Separated share of the flow, 1 - X, of each block, with which noise grows."""
-        return 1.0 - np.asarray(self.block(signals["X"]))
+        return 1.0 - np.asarray(self.block(self.predict(theta)["X"]))
+
+    def predict(self, theta: Float[np.ndarray, " k"]) -> dict[str, np.ndarray]:
+        """Signals that describe the residuals, by name, at the recorded rate."""
+        return {name: np.asarray(x) for name, x in self.evaluate(theta)[1].items()}
+
+    def residuals(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c"]:
+        """Residuals of these outputs at the parameters `theta`."""
+        return np.asarray(self.evaluate(theta)[0])[:, [self.outputs.index(name) for name in outputs]]
+
+    def holdout(
+        self, folds: Sequence[slice], fitted: Callable[[list[int]], np.ndarray], outputs: Sequence[str]
+    ) -> Float[np.ndarray, "m c"]:
+        """Residuals of every fold at the parameters `fitted` to the others; zeros between folds."""
+        residual = np.zeros((len(self.manoeuvre), len(outputs)))
+        for left_out, fold in enumerate(folds):
+            theta = fitted([f for f in range(len(folds)) if f != left_out])
+            residual[fold] = self.residuals(theta, outputs)[fold]
+        return residual
+
+    def by_part(self, made: Callable[[np.ndarray], Any]) -> list[Any]:
+        """What is made of the blocks of each part of the flights, for the jackknife."""
+        return [made(self.parts == k) for k in range(int(self.parts.max()) + 1)]
 
     @abstractmethod
     def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
@@ -123,8 +137,7 @@ class ResidualModel(ABC):
     def linearise(
         self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
-        """Residuals (measured minus modelled) and minus their derivative by `columns`, so that new = old - S (theta' -
-        theta)."""
+        """Residuals, measured minus modelled, and minus their derivatives by `columns`."""
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
         residual, S, slopes = None, None, self.slopes_at(theta)
         size = DIRECTIONS_PER_CALL
@@ -156,8 +169,7 @@ class AddedSeries(ABC):
     def columns(
         self, coefficient: str, made: Made, outputs: Sequence[str], deviation: Float[np.ndarray, " c"]
     ) -> tuple[Float[np.ndarray, "d t"], Float[np.ndarray, "d m c"], Float[np.ndarray, " d"]]:
-        """The series as the residuals show them, their columns for these outputs, and the size of each column beside
-        residuals of this `deviation`."""
+        """The series as residuals show them, their columns, and the size of each beside this `deviation`."""
 
 
 class Blockwise(ResidualModel):
@@ -165,12 +177,10 @@ class Blockwise(ResidualModel):
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
-        """Which manoeuvre each block belongs to."""
         return np.repeat(np.arange(len(self.flights.lengths)), [k // FILTER_STEP for k in self.flights.lengths])
 
     @property
     def seconds(self) -> float:
-        """Length of a block, s."""
         return FILTER_STEP * float(np.median(np.asarray(self.flights.channels["dt"])))
 
     def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
@@ -265,7 +275,6 @@ class FlightPathError(Blockwise):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the flight-path outputs."""
         return self.path
 
     @classmethod
@@ -275,13 +284,11 @@ class FlightPathError(Blockwise):
         return cls(replace(flights, channels=channels), model, flight_path(flights))
 
     def evaluate(self, theta: Float[AnyArray, " k"]) -> tuple[Float[np.ndarray, "m c"], Mapping[str, AnyArray]]:
-        """Residuals of blocks; there are no further signals."""
         return self._residual(np.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in these directions."""
         theta = np.asarray(theta)
         residual = self._residual(theta)
         slope = np.zeros((len(directions), *residual.shape))
@@ -295,18 +302,15 @@ class FlightPathError(Blockwise):
 
     @cached_property
     def _cache(self) -> dict[bytes, Float[np.ndarray, "m c"]]:
-        """Residuals by parameter vector, the latest last."""
         return {}
 
     @cached_property
     def _recorded_slopes(self) -> dict[str, Float[np.ndarray, " n"]]:
-        """Angular accelerations as recorded."""
         ends = [self.flights.channels[name] for name in ("dt", "first", "last")]
         return {name: differentiate_joined(self.flights.channels[name], *ends) for name in RATES}
 
     @cached_property
     def _sines(self) -> dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
-        """Sine and cosine of angles as recorded."""
         return {name: (np.sin(self.flights.channels[name]), np.cos(self.flights.channels[name])) for name in ANGLES}
 
     @cached_property
@@ -349,5 +353,4 @@ class FlightPathError(Blockwise):
 
 
 def _as_numpy(channels: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """NumPy arrays; a user's own effects may return JAX arrays."""
     return {name: np.asarray(x) for name, x in channels.items()}

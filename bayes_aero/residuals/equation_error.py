@@ -59,7 +59,6 @@ class EquationError(Blockwise, eqx.Module):
 
     @classmethod
     def of(cls, flights: Flights, model: Model) -> EquationError:
-        """`flights` under `model`."""
 
         def measured(*theta):
             values = dict(model.fixed) | dict(zip(model.names, theta, strict=True))
@@ -73,13 +72,11 @@ class EquationError(Blockwise, eqx.Module):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs: coefficients, then flight-path channels."""
         return (*self.model.coefficients, *self.path)
 
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
-        """Residuals at the free parameters `theta`, and signals that describe them by name, at the recorded rate."""
         return _evaluate(self.nameless, theta)
 
     def traced(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
@@ -87,13 +84,11 @@ class EquationError(Blockwise, eqx.Module):
         return _residuals(self, theta)
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
-        """What is added to a coefficient is what its residual is less by."""
         return _AddedToEquations(self, theta)
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in these directions."""
         measuring = np.any(directions[:, list(self.measuring)])
         nothing = np.zeros_like(directions)
         both = (directions, nothing) if measuring else (nothing, directions)
@@ -169,13 +164,11 @@ class _AddedToEquations(AddedSeries):
 
 
 def _smoothed(flights: Flights, rows: Float[Array, "n c"]) -> Float[Array, "n c"]:
-    """Columns smoothed manoeuvre by manoeuvre."""
     ends = flights.channels["first"], flights.channels["last"]
     return jax.vmap(lambda x: smooth_joined(x, *ends), in_axes=1, out_axes=1)(rows)
 
 
 def _residuals(responses: EquationError, theta):
-    """Residuals of blocks, and signals that describe them."""
     f, model = responses.flights, responses.model
     values = model.values(theta)
     own = _Signals(responses, values)
@@ -270,16 +263,13 @@ class InBand(ResidualModel):
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
-        """Which manoeuvre each part of a line belongs to."""
         return np.repeat(np.arange(len(self.rows)), [len(rows) for rows in self.rows])
 
     @property
     def seconds(self) -> float:
-        """Recorded time for each residual, s."""
         return float(np.sum(np.asarray(self.flights.channels["dt"]))) / len(self.manoeuvre)
 
     def block(self, x: Float[Array, "n ..."]) -> Float[Array, "m ..."]:
-        """Transforms of anything sampled at the recorded rate."""
         ends = np.cumsum(self.flights.lengths)[:-1]
         parts = zip(self.rows, jnp.split(x, ends), strict=True)
         return jnp.concatenate([jnp.tensordot(rows, part[: rows.shape[1]], axes=1) for rows, part in parts])
@@ -289,12 +279,10 @@ class InBand(ResidualModel):
         return np.zeros((len(self.manoeuvre), len(outputs), 0))
 
     def moved(self, offsets: Float[np.ndarray, " o"]) -> InBand:  # noqa: ARG002
-        """The same model at changed offsets, where the sensitivities depend on them."""
         return self
 
 
 def sampling_times(flights: Flights) -> list[float]:
-    """Sampling time of each manoeuvre, s."""
     dt = np.asarray(flights.channels["dt"])
     return [float(dt[begin]) for begin in np.cumsum([0, *flights.lengths[:-1]])]
 
@@ -348,7 +336,6 @@ class LinearFrequencyError(InBand, eqx.Module):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """As the card lists them."""
         return self.dynamics.states
 
     @property
@@ -359,25 +346,21 @@ class LinearFrequencyError(InBand, eqx.Module):
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], Mapping[str, Array]]:
-        """Residuals at these parameters."""
         return _residual(self.nameless, jnp.asarray(theta)), {}
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in these directions."""
         residual, slope = _slopes(self.nameless, jnp.asarray(theta), jnp.asarray(directions))
         return np.asarray(residual), -np.asarray(slope)
 
     def system_and_inputs(self, theta: Float[Array, " k"]) -> tuple[LinearSystem, dict[str, Array]]:
         """The system at these parameters, and its recorded inputs."""
         values = self.dynamics.values(theta)
-        system = self.dynamics.system(values, self.flights.aircraft)
-        assert isinstance(system, LinearSystem)
+        system: Any = self.dynamics.system(values, self.flights.aircraft)
         return system, self.dynamics.drives(values, self.flights.channels, self.flights)
 
     def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
-        """Transforms of what the equations leave."""
         system, drives = self.system_and_inputs(theta)
         channels = self.flights.channels
         x = jnp.stack([channels[name] for name in self.states], axis=1)
@@ -415,7 +398,6 @@ class LinearFrequencyOutputError(LinearFrequencyError):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """States, then further outputs."""
         return (*self.states, *self.further)
 
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
@@ -433,12 +415,10 @@ class LinearFrequencyOutputError(LinearFrequencyError):
         return S
 
     def moved(self, offsets: Float[np.ndarray, " o"]) -> LinearFrequencyOutputError:
-        """The same at other changes of the states."""
         by = offsets.reshape(len(self.rows), -1)[:, : len(self.states)]
         return replace(self, changes=self.changes + by)
 
     def residual(self, theta: Float[Array, " k"]) -> Float[Array, "m c"]:
-        """Recorded minus computed transforms."""
         system, drives = self.system_and_inputs(theta)
         channels, ends = self.flights.channels, np.cumsum([0, *self.flights.lengths])
         recorded = jnp.stack([channels[name] for name in self.outputs], axis=1)

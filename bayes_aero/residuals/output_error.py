@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.dynamics.aircraft import POINTS, EffectSystem
+from bayes_aero.dynamics.aircraft import POINTS
 from bayes_aero.dynamics.flight import AircraftDynamics
 from bayes_aero.dynamics.innovations import (
     InputDerivatives,
@@ -58,7 +58,6 @@ class OutputError(ResidualModel, eqx.Module):
 
     @classmethod
     def of(cls, flights: Flights, dynamics: AircraftDynamics, substeps: int = 1) -> OutputError:
-        """Every manoeuvre in windows."""
         names = tuple(n for n in dynamics.outputs if n in flights.channels)
         cut = segments(flights, dynamics, outputs=names, window=WINDOW, substeps=substeps)
         whole = cut.index.shape[1] // FILTER_STEP * FILTER_STEP
@@ -74,17 +73,14 @@ class OutputError(ResidualModel, eqx.Module):
 
     @property
     def nameless(self):
-        """The same without names of the flights and of their windows."""
         return replace(self, flights=self.flights.nameless, windows=self.windows.nameless)
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the channels that are compared."""
         return self.windows.outputs
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
-        """Which manoeuvre each block belongs to."""
         return self.flights.manoeuvre[self.windows.index[:, ::FILTER_STEP].ravel()[self.place]]
 
     @property
@@ -94,7 +90,6 @@ class OutputError(ResidualModel, eqx.Module):
 
     @property
     def seconds(self) -> float:
-        """Length of a block, s."""
         return FILTER_STEP * float(np.median(self.windows.dt))
 
     def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
@@ -102,7 +97,6 @@ class OutputError(ResidualModel, eqx.Module):
         return parts[self.place]
 
     def block(self, x: Float[Array, "n ..."] | Float[np.ndarray, "n ..."]) -> Float[Array, "m ..."]:
-        """Means over blocks."""
         return self._mean(jnp.asarray(x)[self.windows.index])
 
     def evaluate(
@@ -114,7 +108,6 @@ class OutputError(ResidualModel, eqx.Module):
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in these directions."""
         rest = np.zeros((len(directions), len(self.windows.dynamics.start)))
         residual, slope = _slopes(self.nameless, *map(jnp.asarray, (theta, directions, rest)))
         return np.asarray(residual), -np.asarray(slope)
@@ -136,7 +129,6 @@ class OutputError(ResidualModel, eqx.Module):
         return S
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
-        """What a flight makes of what is added to a coefficient."""
         return AddedCoefficients(self, theta)
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:
@@ -176,8 +168,12 @@ class FilterError(OutputError):
     # sensor up to the sample before; a block mean would correlate it with the noise of the residual.
     by: Observer
     stage = "innovations"
-    stretch = None  # innovations are stationary  # pyright: ignore[reportAssignmentType]
+    white = True
     averaged = 1  # sample  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def stretch(self) -> Int[np.ndarray, " m"]:
+        return np.zeros(len(self.place), int)  # innovations are stationary
 
     @classmethod
     def after(
@@ -201,19 +197,17 @@ class FilterError(OutputError):
 
     @property
     def manoeuvre(self) -> Int[np.ndarray, " m"]:
-        """Which manoeuvre each sample belongs to."""
         return self.flights.manoeuvre[self.windows.index.ravel()[self.place]]
 
     @property
     def seconds(self) -> float:
-        """Sample time, s."""
         return float(np.median(self.windows.dt))
 
     def _mean(self, x: Float[Array, "w n ..."]) -> Float[Array, "m ..."]:
         return x.reshape(-1, *x.shape[2:])[self.place]
 
     @property
-    def jackknife_blocks(self) -> Int[np.ndarray, " m"]:
+    def parts(self) -> Int[np.ndarray, " m"]:
         """Parts of about `PART` s of every manoeuvre: innovations of different parts are uncorrelated."""
         manoeuvre, begin, blocks = self.manoeuvre, 0, np.zeros(len(self.place), int)
         for k in range(int(manoeuvre[-1]) + 1):
@@ -224,22 +218,18 @@ class FilterError(OutputError):
         return blocks
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
-        """What a filter does not foresee of what is added to a coefficient."""
         return AddedToFilter(self, theta)
 
     def residual(self, theta: Any, shared: Any) -> Float[Array, "m c"]:  # noqa: ARG002
-        """Whitened innovations at these parameters."""
         e = run_observer(self.flown, theta, self.by).innovation
         return self.whitened(theta, e[..., None])[..., 0]
 
     def _whitened(self, e: Float[Array, "w n c d"], scale: Float[Array, "w n c"]) -> Float[Array, "m c d"]:
-        """Whitened, in units of the recorded channels."""
         return self._mean(jnp.einsum("wnij,wnjd->wnid", self.by.whitening, e / scale[..., None]))
 
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        """Residuals and minus their derivatives in these directions, along the path of the observer."""
         return self.slopes_at(theta)(directions)
 
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
@@ -312,7 +302,6 @@ def _adding(coefficient: str) -> Effect:
 
 
 def channel_of(coefficient: str) -> str:
-    """The input that is added to a coefficient."""
     return f"added_{coefficient}"
 
 
@@ -334,10 +323,10 @@ def _added_slopes(responses: OutputError, theta: Any, zeros: Mapping[str, Array]
 @eqx.filter_jit
 def _signals(responses: OutputError, theta: Any, states: Array) -> dict[str, Array]:
     prepared = prepare(responses.flown, theta)
+    system: Any = prepared.system  # of effects
 
     def at_sample(x, u):
-        assert isinstance(prepared.system, EffectSystem)
-        signals = prepared.system.flow_signals(x, u) | {"X": motion(prepared.system, x, u)[1]["X"]}
+        signals = system.flow_signals(x, u) | {"X": motion(system, x, u)[1]["X"]}
         return {name: s for name, s in signals.items() if not isinstance(s, tuple) and jnp.ndim(s) == 0}
 
     return jax.vmap(jax.vmap(at_sample))(states, prepared.drives)
@@ -351,10 +340,8 @@ class AddedCoefficients(AddedSeries):
         nothing = jnp.zeros(responses.flights.n)
         self.zeros = {channel_of(name): nothing for name in model.coefficients}
         flights = replace(responses.flights, channels={**responses.flights.channels, **self.zeros})
-        dynamics = responses.windows.dynamics
-        assert isinstance(dynamics, AircraftDynamics)
-        dynamics = replace(dynamics, model=model)
-        windows = replace(responses.windows, dynamics=dynamics, flights=flights)
+        dynamics: Any = responses.windows.dynamics
+        windows = replace(responses.windows, dynamics=replace(dynamics, model=model), flights=flights)
         self.responses = replace(responses, flights=flights, windows=windows, model=model).nameless
         self.theta = jnp.asarray(theta)
 
@@ -437,13 +424,11 @@ class AddedToFilter(AddedCoefficients):
         return self.along(self.path.before)
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Signals of the flow, X and the marks along the predictions, each (n,)."""
         return self.predicted
 
     def slopes(self, coefficient: str, made: Made) -> Float[np.ndarray, "d m c"]:
         """Minus the derivatives of the whitened innovations; arguments as of `AddedCoefficients.slopes`."""
-        responses = self.responses
-        assert isinstance(responses, FilterError)
+        responses: Any = self.responses
         direction = {name: jnp.asarray(float(name == channel_of(coefficient))) for name in self.zeros}
         by_input = _by_input(responses.flown, self.theta, self.path.before, self.known, direction)
         series = np.stack([made(self.predicted), made(self.along(self.path.after))])  # 2 d n
