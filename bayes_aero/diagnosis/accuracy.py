@@ -54,13 +54,10 @@ def implausible(effect: Effect, sizes: Mapping[str, Size]) -> dict[str, float]:
 def implausible_candidate(effect: Effect, standing: CandidateScore) -> bool:
     """Whether a candidate would be `implausible` at its first-order estimate, or at the value at which it was tried."""
     if standing.value is None:
-        sizes = {
-            p.name: Size(p.neutral + x, 0.0, p.unit) for p, x in zip(effect.parameters, standing.step, strict=False)
-        }
+        values = {p.name: p.neutral + x for p, x in zip(effect.parameters, standing.step, strict=False)}
     else:
-        tried = next(name for name, values in effect.scan.items() if standing.value in values)
-        sizes = {tried: Size(standing.value, 0.0, "")}
-    return bool(implausible(effect, {n: size for n, size in sizes.items() if math.isfinite(size.mean)}))
+        values = {next(name for name, tried in effect.scan.items() if standing.value in tried): standing.value}
+    return bool(implausible(effect, {n: Size(x, 0.0, "") for n, x in values.items() if math.isfinite(x)}))
 
 
 def recording_noise(flights: Flights) -> dict[str, float]:
@@ -82,9 +79,7 @@ def filtered_channels(flights: Flights) -> tuple[str, ...]:
 
 
 def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.ndarray, " k"], ...]:
-    """What recording noise does to the estimate of each of the fit's columns: its bias, and its standard deviation.
-
-    `state` is at its optimum. Columns that are no parameters get zeros."""
+    """What recording noise does to each estimate of a fit at its optimum: its bias, and its standard deviation."""
     flights = state.responses.flights
     noise, rng = recording_noise(flights), np.random.default_rng(0)
     parameters = fit.columns < len(state.theta)
@@ -111,9 +106,9 @@ def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.nd
 
 
 def largest_noise_bias(state: SelectionState, fit: RegressionFit) -> dict[str, tuple[float, float]]:
-    """Lowest and highest bias of each parameter of the additions by noise of the recorded channels, of any size that
-    the residuals permit. It is linear in the channels' variances, which sum up to no more than is left of an output;
-    noise may be `SLOW` times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163."""
+    """Lowest and highest bias of each addition's parameters by recording noise of any size that residuals permit."""
+    # It is linear in the channels' variances, which sum up to no more than is left of an output; noise may be `SLOW`
+    # times what is read off as white. Source: Klepper and Leamer, Econometrica 52 (1984) 163.
     flights, rng = state.responses.flights, np.random.default_rng(1)
     parameters = fit.columns < len(state.theta)
     at, additions = fit.columns[parameters], state.full.own_columns(*state.active)
@@ -181,9 +176,8 @@ def sizes(state: SelectionState, fit: RegressionFit) -> dict[str, Size]:
         if c < len(free):
             mean, (low, high) = state.theta[c], free[c].bounds
             at_bound = min(abs(mean - low), abs(mean - high)) < AT_BOUND * abs(mean)
-            estimates[free[c].name] = Size(
-                float(np.clip(mean - shift, low, high)), float(sd), free[c].unit, bool(at_bound)
-            )
+            mean = float(np.clip(mean - shift, low, high))
+            estimates[free[c].name] = Size(mean, float(sd), free[c].unit, bool(at_bound))
     return estimates
 
 
@@ -304,9 +298,7 @@ def holdout_deviance_gain(state: SelectionState, wide: np.ndarray, narrow: np.nd
 
 
 def addition_gain(state: SelectionState, wide: np.ndarray) -> float:
-    """Deviance that additions `wide` gain on folds that were left out. Unlike manoeuvres do not predict each other:
-    where `holdout_deviance_gain` is none, a fold fits the card's parameters by itself, and the additions are integrated
-    out."""
+    """Deviance that additions `wide` gain on folds that were left out, where unlike manoeuvres predict each other."""
     gain, card = holdout_deviance_gain(state, wide), state.columns(())
     of_card = np.any(card < len(state.theta))  # sensors along the flight path have no such parameters
     if gain > 0.0 or not of_card or len(state.responses.flights.lengths) < 2:
@@ -328,8 +320,7 @@ def integrated_deviance(
     prior: tuple[np.ndarray, np.ndarray],
     inflation: float,
 ) -> float:
-    """Deviance of a fold whose prior of the additions is their posterior from the other folds; they are integrated
-    out."""
+    """Deviance of a fold, the additions integrated out over their posterior from the other folds."""
     everything, card = columns
     others = products.without(fold).fit(everything, *prior)
     at = np.flatnonzero(~np.isin(everything, card))

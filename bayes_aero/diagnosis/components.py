@@ -149,8 +149,7 @@ BYTES = 2e9  # of memory that inner products may take
 
 
 def families(state: SelectionState) -> tuple[tuple[Sequence[slice], list[Component], float], ...]:
-    """The kinds of components that the record can test: the folds by which they must predict, themselves, and the least
-    share of a verdict."""
+    """Kinds of components that the record can test: folds by which they must predict, themselves, least share."""
     s, alone = state.settings, len(state.responses.flights.lengths) == 1
     channel, wave = (s.single_share, s.single_share) if alone else (s.unnamed_share, s.periodic_share)
     periodic = [(chunks(state), periodic_components(state), wave)] if has_chunks(state) else []

@@ -65,8 +65,7 @@ class KnownErrors:
 def consistency(
     records: Sequence[FlightRecord], card: Card, *, seed: int = 0, seek: bool = True, known: KnownErrors | None = None
 ) -> Consistency:
-    """Check the flight path of each record in absolute terms; where sensors disagree, `seek` the error that explains
-    it."""
+    """Check the flight path of each record; where sensors disagree, `seek` the error that explains it."""
     if why := no_flight_path(records, card):
         return Consistency(why)
     flights = _flights(records, card)
@@ -96,22 +95,18 @@ def errors_of_path(known: Extension) -> KnownErrors:
     """Errors of sensors and winds that a search along the flight path has found, minor ones included."""
     # One at a parameter bound, or larger than sensors have, explains nothing: another cause is behind it. What was
     # estimated together with such a one is no error by itself, either.
-    named = {e.name: e for extension in (known, *known.larger) for e in extension.state.full.candidates}
-    joint, out = correlated(known, known.state.active), without_hold(known)
-    alone = [
-        (extension, name, with_)
-        for extension in (known, *known.larger)
-        for name, with_ in without_hold(extension).items()
-        if with_
-    ]
-    unheld = {name for _, name, _ in alone}
+    everything, joint, out = (known, *known.larger), correlated(known, known.state.active), without_hold(known)
+    named = {e.name: e for extension in everything for e in extension.state.full.candidates}
     effects = [named[name] for name in (*known.causes, *known.minor) if name not in out]
     plain = {e.name: _plain(e, known.sizes, joint.get(e.name, {}), minor=e.name in known.minor) for e in effects}
     undecided = []
-    for extension, name, partners in alone:
-        (p, *_), joint_ = named[name].parameters, dict(partners)
-        x = extension.sizes[p.name]
-        undecided.append(OpenError(name, p.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, joint_))
+    for extension in everything:
+        for name, partners in ((name, with_) for name, with_ in without_hold(extension).items() if with_):
+            parameter = named[name].parameters[0]
+            x = extension.sizes[parameter.name]
+            entry = OpenError(name, parameter.unit, x.mean, x.sd, x.sd, False, tuple(partners), 1.0, dict(partners))
+            undecided.append(entry)
+    unheld = {entry.name for entry in undecided}
     undecided += [e for e in open_errors(known) if e.name not in unheld]
     return KnownErrors(tuple(effects), plain, tuple(undecided))
 
@@ -121,19 +116,17 @@ def errors_of_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
     named = {e.name: e for e in diagnosis.aerodynamics.state.full.model.effects}
     causes = {c.name: c for c in diagnosis.causes if c.sure and named[c.name].kind in SENSOR_KINDS}
     named_causes = {c.name for c in (*diagnosis.causes, *diagnosis.beyond)}
+    undecided = () if diagnosis.sensors is None else open_errors(diagnosis.sensors)
     return KnownErrors(
         tuple(named[name] for name in causes),
         {name: _plain(named[name], cause.parameters, cause.joint, minor=False) for name, cause in causes.items()},
-        ()
-        if diagnosis.sensors is None
-        else tuple(e for e in open_errors(diagnosis.sensors) if e.name not in named_causes),
+        tuple(e for e in undecided if e.name not in named_causes),
     )
 
 
 def _plain(effect: Effect, sizes: Mapping[str, Size], joint: Mapping[str, float], *, minor: bool) -> dict[str, Any]:
-    parameters = {
-        p.name: {"mean": sizes[p.name].mean, "sd": sizes[p.name].sd, "unit": p.unit} for p in effect.parameters
-    }
+    of = {p: sizes[p.name] for p in effect.parameters}
+    parameters = {p.name: {"mean": size.mean, "sd": size.sd, "unit": p.unit} for p, size in of.items()}
     return {"claim": effect.claim, "minor": minor, "parameters": parameters, "joint": dict(joint)}
 
 
@@ -176,9 +169,9 @@ def check_sensors(
     known: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
 ) -> Extension:
-    """Sensor errors and winds that the flight path asks for beside the `known` ones, of whose parameters `priors` tell.
-    Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
-    others do not explain the record as well."""
+    """Errors of sensors and winds that the flight path asks for beside `known` ones, whose sizes `priors` tell."""
+    # Where one is larger than sensors have, all is selected again without it; it stays, and corrects nothing, if the
+    # others do not explain the record as well.
 
     def checked(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
         """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
@@ -221,10 +214,8 @@ def no_flight_path(records: Sequence[FlightRecord], card: Card) -> str:
     if not np.isfinite(float(card.aircraft.mass)):
         return "the card states no [aircraft], so the positions of the sensors are unknown"
     if rolled_unseen(flights):
-        return (
-            "the flight path needs phi, because the aircraft rolled; map it, or state what did not move under "
-            "[constants]"
-        )
+        need = "the flight path needs phi, because the aircraft rolled"
+        return f"{need}; map it, or state what did not move under [constants]"
     short = [r.name for r in records if r.time[-1] - r.time[0] < SHORTEST]
     return f"record {short[0]} is shorter than {SHORTEST:g} s" if short else ""
 
@@ -234,12 +225,9 @@ def as_the_card_states(flights: Flights, card: Card) -> Flights:
     if card.linear is not None:
         return flights
     model = Model.from_card(card)
-    stated = [e for e in model.effects if e.stage is Stage.CHANNEL]
-    if not stated:
-        return flights
-    fixed = dict(model.fixed)
+    stated, fixed = [e for e in model.effects if e.stage is Stage.CHANNEL], dict(model.fixed)
     values = {p.name: fixed.get(p.name, p.start) for e in stated for p in e.parameters}
-    return with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
+    return flights if not stated else with_corrections(flights, Model.of(stated, axes=tuple(Axis)), values)
 
 
 def with_corrections(flights: Flights, model: Model, values: Mapping[str, Any]) -> Flights:
@@ -375,10 +363,8 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
             asked = clear and explained(state, standing) >= settings.open_share
         wide = max(sd, float(among[place]))
         there = max(least, abs(mean)) if standing is None else least
-        imitators, share = next(
-            (pair for pair in _nearest(gram, effects, place, settings, there) if pair[1] >= settings.imitated),
-            ((), 0.0),
-        )
+        nearest = (p for p in _nearest(gram, effects, place, settings, there) if p[1] >= settings.imitated)
+        imitators, share = next(nearest, ((), 0.0))
         decided = standing is None and abs(jointly[place]) >= settings.least_score * wide
         if decided or settings.least_score * wide < least:  # nobody hides an error that is worth a name
             imitators, share = (), 0.0
@@ -407,9 +393,8 @@ def _information_of_errors(
 
 
 def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[SelectionState, RegressionFit]:
-    """The state with an addition exchanged for several errors that together do nearly the same and explain decisively
-    more: offset and scale of an airspeed come one by one, and neither gains what an offset of its pitot pressure
-    does."""
+    """The state with an addition exchanged for several errors that together do the same and explain decisively more."""
+    # Offset and scale of an airspeed come one by one, and neither gains what an offset of its pitot pressure does.
     effects, _, gram, _ = _information_of_errors(state, fit)
     for place, effect in enumerate(effects):
         if effect.name not in state.active:
@@ -430,8 +415,7 @@ def with_several_instead(state: SelectionState, fit: RegressionFit) -> tuple[Sel
 def _nearest(
     gram: Float[np.ndarray, "k k"], effects: Sequence[Effect], place: int, settings: DiagnosisSettings, size: float
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """One other error, two, and so on, each of a size that sensors have, that do most of what one error of this size
-    does; and their share of it."""
+    """One other error, two, and so on, of possible sizes, that do most of what one of this size does; their share."""
 
     def share(others: Sequence[int]) -> float:
         """Share of what the error does that `others` do; none if they must be too large."""
@@ -598,13 +582,9 @@ def _measures(
     for part in windows:
         begin, end, kinds = [*begin, time[part][0]], [*end, time[part][-1]], [*kinds, Measure.WINDOW]
     count = len(outputs)
-    return _Measures(
-        np.concatenate(values),
-        tuple(outputs) * len(kinds),
-        tuple(float(t) for t in np.repeat(begin, count)),
-        tuple(float(t) for t in np.repeat(end, count)),
-        tuple(kind for kind in kinds for _ in range(count)),
-    )
+    begins, ends = (tuple(float(t) for t in np.repeat(times, count)) for times in (begin, end))
+    repeated = tuple(kind for kind in kinds for _ in range(count))
+    return _Measures(np.concatenate(values), tuple(outputs) * len(kinds), begins, ends, repeated)
 
 
 class _Constants:

@@ -156,15 +156,12 @@ def possible_points(
 ) -> list[Variant]:
     """Every manoeuvre that may be proposed, and its information on the model and the `chosen` candidates."""
     pairs = [(variant, name, flight) for variant in variants for name, flight in variant.flown.items()]
-    return [
-        Variant(
-            name,
-            variant,
-            on_record(state, variant.model, flight, variant.theta, chosen, noise).information(variant.seconds[name]),
-        )
-        for variant, name, flight in pairs
-        if envelope.programmed_inputs or name not in NOT_BY_HAND
-    ]
+    possible = []
+    for variant, name, flight in pairs:
+        if envelope.programmed_inputs or name not in NOT_BY_HAND:
+            record = on_record(state, variant.model, flight, variant.theta, chosen, noise)
+            possible.append(Variant(name, variant, record.information(variant.seconds[name])))
+    return possible
 
 
 def refused_points(variants: Sequence[Standard], envelope: Envelope) -> dict[str, str]:
@@ -193,11 +190,9 @@ def best_points(
             break
         best = max(worth, key=lambda k: gains[k] / possible[k].seconds)
         chosen, information = possible[best], information + possible[best].information
-        begin, excursions = (
-            (chosen.flown.amplitude, chosen.flown.airspeed, chosen.flown.altitude),
-            chosen.flown.excursion,
-        )
-        reached, rate = excursions[chosen.manoeuvre], gains[best] / chosen.seconds
+        flown = chosen.flown
+        begin, reached = (flown.amplitude, flown.airspeed, flown.altitude), flown.excursion[chosen.manoeuvre]
+        rate = gains[best] / chosen.seconds
         points.append(TestPoint(chosen.manoeuvre, *begin, chosen.seconds, reached, expected(information), rate))
     return tuple(points)
 
@@ -281,8 +276,7 @@ class Information:
         return float(signal @ self.matrix @ left), float(left @ self.score_variance @ left)
 
     def deviations(self, signals: Signals) -> dict[Pair, float]:
-        """For each ordered pair of effects: by how many standard deviations the first, at its size, differs from its
-        best imitation by the other and by all that no signal names."""
+        """By how many standard deviations the first of each pair differs from its best imitation by the other."""
         place = {label: k for k, label in enumerate(self.labels)}
         members = {place[label] for own in signals.values() for label in own}
         base = [k for k in range(len(self.labels)) if k not in members]
@@ -352,8 +346,7 @@ def standard(
     faster: float = 1.0,
     envelope: Envelope = ANYWHERE,
 ) -> Standard:
-    """Fly the standard manoeuvres with the effects that are in and those of `effects`; what the record gets wrong, as
-    at neutral."""
+    """Fly the standard manoeuvres with what is in and `effects`, without the errors of sensors."""
     rigid = Axis.LATERAL in state.full.model.axes
     if rigid and Axis.LONGITUDINAL not in state.full.model.axes:
         raise InputError(

@@ -153,10 +153,10 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
             confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
-    if causes is not None:
-        return (*causes, failures)
-    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
-    return untested, dict.fromkeys(result.stages, ()), failures
+    if causes is None:
+        untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
+        causes = untested, dict.fromkeys(result.stages, ())
+    return (*causes, failures)
 
 
 def without_conditional(
@@ -241,15 +241,16 @@ def _with_harm(gain: Gain, sure: Confirmation | None, name: str) -> Gain:
 
 def structure_of(result: SearchResult, unnamed: Sequence[Cause]) -> tuple[UnexplainedStructure, ...]:
     """What the record shows and cannot attribute: to one of several rivals, or to a size that no aircraft has."""
-    effects, extensions = {e.name: e for e in result.full.candidates}, result.stages
-    several = [c for c in unnamed if (c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with)]
-    structures = [(c, as_structure(c, extensions[c.stage], effects[c.name])) for c in several]
-    least, described = result.full.settings.unnamed_share, {u.coefficient for u in result.unknown}
-
-    def left(c: Cause, u: UnexplainedStructure) -> bool:
-        return c.name in extensions[c.stage].state.active or (u.share >= least and u.coefficient not in described)
-
-    return tuple(u for c, u in structures if left(c, u))
+    effects, described = {e.name: e for e in result.full.candidates}, {u.coefficient for u in result.unknown}
+    structures = []
+    for c in unnamed:
+        if c.kind not in SENSOR_KINDS if c.implausible else c.ambiguous_with:
+            extension = result.stages[c.stage]
+            structure = as_structure(c, extension, effects[c.name])
+            enough = structure.share >= result.full.settings.unnamed_share and structure.coefficient not in described
+            if c.name in extension.state.active or enough:
+                structures.append(structure)
+    return tuple(structures)
 
 
 def moves_of(extension: Extension) -> Mapping[str, tuple[float, float, float]]:
@@ -274,13 +275,11 @@ def _excited(state: SelectionState, name: str) -> bool:
 def rivals_of(
     extension: Extension, name: str, worse: Sequence[str] = (), noise: float = 0.0
 ) -> tuple[float, tuple[str, ...]]:
-    """Probability of a cause among everything that could take its place, nothing included; and who comes close. Left
-    out is what predicts hold-out data `worse`, only hides noise (see `mixes_noise`), or must be larger than aircraft
-    have."""
-    state, fit = extension.state, extension.fit
-    effects = {e.name: e for e in state.full.candidates}
+    """Probability of a cause among everything that could take its place, nothing included; and who comes close."""
+    # Left out is what predicts hold-out data `worse`, only hides noise, or must be larger than aircraft have.
+    state, effects = extension.state, {e.name: e for e in extension.state.full.candidates}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
-    ranking = screen(state, fit, seed=0, nulls=False, without=name).candidate_scores
+    ranking = screen(state, extension.fit, seed=0, nulls=False, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
@@ -308,18 +307,13 @@ def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmat
 def judged_on_held_out_flights(
     diagnosis: Diagnosis, confirmation: Confirmation, held: Collection[str] = ()
 ) -> Diagnosis:
-    """The diagnosis with each cause confirmed, or not, by held-out flights. A cause with parameters `held` at their
-    joint estimate was not tested."""
+    """The diagnosis with causes confirmed by held-out flights, or not; one with parameters `held` was not tested."""
 
     def judged(c: Cause) -> Cause:
-        if c.name in confirmation.missed:
-            return replace(
-                c,
-                confirmed=c.name in confirmation.kept,
-                missed=confirmation.missed[c.name],
-                gain=_with_harm(c.gain, confirmation, c.name),
-            )
-        return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
+        if c.name not in confirmation.missed:
+            return replace(c, confirmed=False) if set(held) & set(c.parameters) else c
+        gain, kept = _with_harm(c.gain, confirmation, c.name), c.name in confirmation.kept
+        return replace(c, confirmed=kept, missed=confirmation.missed[c.name], gain=gain)
 
     causes = tuple(judged(c) for c in diagnosis.causes)
     verdict = as_absorbed(verdict_of(causes, diagnosis.left, diagnosis.tested), diagnosis.absorbed)
@@ -373,8 +367,7 @@ def gains_of(
 def rival_gains(
     extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """Hold-out log density that each rival in place of a confirmed cause has beyond it, everything fitted again; minus
-    infinity for one that is larger then than aircraft have."""
+    """Hold-out log density of each rival in place of a confirmed cause beyond it; minus infinity if too large."""
     ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
     reference, gains = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
     for rival in rivals:
@@ -393,8 +386,7 @@ def rival_gains(
 
 
 def own_share(state: SelectionState, fit: RegressionFit, effect: str) -> float:
-    """Share of what an effect does to the outputs, means aside, that no other free parameter can do: 1 over its largest
-    VIF."""
+    """Share of what an effect does to the outputs that no other free parameter can do: 1 over its largest VIF."""
     at = fit.places([c for c in state.full.own_columns(effect) if c in fit.columns])
     if not at:
         return float("nan")

@@ -27,7 +27,7 @@ from bayes_aero.diagnosis.result import (
     theil_parts,
 )
 from bayes_aero.diagnosis.selection import Extension, large
-from bayes_aero.dynamics.flight import EffectDynamics, aircraft_dynamics, with_biases_of
+from bayes_aero.dynamics.flight import aircraft_dynamics, with_biases_of
 from bayes_aero.dynamics.innovations import neighbour_correlation, prediction_errors
 from bayes_aero.dynamics.kalman import smooth
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
@@ -102,16 +102,12 @@ def simulated(
     return paths
 
 
-def posterior_covariance(fit: OutputErrorResult, inflation: float) -> Float[np.ndarray, "k k"]:
-    return inflation * fit.covariance
-
-
 def posterior_draws(
     fit: OutputErrorResult, variance_inflation: float, seed: int, count: int = DRAWS
 ) -> Float[np.ndarray, "m k"]:
     """Parameters drawn from the posterior, within their bounds."""
     moving = np.flatnonzero(fit.sd > 0.0)
-    covariance = posterior_covariance(fit, variance_inflation)[np.ix_(moving, moving)]
+    covariance = variance_inflation * fit.covariance[np.ix_(moving, moving)]
     return normal_draws(fit.estimate, moving, covariance, fit.parameters, seed, count)
 
 
@@ -156,8 +152,7 @@ def fly_given(
 def with_process_noise(
     flown: TrajectoryFit,
 ) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
-    """Fit again, from the estimates of output error, in gusts and with noise of every state that is compared; also what
-    samples its posterior from a seed by a sampler."""
+    """Fit again in gusts and with noise of every state that is compared; also what samples its posterior."""
     fit = flown.fit
     gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
@@ -165,25 +160,17 @@ def with_process_noise(
         with blas_threads(0):
             return sample_innovations(gusty, found, fit.R, seed=seed, engines=(engine,), progress=progress)
 
-    return _process_noise(flown, gusty, found), sample
-
-
-def _process_noise(flown: TrajectoryFit, gusty: SegmentTrajectories, found: PredictionErrorResult) -> ProcessNoise:
-    fit = flown.fit
     inside = fit.flown.inside
-    count = int(inside.sum())
-    still = -0.5 * count * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0)) - float(
-        np.log(fit.flown.noise_growth[inside]).sum()
-    )
+    of_noise = int(inside.sum()) * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0))
+    still = -0.5 * of_noise - float(np.log(fit.flown.noise_growth[inside]).sum())
     estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
-    converged = found.status is PredictionErrorStatus.CONVERGED
-    predicted = None
+    converged, predicted = found.status is PredictionErrorStatus.CONVERGED, None
     if converged:
         errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found))
         predicted = one_step(found.found, errors, found.outputs)
     theirs = [i for i, name in enumerate(found.names) if name in own]
-    return ProcessNoise(
+    noise = ProcessNoise(
         found.status.value,
         converged,
         found.log_likelihood - still,
@@ -196,6 +183,7 @@ def _process_noise(flown: TrajectoryFit, gusty: SegmentTrajectories, found: Pred
         predicted,
         found.covariance[np.ix_(theirs, theirs)],
     )
+    return noise, sample
 
 
 _smoothed = eqx.filter_jit(jax.vmap(smooth))
@@ -204,7 +192,8 @@ _smoothed = eqx.filter_jit(jax.vmap(smooth))
 def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
     dynamics, values = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
-    processes = dynamics.model.disturbances if isinstance(dynamics, EffectDynamics) else ()
+    model = getattr(dynamics, "model", None)  # of linear cards none
+    processes = () if model is None else model.disturbances
     met = {d.state: dynamics.states.index(d.state) for d in processes if values.get(d.intensity, 0.0) > 0.0}
     if not met:
         return ()
@@ -307,8 +296,7 @@ def holdout_fits(
     variance_inflation: float = 1.0,
     seed: int = 0,
 ) -> list[SimulatedManoeuvre]:
-    """Every segment flown from its measured initial state by the fit without it, in order; by draws from that fit's
-    posterior, too, where there are tolerances to stay inside."""
+    """Every segment flown from its measured initial state by the fit without it, in order, and by draws of it."""
     flown, still = contender.fit.flown, np.zeros_like(contender.fit.departure)
     paths = []
     for k, fit in enumerate(fits):
@@ -343,8 +331,7 @@ SETTLED = (OutputErrorStatus.CONVERGED, OutputErrorStatus.AT_BOUND)
 
 
 def open_lag(full: CandidateModel, extension: Extension, model: Model) -> Effect | None:
-    """The catalogue's lag, if the flow of the extended model separates without one and the last election gives it the
-    score of a rival."""
+    """The catalogue's lag, if the flow of the extended model separates without one and the lag scores as a rival."""
     lag, stages = lag_of(full), {e.stage for e in model.acting}
     if lag is None or Stage.LAG in stages or Stage.SEPARATION not in stages or not extension.steps:
         return None
@@ -384,7 +371,7 @@ def with_lag(
     gain = -np.inf
     if fit.status in SETTLED and extended.fit.status in SETTLED:
         gain = (extended.fit.cost - fit.cost) / inflation
-    sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
+    sd = np.sqrt(inflation * np.diag(fit.covariance))
     estimates = {n: (float(x), float(s)) for n, x, s in zip(fit.names, fit.estimate, sd, strict=True)}
     away = {p.name: p.away(*estimates[p.name]) for p in effect.parameters if p.name in effect.sizes}
     slight = bool(np.isfinite(gain) and not large(effect, away, settings.least_score))
@@ -421,8 +408,7 @@ def eliminate(
     noise: FlightNoise,
     settings: DiagnosisSettings = DEFAULT,
 ) -> Elimination:
-    """Test every one of `causes` on hold-out flights. One with `silent` parameters, held at joint values, is not tested
-    and stays."""
+    """Test each of `causes` on hold-out flights; one with `silent` parameters is not tested and stays."""
     unheard = {name for held in silent.values() for name in held}
     neutral = {e.name: e.neutral_values for e in causes if not unheard & set(e.neutral_values)}
     flight = HeldOutFlights(contender, neutral, silent, noise, {tuple(neutral): fits})
@@ -495,8 +481,7 @@ class HeldOutFlights:
 
 
 def trajectory_variance_inflation(fit: OutputErrorResult) -> float:
-    """Median variance inflation of the parameters, from Morelli and Klein's covariance on means over `THINNING`
-    samples."""
+    """Median variance inflation of the parameters, from Morelli and Klein's covariance of thinned means."""
     flown, k = fit.flown, len(fit.estimate)
     residual, S = fit.thinned_columns[..., 0], fit.thinned_columns[..., 1:]
     if fit.priors.fixed:

@@ -195,7 +195,7 @@ class PartialledRegression:
         self.wanted = np.unique(np.concatenate(blocks))
         self.place = [np.searchsorted(self.wanted, block) for block in blocks]
         S, base, weight = state.scaled, fit.columns, 1.0 / fit.variance
-        self.inside, self.responses = state.inside, state.responses
+        self.inside = state.inside
         A, B = (np.where(self.inside[:, None, None], S[:, :, own], 0.0) for own in (self.wanted, base))
         cross = np.einsum("mcb,c,mcj->bj", B, weight, A, optimize=True)
         self.P = A - np.einsum("mcb,bj->mcj", B, inverse(fit.normal) @ cross, optimize=True)
@@ -209,15 +209,15 @@ class PartialledRegression:
         return np.tensordot(residual * self.weight, self.P, 2)
 
     def scores(
-        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation
+        self, residual: Float[np.ndarray, "m c"], colour: Autocorrelation, stretch: Int[np.ndarray, " m"]
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Estimates and covariances, by colour, or by how far stretches disagree where that is less sure."""
-        right, stretch = self.right(residual), self.responses.stretch
+        right = self.right(residual)
         whole = self.middle.under_each([colour], range(len(self.place)))[1]
         estimates = [bread @ right[place] for bread, place in zip(self.bread, self.place, strict=True)]
         covariances = [bread @ meat[0] @ bread for bread, meat in zip(self.bread, whole, strict=True)]
         for j, (place, bread, estimate) in enumerate(zip(self.place, self.bread, estimates, strict=True)):
-            if self.responses.freedom:
+            if stretch.max():
                 P = self.P[:, :, place]
                 rows = np.einsum("mci,c,mc->mi", P, self.weight, residual - P @ estimate, optimize=True)
                 between = bread @ cluster_covariance(rows, stretch) @ bread
@@ -399,7 +399,7 @@ def screen(
     # Re-estimation from noise whose active columns were fitted shows how much faster the noise then looks.
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
-    estimates, covariances = projected.scores(residual, colour)
+    estimates, covariances = projected.scores(residual, colour, state.responses.stretch)
     gains = _gains(state, fit, [b[1] for b in blocks])
     before = projected.deviance(residual)
     away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
@@ -516,16 +516,12 @@ def block_jackknife_covariance(
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
     """Active columns but those with which windows begin, and the covariance of their estimates by the jackknife."""
     columns, weight = fit.columns[~np.isin(fit.columns, state.begins)], 1.0 / fit.variance
-    left = state.left(fit)
-
-    def products(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Information of a part on these columns, its beginning free, and what it adds to the right side."""
-        here = part & state.inside
+    left, blocks, parts = state.left(fit), state.responses.parts, []
+    for k in range(int(blocks.max()) + 1):  # information of each, its beginning free, and the right side
+        here = (blocks == k) & state.inside
         S, begin = state.scaled[here][:, :, columns], state.scaled[here][:, :, state.begins]
         S = partialled(S, begin[:, :, np.any(begin != 0.0, axis=(0, 1))], weight)
-        return np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, left[here])
-
-    parts = state.responses.by_part(products)
+        parts.append((np.einsum("mci,c,mcj->ij", S, weight, S), np.einsum("mci,c,mc->i", S, weight, left[here])))
     whole = sum(information for information, _ in parts) + np.diag(state.precision[columns])
     return columns, jackknife_covariance(np.array([inverse(whole - N) @ right for N, right in parts]))
 

@@ -99,8 +99,7 @@ def forward_selection(
 def plausible_selection(
     state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
 ) -> Extension:
-    """`forward_selection`, made again without what is larger than aircraft have: it explains nothing, and what was
-    selected beside it is judged without it."""
+    """`forward_selection`, made again without what is larger than aircraft have, for it explains nothing."""
     barred, before = (), None
     while True:
         extension = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
@@ -175,8 +174,7 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
 
 
 def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
-    """Coefficients that an addition changes; where simulations or innovations are compared, all whose constant the card
-    has; none along the flight path."""
+    """Coefficients that an addition changes: in flight all whose constant the card has; none along the flight path."""
     if state.of_coefficients:
         reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
         return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
@@ -211,8 +209,7 @@ def noise_shares(state: SelectionState, fit: RegressionFit) -> dict[str, float]:
 def _election(
     state: SelectionState, fit: RegressionFit, seed: int, barred: Sequence[str], first: bool
 ) -> SelectionStep:
-    """The most explaining candidate that is not `barred`, is beyond chance, matters, and is useful on folds left
-    out."""
+    """The most explaining candidate, not `barred`, that is beyond chance, matters, and predicts folds left out."""
     settings = state.settings
     noise = SharedNoise(seed, state.folds, len(state.outputs), settings)
     screening = screen(state, fit, seed=seed, nulls=first, noise=noise)
@@ -252,9 +249,8 @@ def _election(
         if (p := look.p_value()) <= settings.false_alarm_rate:
             return SelectionStep(standing.effect, p, screening, gain)
     highest = max((s.score for s in screening.candidate_scores if s.effect not in barred), default=0.0)
-    return SelectionStep(
-        None, screening.p_value(highest) if len(screening.nulls) else float("nan"), screening, float("nan")
-    )
+    p = screening.p_value(highest) if len(screening.nulls) else math.nan
+    return SelectionStep(None, p, screening, math.nan)
 
 
 def between_p_value(wider: SelectionState, fit: RegressionFit, effect: str, among: int) -> float:
@@ -335,8 +331,7 @@ def _bayes_within(state: SelectionState, fit: RegressionFit, own: CandidateScore
 def worth(
     state: SelectionState, fit: RegressionFit, estimates: Mapping[str, Size]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Additions large enough to be worth modelling, and those that are only a nuisance: small, uncertain, or perhaps
-    noise."""
+    """Additions large enough to be worth modelling, and nuisances: small, uncertain, or perhaps noise."""
     added = {e.name: e for e in state.full.candidates if e.name in state.active}
 
     def least_away(parameter: Parameter, bias: tuple[float, float]) -> tuple[float, float]:
@@ -361,8 +356,7 @@ def worth(
 
 
 def large(effect: Effect, away: Mapping[str, tuple[float, float]], least_score: float) -> bool:
-    """Whether any parameter of an effect is as far from neutral as is worth a name, and beyond its deviation: `away`
-    has both, for parameters of which the effect says what is worth it (without such, always)."""
+    """Whether any parameter of an effect is as far from neutral (`away`) as is worth a name, and beyond its error."""
     rows = [(abs(size), sd, effect.sizes[p][0]) for p, (size, sd) in away.items()]
     return not rows or any(size + sd >= least and size >= least_score * sd for size, sd, least in rows)
 
@@ -391,8 +385,7 @@ AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the m
 
 
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
-    """Parameters of the card that may have taken up an effect that is large enough for a name: seen with the parameter
-    held, not seen with it free within its prior."""
+    """Parameters of the card that may have taken up an effect large enough for a name."""
     state, fit, parameters = extension.state, extension.fit, []
     if not state.of_coefficients:
         return ()
@@ -468,8 +461,7 @@ def _size(extension: Extension, column: int, at: int, fewer: Int[np.ndarray, " k
 
 
 def cancelling(extension: Extension, causes: Sequence[str]) -> tuple[CancellingPair, ...]:
-    """Pairs of the named causes whose estimates are correlated and whose contributions cancel, each with its
-    combination of least variance; a sum or a difference where that is nearly it."""
+    """Pairs of causes whose contributions cancel, each with its combination of least variance."""
     state, pairs = extension.state, []
     for effects, names, C in _correlated_parameters(extension, causes):
         i, j = map(int, state.full.columns(names))
@@ -498,8 +490,7 @@ def correlated(extension: Extension, effects: Sequence[str]) -> dict[str, dict[s
 
 
 def without_hold(extension: Extension) -> dict[str, Mapping[str, float]]:
-    """Additions that are no error by themselves: larger than aircraft have, at a parameter bound, or estimated together
-    with such a one; each with its partners and the correlation."""
+    """Additions that are no error by themselves: too large, at a bound, or estimated together with such a one."""
     state, joint = extension.state, correlated(extension, extension.state.active)
     out = {n for n in state.active if any(extension.sizes[p].at_bound for p in state.full.parameters_of(n))}
     out |= set(extension.implausible)

@@ -91,8 +91,7 @@ def components_of(terms: Sequence[SelectedTerm]) -> list[Component]:
 def terms_of_coefficient(
     state: SelectionState, coefficient: str, functions: Sequence[Component], *, seed: int
 ) -> list[SelectedTerm]:
-    """Terms that describe what is left of a coefficient as well as the functions of channels by which it was found, the
-    first added first; none where none predict as well. `state` has all in that was selected from the catalogue."""
+    """Terms that describe what is left of a coefficient as well as the `functions` by which it was found."""
     columns, terms, settings = columns_of(state, coefficient), list[SelectedTerm](), state.settings
     for number in range(settings.terms_most):
         best, _, trial = leader(state, columns, [f.column for f in terms])
@@ -261,8 +260,7 @@ def _next(
 
 
 def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> float:
-    """The chance that noise alone lets some term of the library, of `among`, look as good as one does; 1 where it is
-    too small to be worth a verdict, or gains nothing on left-out folds."""
+    """The chance that noise lets some of `among` terms look as good; 1 where it is too small or predicts nothing."""
     settings, own = trial.settings, np.array(standing.columns, int)
     alone = len(trial.responses.flights.lengths) == 1
     least = trial.least_share(settings.single_share if alone else settings.unnamed_share)
@@ -281,8 +279,7 @@ def _chance(trial: SelectionState, standing: CandidateScore, among: int) -> floa
 def _weighed(
     state: SelectionState, screened: Sequence[_Screened], chosen: Sequence[Component], first: TermColumn, p: float
 ) -> SelectedTerm:
-    """The term of the most weight among those of any coefficient that explain about as much as the leader `first`, with
-    those of its coefficient, and names of those of others."""
+    """The term of most weight among those, of any coefficient, that explain about as much as the leader `first`."""
     gains = {t.column(s).component.label: (t.column(s), s.gain) for t in screened for s in t.screening.candidate_scores}
     best = gains[first.component.label][1]
     near = [(c, gain) for c, gain in gains.values() if gain >= NEAR * best]
@@ -560,8 +557,7 @@ def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model
 
 
 def _eliminated(model: _Model, items: Sequence[str], curves: Sequence[Component]) -> _Model:
-    """Without what does not earn its cost, the least useful first: causes and offsets `items` must explain more than
-    functions in their place, terms more than nothing."""
+    """Without what does not earn its cost, the least useful first; functions may take the place of causes."""
     while True:
         inside = [item for item in items if item in (*model.state.active, *model.state.apart)]
         trials = [model.less(item) for item in (*inside, *model.terms)]
@@ -582,8 +578,7 @@ def _best(start: _Model, models: Sequence[_Model]) -> _Model:
     """The model that explains most of those that take the place of the first, if it is decisively better; or that."""
 
     def takes_its_place(model: _Model) -> bool:
-        """Whether terms are there in place of something, are identified within manoeuvres, as causes must be, and
-        predict hold-out data no worse."""
+        """Whether terms replace something, are identified within manoeuvres, and predict hold-out data no worse."""
         inside = replace(model, state=moved(model.state, model.state.theta, apart=start.state.apart))
         fewer = model.state.active != start.state.active or model.state.apart != start.state.apart
         there = inside.beyond(replace(inside, terms=(), functions=())) > 0.0

@@ -27,7 +27,6 @@ from bayes_aero.diagnosis.flights import (
     left_out,
     left_out_of,
     open_lag,
-    posterior_covariance,
     simulated,
     with_lag,
 )
@@ -115,7 +114,7 @@ def compare_trajectories(
     for name, (c, without) in shown.items():
         paths += [replace(p, model=name) for p in holdout_fits(c, without, tolerances, inflation, seed)]
     fit, gone = flies.contender.fit, flies.gone
-    sd = np.sqrt(np.diag(posterior_covariance(fit, inflation)))
+    sd = np.sqrt(inflation * np.diag(fit.covariance))
     return Trajectories(
         paths=tuple(paths),
         card=_estimates(contenders["card"].fit),
@@ -255,10 +254,10 @@ def fit_trajectories(
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
-        inflation, whole, noise_growth = (
+        inflation, noise_growth, whole = (
             noise.variance_inflation,
-            noise.on(whole),
             noise.growth_by_output(whole.outputs),
+            noise.on(whole),
         )
         weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
@@ -267,14 +266,13 @@ def fit_trajectories(
     with np.errstate(over="ignore", invalid="ignore"):  # a first guess may fly anywhere
         paths = simulated(first, whole, START, START, still, bands)
         paths += simulated(fit.estimate, whole, FITTED, FITTED, fit.departure, bands)
-    fitted_states = setting.priors and setting.initial is None
+    begins = zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True)
+    prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
     return TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting,
         by_effects=isinstance(unbiased(dynamics), AircraftDynamics),
         of_path=isinstance(dynamics, PathDynamics),
-        departure_sd=dict(zip(dynamics.start, map(float, initial_state_sd(dynamics)), strict=True))
-        if fitted_states
-        else {},
+        departure_sd=prior_sd,
     )  # fmt: skip
 
 
@@ -298,8 +296,7 @@ def _initial(fit: OutputErrorResult, shown: tuple[str, ...]) -> dict[str, dict[s
 def with_tested(
     diagnosis: Diagnosis, flown: Trajectories | None, records: Sequence[FlightRecord], card: Card
 ) -> Diagnosis:
-    """The diagnosis by trajectories alone, judged on hold-out flights, with what the simulation still misses, and a
-    verdict that claims no more than that. `flown` is its extended model, flown; None where that was not done."""
+    """The diagnosis by trajectories, judged on hold-out flights; `flown` is its extended model, None if not flown."""
     tested = Tested({} if flown is None else beyond_noise(flown, records, card))
     return replace(diagnosis, tested=tested, verdict=verdict_of(diagnosis.causes, diagnosis.left, tested))
 
@@ -341,9 +338,8 @@ def fit_disagreements(coefficients: MleResult, flown: TrajectoryFit) -> tuple[Di
         return ()
     fit, disagreements = flown.fit, []
     bound = {*coefficients.at_bound, *fit.at_bound, *fit.held_by_prior}
-    by_coefficients = dict(
-        zip(coefficients.names, zip(coefficients.estimate, coefficients.crb_corrected, strict=True), strict=True)
-    )
+    pairs = zip(coefficients.estimate, coefficients.crb_corrected, strict=True)
+    by_coefficients = dict(zip(coefficients.names, pairs, strict=True))
     for parameter, x, sd in zip(fit.parameters, fit.estimate, fit.sd_corrected, strict=True):
         if parameter.name in bound or parameter.name not in by_coefficients:
             continue
@@ -398,9 +394,8 @@ def flown_modes(fit: OutputErrorResult, steady: Steady, filtered: ProcessNoise |
     if filtered is not None:
         order = [list(filtered.estimates).index(name) for name in dynamics.names]
         theta = np.array([filtered.estimates[name][0] for name in dynamics.names])
-        covariance = (
-            np.zeros((count, count)) if filtered.covariance is None else filtered.covariance[np.ix_(order, order)]
-        )
+        known = filtered.covariance
+        covariance = np.zeros((count, count)) if known is None else known[np.ix_(order, order)]
     about_trim = modes(dynamics, dynamics.values(theta), aircraft, steady)
     slopes = np.zeros((len(about_trim), 2, count))
     scale = np.sqrt(np.diag(covariance))
@@ -461,8 +456,7 @@ def flown_mode(name: str, eigenvalue: complex, covariance: Float[np.ndarray, "2 
 
 
 def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motion | None:
-    """Modes with standard errors, of the estimates with process noise where that fit is `preferred`; None without a
-    model of the aircraft, and where the fit did not converge."""
+    """Modes with standard errors; None without a model of the aircraft, and where the fit did not converge."""
     if flown.of_path or not flown.converged:
         return None
     steady = steady_of(flown.fit.flown.flights)

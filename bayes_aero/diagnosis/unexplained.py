@@ -89,9 +89,7 @@ class FoundChange(FoundComponent):
 def sought_change(
     state: SelectionState, chosen: Sequence[Component], *, seed: int, least: float = 0.0
 ) -> FoundChange | None:
-    """The change that explains most of what the active effects and the `chosen` components leave, if it gains more than
-    `least` deviance on parts left out. The problem is linearised again where the others are with the change beside
-    them."""
+    """The change that explains most beside the `chosen` components, if it predicts left-out parts beyond `least`."""
     settings, alone = state.settings, len(state.responses.flights.lengths) == 1
     first = _promising(state, chosen, least) if testable(state) else None
     if first is None:
@@ -386,8 +384,7 @@ def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component
 
 
 def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
-    """First and last block from which the change may as well begin; other parameters that explain about as much; and
-    the variance inflation of the change itself."""
+    """First and last block where it may begin as well; other parameters that explain as much; variance inflation."""
     scan, settings, (span, parameter) = change.scan, state.settings, change.change.at
     estimates = scan.estimates(change.residual)
     gains, own = scan.gains(estimates), scan.over[span]
@@ -522,8 +519,7 @@ def withdrawn(extension: Extension, names: Sequence[str], sizes: Mapping[str, Si
 
 
 def _best(state: SelectionState, chosen: Sequence[Component], seed: int) -> FoundComponent | None:
-    """The component, or the change of a parameter, that explains what is left, is beyond chance and predicts what was
-    left out. Of both, the one that predicts it better."""
+    """The component, or change, that explains what is left beyond chance and predicts left-out data best."""
     smooth, change = _best_function(state, chosen, seed), sought_change(state, chosen, seed=seed)
     if change is not None and (smooth is None or change.gained >= holdout_gain_of(state, smooth.component, chosen)):
         return change

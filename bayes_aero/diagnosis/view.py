@@ -106,16 +106,14 @@ def with_stalls(view: View) -> View:
 def _fitted(
     state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], channels: Mapping[str, Any]
 ) -> Fitted:
-    """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces, and over what
-    follows from it."""
+    """A model evaluated; by coefficient, the mean residual over each recorded channel that makes forces."""
     signals = state.responses.predict(state.theta)
     residual = signals["residual"][:, : len(state.outputs)]
     block, recorded = state.responses.block, (*state.responses.flights.recorded, "alpha_dot", "elapsed", "X")
     names = [name for name in recorded if name in channels and name not in RESPONSES]
     blocks = {name: np.asarray(block(jnp.asarray(channels[name]))) for name in names}
-    over = tuple(
-        tuple(profiles(np.asarray(block(jnp.asarray(x))), blocks, state.variance_inflation)) for x in residual.T
-    )
+    each = [np.asarray(block(jnp.asarray(x))) for x in residual.T]
+    over = tuple(tuple(profiles(x, blocks, state.variance_inflation)) for x in each)
     return Fitted(residual, signals, _composition(state, fit, measured, residual), over, state, fit)
 
 
@@ -127,10 +125,7 @@ def profiles(
     residual: Float[np.ndarray, " n"], channels: Mapping[str, np.ndarray], variance_inflation: float
 ) -> list[ResidualProfile]:
     """How the residual depends on each channel, the clearest first."""
-    profiles_by_channel, bins = (
-        [],
-        max(1, min(BINS, len(residual) // 2)),
-    )  # of two blocks at least, that they have a deviation
+    profiles_by_channel, bins = [], max(1, min(BINS, len(residual) // 2))  # of two blocks: they have a deviation
     for name, x in channels.items():
         if np.ptp(x) <= 1e-9 * max(1.0, float(np.abs(x).max())):
             continue
@@ -158,20 +153,18 @@ def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
         return {fitted.state.full.model.names[c]: float(x) for c, x in zip(columns, sd, strict=True)}
 
     full, sd, sd_after = after.state.full, deviations(before), deviations(after)
+    names = [p for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after]
     moves = {}
-    for p, i in (
-        (p, full.columns([p])[0]) for e in full.base for p in full.parameters_of(e) if p in sd and p in sd_after
-    ):
+    for name, i in zip(names, map(int, full.columns(names)), strict=True):
         values = float(before.state.theta[i]), float(after.state.theta[i])
-        moves[p] = ParameterMove(*values, sd[p], sd_after[p], full.model.free[i].unit)
+        moves[name] = ParameterMove(*values, sd[name], sd_after[name], full.model.free[i].unit)
     return moves
 
 
 def _composition(
     state: SelectionState, fit: RegressionFit, measured: Float[np.ndarray, "n c"], residual: Float[np.ndarray, "n c"]
 ) -> dict[str, dict[str, Any]]:
-    """Each coefficient's residuals, manoeuvres fitted jointly: scores, Theil's parts and lag 1 at the recorded rate;
-    the share of residuals (5 Hz means) within the central normal bands of the fitted noise."""
+    """Each coefficient's residuals: scores, Theil's parts, lag 1, and calibration of the fitted noise."""
     standard = state.left(fit) / np.sqrt(fit.variance)
     inside = np.concatenate([standard[fold] for fold in state.folds])
     manoeuvre, composition = state.responses.flights.manoeuvre, {}
@@ -179,14 +172,13 @@ def _composition(
         z, e = measured[:, c], residual[:, c]
         scores, parts = score(z, z - e), theil_parts(z, z - e)
         bands = {f"{p:g}": np.abs(inside[:, c]) <= stats.norm.ppf(0.5 + p / 2) for p in LEVELS}
+        theil = {f"theil_{part}": getattr(parts, part) for part in ("bias", "variance", "covariance")}
         composition[name] = {
             "r": scores.r,
             "rmse": scores.rmse,
             "r2": scores.r2,
             "theil": parts.theil,
-            "theil_bias": parts.bias,
-            "theil_variance": parts.variance,
-            "theil_covariance": parts.covariance,
+            **theil,
             "lag1": lag1_within(e, manoeuvre),
             "calibration": {level: float(np.mean(within)) for level, within in bands.items()},
         }
@@ -205,8 +197,7 @@ def covariance_of(model: Fitted | Extension) -> tuple[Int[np.ndarray, " k"], Flo
 def joint_covariance(
     model: Fitted | Extension, deviations: Mapping[str, float], causes: Sequence[Cause]
 ) -> JointCovariance:
-    """Of all parameters of the extended model, as standard errors are reported: those of the card's parameters (SI) in
-    `deviations`, those of `causes` with them."""
+    """Of the extended model's parameters, as standard errors are reported: `deviations`, and those of `causes`."""
     # A parameter may be reported with a larger error than coloured residuals leave: noise of the recorded regressors
     # and the scatter between stretches count, too. What is beyond is independent of the other parameters.
     columns, covariance = covariance_of(model)
@@ -251,16 +242,11 @@ def compared(
     density = (after.densities() - before.densities())[here[before.inside]] / state.variance_inflation
     total = np.sum((measured[here] - measured[here].mean(axis=0)) ** 2, axis=0)
     squares = (before.residual[here] ** 2 - after.residual[here] ** 2) / total
-    n = len(density)
-    return {
-        name: Compared(
-            float(density[:, c].sum()),
-            standard_error_of_sum(density[:, c], [n]),
-            float(squares[:, c].sum()),
-            standard_error_of_sum(squares[:, c], [n]),
-        )
-        for c, name in enumerate(state.outputs)
-    }
+
+    def summed(x: np.ndarray) -> tuple[float, float]:
+        return float(x.sum()), standard_error_of_sum(x, [len(x)])
+
+    return {n: Compared(*summed(density[:, c]), *summed(squares[:, c])) for c, n in enumerate(state.outputs)}
 
 
 # --- The candidates of every stage in the order of their scores, as tables and figures show them.
@@ -351,8 +337,7 @@ def _shared(fit: FrequencyFit, state: SelectionState, names: Sequence[str]) -> n
 
 
 def band_of(flights: Flights) -> Band:
-    """The band that the manoeuvres excite, Hz: from two periods a record to twice the frequency below which nearly all
-    power of the angular rates is, as far as the smoothing filters pass."""
+    """The band that the manoeuvres excite, Hz, as far as the smoothing filters pass."""
     times, reach = sampling_times(flights), 0.0
     low = PERIODS / min(n * dt for n, dt in zip(flights.lengths, times, strict=True))
     for name in (name for name in ("p", "q", "r") if name in flights.recorded):

@@ -100,10 +100,6 @@ class ResidualModel(ABC):
             residual[fold] = self.residuals(theta, outputs)[fold]
         return residual
 
-    def by_part(self, made: Callable[[np.ndarray], Any]) -> list[Any]:
-        """What is made of the blocks of each part of the flights, for the jackknife."""
-        return [made(self.parts == k) for k in range(int(self.parts.max()) + 1)]
-
     @abstractmethod
     def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
         """Means over blocks of anything sampled at the recorded rate."""

@@ -191,7 +191,7 @@ def searched(*names: str, forms: Mapping[str, tuple[str, float]] | None = None, 
         Extension, state=part(SelectionState, active=names), fit=None, causes=names, minor=(), steps=(),
         sizes={p: x for n in names for p, x in cause(n).parameters.items()},
     )  # fmt: skip
-    return part(SearchResult, full=full, stages=(("coefficients", one),), forms=forms or {})
+    return part(SearchResult, full=full, stages={"coefficients": one}, forms=forms or {})
 
 
 @pytest.fixture
@@ -391,7 +391,7 @@ def test_sizes_that_no_sensor_or_aircraft_has_are_said(diagnosed):
     assert "at most 3 deg" in sentence
     d = diagnosed.view.diagnosis
     found = replace(next(c for c in d.causes if c.name == "alpha_squared_moment"), ambiguous_with=())
-    searched = SearchResult(d.aerodynamics.state.full, ((found.stage, d.aerodynamics),), (), d.noise, (), ())
+    searched = part(SearchResult, full=d.aerodynamics.state.full, stages={found.stage: d.aerodynamics}, unknown=())
     large = replace(found, implausible={"Cma2": 0.1})
     (left,) = decided.structure_of(searched, [large])
     assert (left.coefficient, left.channel, left.rivals) == ("Cm", "alpha", ("alpha_squared_moment",))

@@ -554,7 +554,7 @@ def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
     fit = replace(fit, variance=np.ones(1), normal=S[:, 0, :2].T @ S[:, 0, :2])
     projected = PartialledRegression(state_of(S, folds), fit, [np.array([2]), np.array([3])])
     sizes = [np.array([0.3]), np.array([2.0])]
-    apart = projected.apart(np.zeros((n, 1)), sizes, 0, colour, None)
+    apart = projected.apart(np.zeros((n, 1)), sizes, 0, colour, np.zeros(n, int))
     assert apart[0] == 1.0
     d = projected.P[:, 0, :] @ np.array([-sizes[0][0], sizes[1][0]])
     covariance = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
@@ -573,7 +573,7 @@ def test_stretches_that_disagree_more_than_the_colour_says_part_rivals_less():
     fit = Products.of(residual, S, folds).fit(np.arange(1), np.zeros(4), np.zeros(4))
     projected = PartialledRegression(state_of(S, folds), fit, [np.array([1]), np.array([2])])
     estimates = [np.zeros(1), np.ones(1)]
-    alone, together = (projected.apart(residual, estimates, 0, white, s)[1] for s in (None, stretches))
+    alone, together = (projected.apart(residual, estimates, 0, white, s)[1] for s in (0 * stretches, stretches))
     sums = np.add.reduceat(projected.P[:, 0, 1] * residual[:, 0], np.arange(0, n, 20)) / fit.variance[0]
     assert together == pytest.approx(np.sum(sums**2) * 20 / 19 / np.sum(projected.P[:, 0, 1] ** 2 / fit.variance[0]))
     assert together > alone
@@ -595,7 +595,7 @@ def test_deviations_are_those_of_fits_without_each_stretch():
     known = np.array([1.0, 9.0])
     fit = Products.of(residual, S, folds).fit(np.arange(k + count), np.zeros(k + count), precision, known)
     fit = replace(fit, variance=known)
-    responses = SimpleNamespace(jackknife_blocks=stretch, flights=SimpleNamespace(lengths=[length] * count))
+    responses = SimpleNamespace(parts=stretch, flights=SimpleNamespace(lengths=[length] * count))
     given = {"residual": residual, "precision": precision, "nuisance": count, "theta": np.zeros(k)}
     state = state_of(S, folds, responses=responses, **given)
     columns, covariance = block_jackknife_covariance(state, fit)

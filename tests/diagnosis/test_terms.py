@@ -320,7 +320,7 @@ def test_innovations_of_six_degrees_of_freedom_change_as_their_sensitivities_say
 
 def test_blocks_lie_within_a_manoeuvre_and_the_least_share_is_that_of_one_sample(short):
     responses, _ = short
-    parts, manoeuvre = responses.jackknife_blocks, responses.manoeuvre
+    parts, manoeuvre = responses.parts, responses.manoeuvre
     assert set(np.bincount(parts) * responses.seconds) == {5.0}
     assert len(set(zip(parts.tolist(), manoeuvre.tolist(), strict=True))) == parts.max() + 1 == 3
     # A constant in white noise: the share of the variance that it takes, by numpy.

@@ -547,7 +547,7 @@ def test_gusts_and_the_hidden_effect_are_found_beside_what_is_on_the_card(found)
     assert noise.of_innovations
     assert max(abs(r) for r in noise.lag1.values()) < 4.0 / np.sqrt(SECONDS / DT)
     assert noise.coloured == ()
-    assert [stage for stage, _ in searched.stages] == [INNOVATIONS]
+    assert list(searched.stages) == [INNOVATIONS]
     assert searched.model.steps[0].chosen == "alpha_squared_moment"
     size = searched.model.sizes["Cma2"]
     assert abs(size.mean - Cma2) < 3.0 * size.sd
