@@ -24,6 +24,7 @@ from bayes_aero.diagnosis.selection import (
     explained,
     forward_selection,
     nats_gained,
+    plausible,
     removed,
     without_hold,
     worth,
@@ -177,18 +178,15 @@ def check_sensors(
         """What stretches bear out, or several errors in place of one of these, if stretches bear them out, too."""
         return consistent_across_blocks(*with_several_instead(*consistent_across_blocks(state, fit)))
 
-    def selected(barred: Sequence[str]) -> Extension:
+    def selected(barred: tuple[str, ...]) -> Extension:
         candidates = tuple(e for e in full.candidates if e.kind in SENSOR_KINDS and e.name not in (*known, *barred))
         own = replace(full, base=tuple(known), candidates=candidates, priors=priors or {})
         state = linearised(own, responses, responses.outputs, theta)
         extension = forward_selection(state, seed=seed, checked=checked)
         return widened(extension, extension.state, extension.fit)
 
-    first = extension = selected(())
-    out: tuple[str, ...] = ()
-    while extension.implausible:
-        out = (*out, *without_hold(extension))
-        extension = replace(selected(out), too_large=extension)
+    extension = plausible(selected, without_hold)
+    first = (extension, *extension.larger)[-1]
     return extension if extension is first or nats_gained(first, extension) > -full.settings.decisive else first
 
 

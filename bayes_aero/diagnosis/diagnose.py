@@ -153,10 +153,10 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
             confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
     causes, failures = attempted("No cause was tested on hold-out data", asked, None)
-    if causes is None:
-        untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
-        causes = untested, dict.fromkeys(result.stages, ())
-    return (*causes, failures)
+    if causes is not None:
+        return (*causes, failures)
+    untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
+    return untested, dict.fromkeys(result.stages, ()), failures
 
 
 def without_conditional(

@@ -21,6 +21,7 @@ from bayes_aero.diagnosis.selection import (
     SelectionStep,
     between_p_value,
     nats_gained,
+    plausible,
     plausible_selection,
     removed,
     selected,
@@ -405,36 +406,31 @@ class _Filtered(NamedTuple):
 
 
 def _searched(
-    flown: _Filtered,
-    known: Mapping[str, float],
-    seed: int,
-    progress: Progress | None,
-    before: Extension | None = None,
-    barred: tuple[str, ...] = (),
+    flown: _Filtered, begin: Mapping[str, float], seed: int, progress: Progress | None
 ) -> tuple[Extension, PredictionErrorStatus]:
-    """One addition after the other; after each, gusts and noise are estimated anew, as in `plausible_selection`."""
-    begin = known
-    active: tuple[str, ...] = ()
-    apart: tuple[str, ...] = ()
-    steps: tuple[SelectionStep, ...] = ()
-    first: Extension | None = None
-    filtered: PredictionErrorResult | None = None
-    while True:
-        state, filtered = flown.state(known, active, filtered, progress)
-        state = moved(state, state.theta, apart=apart)
-        room = flown.full.settings.max_effects - len(active)
-        found = selected(state, seed=seed + len(active), most=min(1, room), progress=progress, barred=barred)
-        first, steps = first or found, (*steps, *found.steps)
-        chosen = found.state.active
-        # An addition that another one has replaced ends the search: the two would replace each other for ever.
-        if chosen == active or set(active) - set(chosen):
-            found = replace(found, base=first.base, base_fit=first.base_fit, steps=steps)
-            extension = replace(sized(found), too_large=before)
-            if not extension.implausible:
-                return extension, filtered.status
-            return _searched(flown, begin, seed, progress, extension, (*barred, *extension.implausible))
-        known = dict(zip(state.full.model.names, found.state.theta, strict=True))
-        apart, active = found.state.apart, chosen
+    """One plausible addition after the other; after each, gusts and noise are estimated anew."""
+    statuses: list[PredictionErrorStatus] = []
+
+    def select(barred: tuple[str, ...]) -> Extension:
+        known, active, apart = begin, (), ()
+        steps: tuple[SelectionStep, ...] = ()
+        first: Extension | None = None
+        filtered: PredictionErrorResult | None = None
+        while True:
+            state, filtered = flown.state(known, active, filtered, progress)
+            state = moved(state, state.theta, apart=apart)
+            room = min(1, flown.full.settings.max_effects - len(active))
+            added = selected(state, seed=seed + len(active), most=room, progress=progress, barred=barred)
+            first, steps = first or added, (*steps, *added.steps)
+            chosen = added.state.active
+            # An addition that another one has replaced ends the search: the two would replace each other for ever.
+            if chosen == active or set(active) - set(chosen):
+                statuses.append(filtered.status)
+                return sized(replace(added, base=first.base, base_fit=first.base_fit, steps=steps))
+            known = dict(zip(state.full.model.names, added.state.theta, strict=True))
+            apart, active = added.state.apart, chosen
+
+    return plausible(select), statuses[-1]
 
 
 def in_windows(flights: Flights, dynamics: AircraftDynamics) -> OutputErrorResult:

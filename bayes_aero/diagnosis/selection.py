@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
@@ -96,17 +96,26 @@ def forward_selection(
     return sized(replace(extension, state=after, fit=fit))
 
 
+def plausible(
+    select: Callable[[tuple[str, ...]], Extension],
+    out: Callable[[Extension], Iterable[str]] = lambda extension: extension.implausible,
+) -> Extension:
+    """What `select` finds without what is barred, made again without what is larger than aircraft have, and `out`."""
+    # That explains nothing, and what was selected beside it is judged without it.
+    barred: tuple[str, ...] = ()
+    before: Extension | None = None
+    while True:
+        extension = replace(select(barred), too_large=before)
+        if not extension.implausible:
+            return extension
+        barred, before = (*barred, *out(extension)), extension
+
+
 def plausible_selection(
     state: SelectionState, *, seed: int = 0, progress: Progress | None = None, most: int | None = None
 ) -> Extension:
-    """`forward_selection`, made again without what is larger than aircraft have, for it explains nothing."""
-    barred, before = (), None
-    while True:
-        extension = forward_selection(state, seed=seed, progress=progress, most=most, barred=barred)
-        extension = replace(extension, too_large=before)
-        if not extension.implausible:
-            return extension
-        barred, before = (*barred, *extension.implausible), extension
+    """`forward_selection` of what is no larger than aircraft have."""
+    return plausible(lambda barred: forward_selection(state, seed=seed, progress=progress, most=most, barred=barred))
 
 
 def selected(

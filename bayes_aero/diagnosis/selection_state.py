@@ -307,15 +307,19 @@ class SelectionState:
         """The state in which components are the candidates in place of effects; those `chosen` are in."""
         folds, extra = self.folds if folds is None else folds, [c.basis for c in (*chosen, *components)]
         S = np.concatenate([self.S[:, :, :-1], *extra, self.S[:, :, -1:]], axis=2)
-        width, size = S.shape[2] - self.S.shape[2], float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
-        flat = np.full(width, self.variance_inflation / (10 * size) ** 2)
+        zeros, flat = self.flat_prior(S.shape[2] - self.S.shape[2])
         precision = np.concatenate([self.precision[:-1], flat, [1.0]])
-        mean = np.concatenate([self.mean[:-1], np.zeros(width), [0.0]])
+        mean = np.concatenate([self.mean[:-1], zeros, [0.0]])
         products = Products.of(self.residual / self.noise_growth, S / self.noise_growth[:, :, None], folds)
         return replace(
             self, S=S, mean=mean, precision=precision, products=products, folds=tuple(folds),
             components=tuple(components), chosen=tuple(chosen),
         )  # fmt: skip
+
+    def flat_prior(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and precision of components, each as large as the residuals: ten times that size at most."""
+        size = float(np.median(np.std(self.residual / self.noise_growth, axis=0)))
+        return np.zeros(count), np.full(count, self.variance_inflation / (10 * size) ** 2)
 
     def share_of(self, own: Int[np.ndarray, " k"]) -> float:
         """Share of a coefficient's remaining variance that columns take away, at best over the coefficients."""

@@ -186,20 +186,16 @@ def sized(state: SelectionState, terms: Sequence[SelectedTerm]) -> tuple[FoundTe
     errors = jackknife_errors(whole, fit, state.responses.parts)
     deviation = np.maximum(np.sqrt(np.diag(uncertainty(whole, fit))), errors)
     own = slice(len(fit.columns) - len(terms), None)
-    rows = zip(terms, fit.step[own], deviation[own], strict=True)
-    return tuple(
-        FoundTerm(
-            coefficient=term.column.component.coefficient,
-            term=term.column.term,
-            size=(float(size) / term.column.scale, float(sd) / term.column.scale),
-            share=term.share,
-            gain=nats(term.gain, term.inflation),
-            weight=term.weight,
-            others=term.others,
-            least=SWING[term.column.component.coefficient] / max(term.column.spread, 1e-12),
+    sizes = []
+    for term, size, sd in zip(terms, fit.step[own], deviation[own], strict=True):
+        column, coefficient = term.column, term.column.component.coefficient
+        factor, least = (
+            (float(size) / column.scale, float(sd) / column.scale),
+            SWING[coefficient] / max(column.spread, 1e-12),
         )
-        for term, size, sd in rows
-    )
+        gain = nats(term.gain, term.inflation)
+        sizes.append(FoundTerm(coefficient, column.term, factor, term.share, gain, term.weight, term.others, least))
+    return tuple(sizes)
 
 
 # --- Where a model meets the record in flight.
@@ -239,23 +235,17 @@ def _next(
 ) -> SelectedTerm | None:
     """The best term beside those found; None where none is beyond chance, large enough and useful."""
     noise = SharedNoise(seed, state.folds, len(state.outputs), state.settings)
-    chosen, screened = [screened_coefficient.column for screened_coefficient in terms], []
+    chosen, screened = [term.column for term in terms], []
     for columns in library:
         left = [c for c in columns if c not in chosen]
         trial = state.with_components([c.component for c in left], components_of(terms))
         screened.append(_Screened(left, trial, screen(trial, trial.fit(), seed=0, nulls=False, noise=noise)))
-    tried = state.settings.candidates_tried
-    leaders = [
-        (screened_coefficient, standing)
-        for screened_coefficient in screened
-        for standing in screened_coefficient.screening.candidate_scores[:tried]
-    ]
-    leaders.sort(key=lambda leader: -leader[1].score)
-    among = sum(len(screened_coefficient.columns) for screened_coefficient in screened)
-    for screened_coefficient, standing in leaders:
-        p = _chance(screened_coefficient.state, standing, among)
+    tried, among = state.settings.candidates_tried, sum(len(part.columns) for part in screened)
+    leaders = [(part, standing) for part in screened for standing in part.screening.candidate_scores[:tried]]
+    for part, standing in sorted(leaders, key=lambda leader: -leader[1].score):
+        p = _chance(part.state, standing, among)
         if p <= state.settings.unnamed_false_alarm_rate:
-            return _weighed(state, screened, components_of(terms), screened_coefficient.column(standing), p)
+            return _weighed(state, screened, components_of(terms), part.column(standing), p)
     return None
 
 
@@ -342,10 +332,8 @@ class _Model:
         """The fit of `wide` and what it leaves, from the columns that are in alone."""
         state, bases, columns = self.state, [one.basis for one in self.components], self.state.columns()
         S = np.concatenate([state.S[:, :, columns], *bases], axis=2) / state.noise_growth[:, :, None]
-        residual, more = state.residual / state.noise_growth, S.shape[2] - len(columns)
-        size = float(np.median(np.std(residual, axis=0)))
-        precision = np.append(state.precision[columns], np.full(more, state.variance_inflation / (10 * size) ** 2))
-        mean = np.append(state.mean[columns], np.zeros(more))
+        residual, flat = state.residual / state.noise_growth, state.flat_prior(S.shape[2] - len(columns))
+        mean, precision = (np.append(x[columns], y) for x, y in zip((state.mean, state.precision), flat, strict=True))
         best = Products.of(residual, S, state.folds).fit(np.arange(S.shape[2]), mean, precision)
         return best, residual - S @ best.step
 
@@ -442,10 +430,10 @@ def described(unknown: Sequence[UnexplainedStructure], forms: Forms) -> tuple[Un
 
 
 def contest(extension: Extension, left: Left = NOTHING) -> Forms:
-    """Terms in place of causes, and of offsets between manoeuvres, that only stood in for them; and those that explain
-    as well as causes that are left. A wrong form of a coefficient leaves residuals that follow the state, as a stall or
-    the error of a sensor does, and differ between manoeuvres, as offsets do. So terms are sought without all of them;
-    then everything is in, and what does not earn its cost goes out, the least useful first."""
+    """Terms in place of causes and offsets that only stood in for them; and those that explain as well as causes."""
+    # A wrong form of a coefficient leaves residuals that follow the state, as a stall or the error of a sensor does,
+    # and differ between manoeuvres, as offsets do. So terms are sought without all of them; then everything is in, and
+    # what does not earn its cost goes out, the least useful first.
     state, causes = extension.state, extension.causes
     aerodynamic = {e.name for e in state.full.candidates if e.kind is Kind.AERODYNAMICS}
     columns = {name: term_of(state, name) for name in causes if name in aerodynamic}

@@ -53,17 +53,6 @@ from bayes_aero.inference.covariance import ORDER, nats
 
 
 @dataclass(frozen=True)
-class SpanChange:
-    """The change of the parameter in `column` over a span."""
-
-    column: int
-    span: Span
-    component: Component  # what it adds
-    unit: float  # what a step of one is of the component
-    at: tuple[int, int]  # its place in the scan (span, parameter) that found it
-
-
-@dataclass(frozen=True)
 class FoundComponent:
     """A component that is taken for real, and the state in which it was found."""
 
@@ -77,13 +66,22 @@ class FoundComponent:
 class FoundChange(FoundComponent):
     """A change of a parameter that is beyond chance, with what it was judged by."""
 
-    change: SpanChange
+    at: tuple[int, int]  # its place in the scan (span, parameter)
+    unit: float  # what a step of one is of the component
     scan: ChangeScan
     residual: Float[np.ndarray, "m c"]
     folds: tuple[slice, ...]
     colour: Autocorrelation
     gain: float  # deviance that it takes away
     gained: float  # deviance of the parts left out
+
+    @property
+    def span(self) -> Span:
+        return self.scan.over[self.at[0]]
+
+    @property
+    def column(self) -> int:
+        return int(self.scan.columns[self.at[1]])
 
 
 def sought_change(
@@ -94,24 +92,24 @@ def sought_change(
     first = _promising(state, chosen, least) if testable(state) else None
     if first is None:
         return None
-    state = _beside(state, [*chosen, first[0].component])
+    state = _beside(state, [*chosen, first[0]])
     folds = manoeuvres(state.responses.manoeuvre)
     whole = state.with_components((), chosen, folds)
-    wider = Trial(state, first[0].component, chosen, folds).fit
+    wider = Trial(state, first[0], chosen, folds).fit
     # Under the variances that it leaves: what it explains itself would pass for noise of its coefficient.
     held = whole.fit_columns(whole.columns(), held=wider.variance)
     scan, residual = ChangeScan(whole, held, first[1].columns, first[1].over, first[1].noise), whole.left(held)
-    change = _change(state, scan, _leader(scan, scan.estimates(residual))[0])
-    trial, gained = Trial(state, change.component, chosen, folds), holdout_gain_of(state, change.component, chosen)
+    at = _leader(scan, scan.estimates(residual))[0]
+    component, unit = _change(state, scan, at)
+    trial, gained = Trial(state, component, chosen, folds), holdout_gain_of(state, component, chosen)
     enough = trial.share >= (settings.single_share if alone else settings.change_share) and gained > least
-    if not enough or _by_noise(trial, change, scan):
+    if not enough or _by_noise(trial, scan, at, unit):
         return None
     colour, p = _p_value(whole, held, scan, trial.state.left(trial.fit), seed)
     if p > settings.change_false_alarm_rate:
         return None
     gain = whole.fit().deviance - trial.fit.deviance
-    known = state, change.component, trial.share, p
-    return FoundChange(*known, change, scan, residual, folds, colour, gain, gained)
+    return FoundChange(state, component, trial.share, p, at, unit, scan, residual, folds, colour, gain, gained)
 
 
 def testable(state: SelectionState) -> bool:
@@ -121,9 +119,7 @@ def testable(state: SelectionState) -> bool:
     return state.of_coefficients and long and bool(len(_free(state)) and _over(state))
 
 
-def _promising(
-    state: SelectionState, chosen: Sequence[Component], least: float
-) -> tuple[SpanChange, ChangeScan] | None:
+def _promising(state: SelectionState, chosen: Sequence[Component], least: float) -> tuple[Component, ChangeScan] | None:
     """The change that explains most to first order, if that is worth another look."""
     folds = manoeuvres(state.responses.manoeuvre)
     whole = state if not chosen and folds == state.folds else state.with_components((), chosen, folds)
@@ -139,18 +135,19 @@ def _promising(
     leader, gain = _leader(scan, scan.estimates(whole.left(fit)))
     if gain < state.settings.least_share * len(state.residual):
         return None
-    change = _change(state, scan, leader)
-    return (change, scan) if holdout_gain_of(state, change.component, chosen) > least else None
+    component, _ = _change(state, scan, leader)
+    return (component, scan) if holdout_gain_of(state, component, chosen) > least else None
 
 
-def _by_noise(trial: Trial, change: SpanChange, scan: ChangeScan) -> bool:
+def _by_noise(trial: Trial, scan: ChangeScan, place: tuple[int, int], unit: float) -> bool:
     """Whether one value, made too small by noise on either side of the change, explains it."""
     # To first order a share s of noise takes s of a value away; what lies between a value and that with twice as much
     # given back may be its truth.
-    (at,) = trial.fit.places([change.column])
-    elsewhere = float(trial.state.theta[change.column] + trial.fit.step[at])
-    values = elsewhere + change.unit * float(trial.fit.step[-1]), elsewhere
-    shares = scan.noise_shares[:, change.at[0], change.at[1]]
+    column = int(scan.columns[place[1]])
+    (at,) = trial.fit.places([column])
+    elsewhere = float(trial.state.theta[column] + trial.fit.step[at])
+    values = elsewhere + unit * float(trial.fit.step[-1]), elsewhere
+    shares = scan.noise_shares[:, place[0], place[1]]
     least, most = np.sort([np.array([x, x / max(1.0 - 2.0 * s, TINY)]) for x, s in zip(values, shares, strict=True)]).T
     return bool(np.max(least) <= np.min(most))
 
@@ -188,13 +185,13 @@ def _leader(scan: ChangeScan, estimates: Float[np.ndarray, "n p"]) -> tuple[tupl
     return (int(span), int(parameter)), float(gains[span, parameter])
 
 
-def _change(state: SelectionState, scan: ChangeScan, at: tuple[int, int]) -> SpanChange:
+def _change(state: SelectionState, scan: ChangeScan, at: tuple[int, int]) -> tuple[Component, float]:
+    """What a change adds, about as large as the residuals, and its size."""
     span, column = scan.over[at[0]], int(scan.columns[at[1]])
     basis = np.zeros((*state.residual.shape, 1))
     basis[span.begin : span.end, :, 0] = state.S[span.begin : span.end, :, column]
     unit = 1.0 / float(np.sqrt(np.max(np.mean(basis**2, axis=0))))
-    component = Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis)
-    return SpanChange(column, span, component, unit, at)
+    return Component(state.full.model.names[column], f"blocks from {span.begin}", unit * basis), unit
 
 
 def _p_value(
@@ -241,11 +238,7 @@ class Span(NamedTuple):
 
 
 def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]:
-    """From a block on, to the end of its manoeuvre or of all later ones; between manoeuvres, from the begin of a later
-    one on, or in one of the middle alone.
-
-    `least` blocks at either end of a manoeuvre are not divided; about `most` begins are tried.
-    """
+    """From a block on, to the end of its manoeuvre or of all later ones; `least` blocks at either end are undivided."""
     count, m = int(manoeuvre[-1]) + 1, len(manoeuvre)
     changes = []
     for k in range(count):
@@ -259,8 +252,7 @@ def spans(manoeuvre: Int[np.ndarray, " m"], least: int, most: int) -> list[Span]
 
 
 class ChangeScan:
-    """Directions of the changes of p parameters (`columns` of the state) over each of n spans; `noise` is what
-    recording noise adds to the sensitivities, scaled as those are."""
+    """Directions of the changes of p parameters over each of n spans; recording noise adds `noise` to sensitivities."""
 
     def __init__(
         self,
@@ -340,11 +332,11 @@ def reported_change(
     state: SelectionState, found: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
-    change, span = found.change, found.change.span
+    span = found.span
     begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
-    before, after, size = _sizes(state, change, chosen)
+    before, after, size = _sizes(state, found, chosen)
     nearest, rivals, inflation = _as_good(state, found)
-    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
+    seconds, parameter = state.responses.seconds, state.full.model.free[found.column]  # a block is as fine as it gets
     known = [] if election is None else election.candidate_scores
     effects = [s.effect for s in known if nats(found.gain - s.gain, inflation) < state.settings.ambiguous]
     return ParameterChange(
@@ -367,7 +359,7 @@ def reported_change(
 Value = tuple[float, float]
 
 
-def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
+def _sizes(state: SelectionState, change: FoundChange, chosen: Sequence[Component]) -> tuple[Value, Value, Value]:
     """Value before, after, and their difference, with standard errors; all that is in is fitted beside."""
     whole = state.with_components((), chosen, manoeuvres(state.responses.manoeuvre))
     fit = whole.fit()
@@ -385,7 +377,7 @@ def _sizes(state: SelectionState, change: SpanChange, chosen: Sequence[Component
 
 def _as_good(state: SelectionState, change: FoundChange) -> tuple[tuple[int, int], list[str], float]:
     """First and last block where it may begin as well; other parameters that explain as much; variance inflation."""
-    scan, settings, (span, parameter) = change.scan, state.settings, change.change.at
+    scan, settings, (span, parameter) = change.scan, state.settings, change.at
     estimates = scan.estimates(change.residual)
     gains, own = scan.gains(estimates), scan.over[span]
     same = [i for i, other in enumerate(scan.over) if (other.manoeuvre, other.end) == (own.manoeuvre, own.end)]
@@ -435,7 +427,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
         return _left(extension, components, tuple(name for name in replaced if name not in line))
     # A component, or the change of a parameter, that predicts unseen data clearly better than all named causes of the
     # coefficients together: they were then stand-ins for something that is in no catalogue.
-    proxies = [] if not extension.causes else [_changing_in(extension, seed), _standing_in(extension)]
+    proxies = (_changing_in(extension, seed), _standing_in(extension)) if extension.causes else ()
     margins = [proxy for proxy in proxies if proxy is not None]
     if not margins:
         return Left((), ())
