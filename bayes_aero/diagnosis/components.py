@@ -41,9 +41,8 @@ def _channel(name: str, *, lateral: bool = False) -> TermFactor:
 def _rate(name: str, channel: str, *, lateral: bool = False) -> TermFactor:
     by = reduced_lateral if lateral else reduced
     code = f'{by.__name__}(s["{channel}"], s["airspeed"], a)'
-    return TermFactor(
-        name, code, (channel, "airspeed"), lambda s, a: np.asarray(by(s[channel], s["airspeed"], a)), lateral
-    )
+    evaluate = lambda s, a: np.asarray(by(s[channel], s["airspeed"], a))  # noqa: E731
+    return TermFactor(name, code, (channel, "airspeed"), evaluate, lateral)
 
 
 THRUST = TermFactor(
@@ -104,9 +103,8 @@ def _lagged(quantity: TermFactor, chords: float) -> TermFactor:
         parts = np.split(x, first[1:].astype(int))
         return np.concatenate([lfilter([1.0 - keep], [1.0, -keep], p, zi=[keep * p[0]])[0] for p in parts])
 
-    return TermFactor(
-        f"lag({quantity.name}, {chords:g} c/V)", None, quantity.channels, evaluate, quantity.lateral, 2, quantity.unit
-    )
+    name = f"lag({quantity.name}, {chords:g} c/V)"
+    return TermFactor(name, None, quantity.channels, evaluate, quantity.lateral, 2, quantity.unit)
 
 
 def library(

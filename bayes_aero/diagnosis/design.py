@@ -378,7 +378,7 @@ def standard(
 def flights_of(state: SelectionState) -> Flights:
     """The records of a diagnosis by coefficients. Raises `InputError` for any other."""
     flights = state.responses.flights
-    if isinstance(flights.channels["dt"], np.ndarray):  # of a flight path
+    if state.responses.kinematic:
         raise InputError("the records were not compared by coefficients, so manoeuvres cannot be judged by them")
     return flights
 

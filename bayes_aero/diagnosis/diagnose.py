@@ -163,8 +163,8 @@ def without_conditional(
     causes: Sequence[Cause], beyond: Sequence[Cause]
 ) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
     """Causes, and `beyond` with those that were estimated together with one of them: these hold only beside it."""
-    conditional = [c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond)]
-    return tuple(c for c in causes if c not in conditional), (*beyond, *conditional)
+    joint = [c for c in causes if any(one.name in c.joint and one.stage == c.stage for one in beyond)]
+    return tuple(c for c in causes if c not in joint), (*beyond, *joint)
 
 
 def causes_of(

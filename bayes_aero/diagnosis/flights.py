@@ -126,11 +126,8 @@ def _probabilities(
 
     with ThreadPoolExecutor(cores()) as pool:
         sizes = np.stack(list(pool.map(largest, draws)))
-    return {
-        name: float(np.mean(sizes[:, c] <= tolerances[name]))
-        for c, name in enumerate(alone.outputs)
-        if name in tolerances
-    }
+    asked = [(c, name) for c, name in enumerate(alone.outputs) if name in tolerances]
+    return {name: float(np.mean(sizes[:, c] <= tolerances[name])) for c, name in asked}
 
 
 def fly_given(
@@ -202,13 +199,10 @@ def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tupl
     for number in np.unique(gusty.manoeuvre):
         parts = [(k, gusty.inside[k]) for k in np.flatnonzero(gusty.manoeuvre == number)]
         time = np.concatenate([np.asarray(flights.time)[gusty.index[k][real]] for k, real in parts])
-        gusts = {
-            name: (
-                np.concatenate([x[k, real, i] for k, real in parts]),
-                np.sqrt(np.maximum(np.concatenate([P[k, real, i, i] for k, real in parts]), 0.0)),
-            )
-            for name, i in met.items()
-        }
+        gusts = {}
+        for name, i in met.items():
+            variance = np.concatenate([P[k, real, i, i] for k, real in parts])
+            gusts[name] = np.concatenate([x[k, real, i] for k, real in parts]), np.sqrt(np.maximum(variance, 0.0))
         histories.append(GustHistory(flights.names[number], time - time[0], gusts))
     return tuple(histories)
 

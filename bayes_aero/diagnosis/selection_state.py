@@ -387,7 +387,11 @@ def linearised(
     of_scans = [int(full.columns([s.parameter])[0]) for s in scans]
     nothing = np.zeros(extra[0].shape[2])
     # Nearly flat: the constants add up to about zero, and the model's own constant stays what it is in the mean.
-    size = [_spread(residual, ones) for S in constants for ones in np.moveaxis(S, 2, 0)]
+    size = []  # of a constant that moves the outputs by the deviation of their residuals
+    for ones in (ones for S in constants for ones in np.moveaxis(S, 2, 0)):
+        here = np.any(ones != 0.0, axis=1)
+        by_one = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
+        size.append(1.0 / max(float(np.sqrt(np.sum(by_one / np.maximum(np.var(residual, axis=0), TINY)))), TINY))
     wide = variance_inflation / np.square(np.maximum(WIDE * np.array(size), TINY))
     flat = np.concatenate([nothing[len(size) :], wide])
     mean = np.concatenate([mean, nothing, mean[of_scans], [0.0]])
@@ -397,13 +401,6 @@ def linearised(
         full, responses, outputs, theta, residual, S, noise_growth, folds, products, mean, precision, active,
         tuple(scans), extra[0].shape[2], variance_inflation, apart,
     )  # fmt: skip
-
-
-def _spread(residual: Float[np.ndarray, "m c"], ones: Float[np.ndarray, "m c"]) -> float:
-    """The size of a constant that moves the outputs by the deviation of their residuals."""
-    here = np.any(ones != 0.0, axis=1)
-    moved = np.mean(ones[here] ** 2, axis=0) if here.any() else np.zeros(ones.shape[1])
-    return 1.0 / max(float(np.sqrt(np.sum(moved / np.maximum(np.var(residual, axis=0), TINY)))), TINY)
 
 
 def constants_of_manoeuvres(

@@ -49,7 +49,7 @@ from bayes_aero.diagnosis.result import (
     verdict_of,
 )
 from bayes_aero.dynamics.flight import AircraftDynamics, Dynamics, aircraft_dynamics, biased_dynamics, unbiased
-from bayes_aero.dynamics.linear import LinearDynamics, Steady, modes
+from bayes_aero.dynamics.linear import Steady, modes
 from bayes_aero.dynamics.path import PathDynamics
 from bayes_aero.dynamics.segments import SegmentTrajectories, segments
 from bayes_aero.effect import Effect, Stage
@@ -234,7 +234,8 @@ def fit_trajectories(
         if progress:
             progress(text, share)
 
-    left = LEFT if isinstance(dynamics, AircraftDynamics) else ()
+    by_effects = isinstance(unbiased(dynamics), AircraftDynamics)
+    left = LEFT if by_effects else ()
     dynamics = biased_dynamics(dynamics, flights, biases or {})
     first = np.array([p.start for p in dynamics.free])
     starts = [np.append(s, first[len(s) :]) for s in starts]
@@ -270,7 +271,7 @@ def fit_trajectories(
     prior_sd = dict(begins) if setting.priors and setting.initial is None else {}
     return TrajectoryFit(
         fit, first, tuple(paths), _initial(fit, shown), inflation, shown, dict(units), window, noise_growth, setting,
-        by_effects=isinstance(unbiased(dynamics), AircraftDynamics),
+        by_effects=by_effects,
         of_path=isinstance(dynamics, PathDynamics),
         departure_sd=prior_sd,
     )  # fmt: skip
@@ -466,6 +467,5 @@ def motion_of(flown: TrajectoryFit, beside: ProcessNoise | None = None) -> Motio
         modes_found = flown_modes(flown.fit, steady, filtered)
     except InputError as reason:
         why_not = str(reason)
-    linear = isinstance(unbiased(flown.fit.flown.dynamics), LinearDynamics)
-    about = (math.nan, math.nan) if linear else (steady.airspeed, steady.altitude)
+    about = (steady.airspeed, steady.altitude) if flown.by_effects else (math.nan, math.nan)  # of linear cards
     return Motion(*about, modes_found, why_not, filtered is not None)

@@ -34,13 +34,13 @@ from bayes_aero.diagnosis.result import (
     View,
     theil_parts,
 )
-from bayes_aero.diagnosis.screening import ScreeningResult, lag1_within, uncertainty
+from bayes_aero.diagnosis.screening import lag1_within, uncertainty
 from bayes_aero.diagnosis.selection import Extension, explained
 from bayes_aero.diagnosis.selection_state import RegressionFit, SelectionState, moved, refitted
 from bayes_aero.inference.calibration import stall_of
 from bayes_aero.inference.covariance import standard_error_of_sum
 from bayes_aero.inference.frequency import MIN_SHARE, cramer_rao, fit_in_band, without_noise_bias_in_band
-from bayes_aero.inference.results import FrequencyFit, Stall
+from bayes_aero.inference.results import FrequencyFit
 from bayes_aero.inference.scores import score
 from bayes_aero.model.model import Model
 from bayes_aero.model.records import Flights
@@ -99,8 +99,14 @@ def coefficient_view(diagnosis: Diagnosis) -> View:
 
 
 def with_stalls(view: View) -> View:
-    models = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}
-    return replace(view, stalls={name: _stall(fitted) for name, fitted in models.items()})
+    """The same with the stall of the card's model, and of the extended one where there is one."""
+    models, stalls = {"card": view.card, "extended": view.extended} if view.changed else {"card": view.card}, {}
+    for name, fitted in models.items():  # parameters are drawn from the normal distribution of their estimates
+        model, flights = fitted.state.full.model, fitted.state.responses.flights
+        draws = normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
+        signals = {channel: x for channel, x in fitted.signals.items() if channel not in NOT_SIGNALS}
+        stalls[name] = stall_of(model, draws, signals, flights.aircraft)
+    return replace(view, stalls=stalls)
 
 
 def _fitted(
@@ -135,14 +141,6 @@ def profiles(
         profiles_by_channel.append(ResidualProfile(name, np.array([x[p].mean() for p in parts]), mean, sd))
     least = max(LEAST * float(np.sqrt(np.mean(residual**2))), 1e-300)
     return sorted(profiles_by_channel, key=lambda p: -float(np.sum((p.mean / np.maximum(p.deviation, least)) ** 2)))
-
-
-def _stall(fitted: Fitted) -> Stall:
-    """The stall of a fitted model; its parameters are drawn from the normal distribution of their estimates."""
-    model, flights = fitted.state.full.model, fitted.state.responses.flights
-    draws = normal_draws(fitted.state.theta, *covariance_of(fitted), model.free, 0, DRAWS)
-    signals = {name: fitted.signals[name] for name in fitted.signals if name not in NOT_SIGNALS}
-    return stall_of(model, draws, signals, flights.aircraft)
 
 
 def _moves(before: Fitted, after: Fitted) -> dict[str, ParameterMove]:
@@ -254,26 +252,19 @@ def compared(
 
 def rankings_of(diagnosis: Diagnosis) -> tuple[Ranking, ...]:
     rankings, stages = [], {FLIGHT_PATH: diagnosis.sensors, diagnosis.compared: diagnosis.aerodynamics}
-    for stage, extension in stages.items():
-        if extension is not None and extension.steps:
-            screening = extension.steps[0].screening
-            level = extension.state.settings.false_alarm_rate
-            rankings.append(Ranking(stage, _ranked(extension, screening), screening.threshold(level), level))
+    for stage, extension in ((stage, x) for stage, x in stages.items() if x is not None and x.steps):
+        screening, base, ranked = extension.steps[0].screening, extension.base, {}
+        effects = {e.name: e for e in base.full.model.effects}
+        for s in (s for s in screening.candidate_scores if s.effect not in ranked):
+            effect, at = effects[s.effect], base.theta[base.full.own_columns(s.effect)]
+            steps = zip(effect.parameters, at, s.step, s.sd, strict=False)
+            sizes = {p.name: (float(x + d), sd) for p, x, d, sd in steps}
+            p_value, share = screening.p_value(s.score), explained(base, s)
+            ranked[s.effect] = RankedCandidate(s.effect, effect.kind.value, s.score, p_value, share, sizes)
+        level = extension.state.settings.false_alarm_rate
+        leaders = tuple(sorted(ranked.values(), key=lambda s: -s.score))
+        rankings.append(Ranking(stage, leaders, screening.threshold(level), level))
     return tuple(rankings)
-
-
-def _ranked(extension: Extension, screening: ScreeningResult) -> tuple[RankedCandidate, ...]:
-    full, ranked = extension.base.full, {}
-    for s in screening.candidate_scores:
-        if s.effect in ranked:
-            continue
-        effect = next(e for e in full.model.effects if e.name == s.effect)
-        at = [extension.base.theta[i] for i in full.own_columns(s.effect)]
-        sizes = {p.name: (float(x + d), sd) for p, x, d, sd in zip(effect.parameters, at, s.step, s.sd, strict=False)}
-        ranked[s.effect] = RankedCandidate(
-            s.effect, effect.kind.value, s.score, screening.p_value(s.score), explained(extension.base, s), sizes
-        )
-    return tuple(sorted(ranked.values(), key=lambda s: -s.score))
 
 
 # --- Sizes of the causes in a band of frequencies, beside those of the coefficients: bias and drift drop out there.
