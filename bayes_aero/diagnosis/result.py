@@ -756,6 +756,9 @@ class View(DiagnosisView):
         return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
 
 
+# --- Parts of these results: sizes, noise, ambiguities, terms, test points.
+
+
 @dataclass(frozen=True)
 class Size:
     """Estimate of one parameter of a cause, SI, freed of what recording noise adds; see `sizes`."""

@@ -126,7 +126,7 @@ def test_an_attitude_off_in_one_flight_is_fitted_and_leaves_the_arm_alone(flown,
     assert unseen.rms > 0.7 * abs(off)  # compared with the record as it is
 
 
-@pytest.mark.recovery
+@pytest.mark.verify
 def test_a_fit_that_strays_in_long_windows_is_begun_in_shorter_ones(card):
     """This flight, begun in windows of 10 s, ends at tau2 = -50 and a1 = 10, and leaves the envelope."""
     records = [without_accelerometers(r) for r in hidden_records({}, seed=8930, seconds=90.0, noise="ar1")]
