@@ -135,8 +135,12 @@ class CandidateModel:
     @property
     def neutral_vector(self) -> Float[np.ndarray, " k"]:
         """Neutral value of every free parameter, finite."""
-        neutral = self.neutral
-        return np.array([neutral[name] for name in self.model.names], float)
+        return self.vector({})
+
+    def vector(self, values: Mapping[str, float]) -> Float[np.ndarray, " k"]:
+        """Every free parameter at its value, or at neutral where it has none."""
+        everything = self.neutral | dict(values)
+        return np.array([everything[name] for name in self.model.names], float)
 
     def at_neutral(self, theta: Float[np.ndarray, " k"], effects: Sequence[str]) -> Float[np.ndarray, " k"]:
         """`theta` with the free parameters of these effects at neutral."""

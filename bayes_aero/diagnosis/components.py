@@ -13,7 +13,7 @@ from jaxtyping import Float
 from bayes_aero.diagnosis.accuracy import holdout_deviance_gain
 from bayes_aero.diagnosis.candidate_set import moves, noise_channels
 from bayes_aero.diagnosis.result import ProductTerm, TermFactor
-from bayes_aero.diagnosis.screening import Autocorrelation, autocorrelation_of, chance_of, null_shares
+from bayes_aero.diagnosis.screening import autocorrelation_of, chance_of, null_shares
 from bayes_aero.diagnosis.selection_state import Component, RegressionFit, SelectionState, manoeuvre_constants
 from bayes_aero.flight.health.finding import noise_of
 from bayes_aero.inference.covariance import ORDER
@@ -215,10 +215,8 @@ def offsets_left(state: SelectionState, *, seed: int) -> tuple[str, ...]:
     whole, differing = state.with_components(components, (), folds), []
     for component in components:
         trial = Trial(state, component, (), folds)
-        if trial.share < state.settings.unnamed_share or trial.gain <= 0.0:
-            continue
-        null = null_shares(whole, trial.colour, trial.fit.variance, seed)
-        if chance_of(trial.share, null) <= state.settings.unnamed_false_alarm_rate:
+        enough = trial.share >= state.settings.unnamed_share and trial.gain > 0.0
+        if enough and trial.chance([whole], seed) <= state.settings.unnamed_false_alarm_rate:
             differing.append(component.coefficient)
     return tuple(differing)
 
@@ -287,10 +285,11 @@ class Trial:
     def gain(self) -> float:
         return holdout_deviance_gain(self.state, self.wide)
 
-    @property
-    def colour(self) -> Autocorrelation:
-        """Of what is left with it in."""
-        return autocorrelation_of(self.state.left(self.fit), self.state.folds)
+    def chance(self, among: Sequence[SelectionState], seed: int) -> float:
+        """How often noise of the colour that is left alone lets some component of these explain as large a share."""
+        colour = autocorrelation_of(self.state.left(self.fit), self.state.folds)
+        nulls = [null_shares(state, colour, self.fit.variance, seed) for state in among]
+        return chance_of(self.share, np.max(nulls, axis=0))
 
 
 # --- The library's terms, and polynomials, as columns of a regression.

@@ -47,10 +47,6 @@ class Autocorrelation:
     phi: Float[np.ndarray, "c p"]
     sigma: Float[np.ndarray, " c"]
 
-    def simulate(self, count: int, folds: Sequence[slice], m: int, rng: np.random.Generator) -> np.ndarray:
-        """`count` noise records (count, m, c); each fold begins anew, blocks outside the folds are zero."""
-        return self.coloured(white_noise(count, folds, len(self.sigma), rng), folds, m)
-
     def coloured(
         self, white: Float[np.ndarray, "t f r c"], folds: Sequence[slice], m: int
     ) -> Float[np.ndarray, "r m c"]:

@@ -134,10 +134,7 @@ class Search:
         flights, outliers = despiked(join(self.records, self.card, required_of(self.model.axes)))
         full = candidate_model(self.model, flights, self.extra, self.settings)
         mle = fit_mle(self.model, observe(self.records, self.card, self.model), seed=self.seed)
-        theta = full.neutral_vector
-        for name, value in zip(mle.names, mle.estimate, strict=True):
-            if name in full.model.names:
-                theta[full.columns([name])[0]] = value
+        theta = full.vector(dict(zip(mle.names, mle.estimate, strict=True)))
         responses = EquationError.of(flights, full.model)
         both = search_in_stages(full, responses, theta, seed=self.seed, progress=self.progress)
         left, failures = attempted(
@@ -398,8 +395,7 @@ class _Filtered(NamedTuple):
         gusty_dynamics: Any = gusty.dynamics
         gusts = [e for e in gusty_dynamics.model.effects if e.disturbance is not None and e not in full.model.effects]
         full = replace(full, model=full.model.extended(*gusts))
-        values = full.neutral | dict(zip(filtered.names, filtered.estimate, strict=True))
-        theta = np.array([values[name] for name in full.model.names])
+        theta = full.vector(dict(zip(filtered.names, filtered.estimate, strict=True)))
         dynamics = replace(self.base, model=full.model)
         responses = FilterError.after(gusty, filtered.estimate, filtered.R, filtered.found, dynamics)
         return linearised(full, responses, responses.outputs, theta, active), filtered
@@ -454,7 +450,7 @@ def _first_state(
     active: tuple[str, ...] = (),
 ) -> SelectionState:
     """The problem linearised where these parameters have these values and all others are neutral."""
-    theta = np.array([values.get(name, full.neutral[name]) for name in full.model.names])
+    theta = full.vector(values)
     dynamics = replace(base, model=full.model)
     responses = OutputError.of(flights, dynamics, dynamics.substeps(theta, flights))
     return linearised(full, responses, responses.outputs, theta, active)

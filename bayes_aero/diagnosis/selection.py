@@ -395,29 +395,21 @@ AT_REST = 0.1  # of a sensitivity's root mean square, its deviation within the m
 
 def absorbed(extension: Extension) -> tuple[Absorbed, ...]:
     """Parameters of the card that may have taken up an effect large enough for a name."""
+    # It is seen with the parameter held, and not seen with it free within its prior.
     state, fit, parameters = extension.state, extension.fit, []
     if not state.of_coefficients:
         return ()
-
-    def at_rest(column: int) -> bool:
-        """Whether what a parameter acts through stays where it is in all manoeuvres together, and not at zero."""
-        S = state.S[state.inside][:, :, column]
-        square = float(np.sum(S**2))
-        return square > 0.0 and float(np.sum((S - S.mean(axis=0)) ** 2)) < AT_REST**2 * square
-
     for effect in (e for e in state.full.model.effects if e.name in state.full.base):
         controls = [c for c in effect.channels if c in CONTROLS]
-        for parameter in effect.parameters if len(controls) == 1 else ():
-            name, unit = parameter.name, parameter.unit
-            if name not in state.full.model.names:
-                continue
-            column = int(state.full.columns([name])[0])
-            if column not in fit.columns or not at_rest(column):
-                continue
-            if sizes := _taken_up(extension, column):
-                prior = state.full.priors.get(name, parameter.prior)
+        free = [p for p in effect.parameters if p.name in state.full.model.names and len(controls) == 1]
+        for parameter, column in ((p, int(state.full.columns([p.name])[0])) for p in free):
+            S = state.S[state.inside][:, :, column]  # what it acts through stays in all manoeuvres, and not at zero
+            square, moved = float(np.sum(S**2)), float(np.sum((S - S.mean(axis=0)) ** 2))
+            at_rest = square > 0.0 and moved < AT_REST**2 * square
+            if column in fit.columns and at_rest and (sizes := _taken_up(extension, column)):
+                name, usual = parameter.name, state.full.priors.get(parameter.name, parameter.prior).normal
                 estimate = float(state.theta[column]), extension.sizes[name].sd
-                parameters.append(Absorbed(effect.name, name, unit, controls[0], estimate, prior.normal, sizes))
+                parameters.append(Absorbed(effect.name, name, parameter.unit, controls[0], estimate, usual, sizes))
     return tuple(parameters)
 
 

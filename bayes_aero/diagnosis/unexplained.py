@@ -28,7 +28,6 @@ from bayes_aero.diagnosis.screening import (
     chance_of,
     inflation_along,
     noise_records,
-    null_shares,
     screen,
     unbiased,
     uncertainty,
@@ -531,10 +530,7 @@ def _best_function(state: SelectionState, chosen: Sequence[Component], seed: int
             trial = Trial(state, component, chosen, folds)
             if trial.gain <= 0.0 or trial.share < least:
                 continue
-            # How often noise alone lets some component explain so large a share.
-            noise = trial.colour, trial.fit.variance, seed
-            nulls = [null_shares(state.with_components(batch, chosen, folds), *noise) for batch in batches]
-            p = chance_of(trial.share, np.max(nulls, axis=0))
+            p = trial.chance([state.with_components(batch, chosen, folds) for batch in batches], seed)
             if p <= state.settings.unnamed_false_alarm_rate:
                 return FoundComponent(state, component, trial.share, p)
     return None

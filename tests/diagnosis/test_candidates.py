@@ -362,20 +362,6 @@ def test_first_order_is_the_whole_truth_for_an_effect_that_enters_linearly(card,
     assert near[0] == pytest.approx(whole[0], rel=0.2)
 
 
-@pytest.mark.verify
-def test_without_induced_drag_which_is_neutral_at_infinity_first_order_is_exact(card, model):
-    """Drag is linear in 1/e: along the tangent, too, nothing of it is left where e is infinite."""
-    flights = hidden_flights({}, seed=int(DRAWN[4]), noise="white", seconds=90.0)
-    without = Model.of([e for e in model.effects if e.name != "induced_drag"], dict(model.fixed))
-    state = with_added(card, without, [f.record for f in flights], ["induced_drag"])
-    own = state.full.own_columns("induced_drag")
-    assert state.departure[own] == -state.theta[own]
-    exact = np.asarray(state.responses.evaluate(state.full.at_neutral(state.theta, ["induced_drag"]))[0])
-    left = state.residual + state.S[:, :, own] @ state.departure[own]
-    np.testing.assert_allclose(left, exact[:, : len(NAMES)], atol=1e-9)
-    assert 0.0 < LeftOut.refitted(state).gain(LeftOut.first_order(state, ()))[0] < 1e4
-
-
 # How far sizes may be off: the bias of noise that was added is seen and taken off
 
 

@@ -1,17 +1,15 @@
 """Every decision follows from the number that is cited for it: verdicts, names, sizes, rivals and hold-out data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import six_axes
 from parts import cause, part, with_candidates
 from scipy.special import erfc
 from scipy.stats import norm
-from stranger_six import Plane, drawn, fly
 
 from bayes_aero.diagnosis import accuracy, consistency, result, unexplained
 from bayes_aero.diagnosis import diagnose as decided
@@ -45,7 +43,6 @@ from bayes_aero.model.model import lengths_of
 from bayes_aero.physics.aircraft import NAMES, NO_AIRCRAFT
 from bayes_aero.report.text.diagnosis import diagnosis_sentences, verdict_sentence
 from bayes_aero.residuals.equation_error import EquationError
-from bayes_aero.simulate.injection import hidden_records
 
 
 def contradictions(d: Diagnosis) -> list[str]:
@@ -437,18 +434,6 @@ def test_what_is_larger_than_on_any_aircraft_leaves_and_all_is_selected_without_
     assert found.larger[0].implausible == ("alpha_dot_lift",)
 
 
-@pytest.mark.verify
-def test_a_size_that_no_aircraft_has_is_told_and_nothing_else_is_named():
-    """CLq is 25, of at most 10: no name of the catalogue stands in for it."""
-    records = hidden_records({"pitch_rate_lift": {"CLq": 25.0}}, seed=12, noise="white")
-    found = decided.diagnose(records, read_card("attas"), gains_wanted=False)
-    assert not found.causes
-    told = {c.name: c for c in found.beyond}["pitch_rate_lift"].parameters["CLq"]
-    assert told.mean == pytest.approx(25.0, abs=3.0 * told.sd)
-    assert ("CL", "q") in {(u.coefficient, u.channel) for u in found.unknown}
-    assert "pitch_rate_lift" not in found.aerodynamics.state.active
-
-
 def test_what_stands_in_for_structure_tells_where_and_how_much(diagnosed):
     """The hidden curvature of the pitching moment, as if a linear term did nearly the same."""
     d = diagnosed.view.diagnosis
@@ -555,29 +540,3 @@ def test_trajectories_alone_claim_no_more_than_was_tested(diagnosed, left, verdi
     off = result.Tested({"q": result.OutputMiss(0.0, 1.0, 1.0)})
     assert "57 deg/s" in diagnosis_sentences(replace(d, causes=(), verdict=Verdict.UNDECIDED, tested=off))[0]
     assert "was not computed" in diagnosis_sentences(replace(d, tested=result.Tested({})))[0]
-
-
-@dataclass(frozen=True)
-class RollYaw(Plane):
-    """Rolling either way yaws it to the same side, as the slipstream of a propeller does: Cn = K |p b / 2V|."""
-
-    K: float = 0.05
-
-    def loads(self, x, controls):
-        force, moment = super().loads(x, controls)
-        V = np.sqrt(x[:3] @ x[:3])
-        scale = 0.5 * self.density(x[9]) * V**2 * self.S * self.b
-        return force, moment + np.array([0.0, 0.0, scale * self.K * abs(x[3]) * self.b / (2.0 * V)])
-
-
-@pytest.mark.verify
-@pytest.mark.parametrize("seed", [1, 2])
-def test_yaw_of_the_size_of_the_roll_rate_has_no_cause_in_the_catalogue(tmp_path, seed):
-    """It is structure of Cn, which no effect that the catalogue has for a symmetric aircraft explains."""
-    rng = np.random.default_rng([seed, 71])
-    plane = RollYaw(**asdict(drawn(rng, **six_axes.ATTACHED)))
-    records = [six_axes.record(kind, fly(plane, kind, rng), rng) for kind in ("elevator", "aileron", "rudder")]
-    found = decided.diagnose(records, six_axes.card_in(tmp_path, plane), gains_wanted=False)
-    assert found.verdict is Verdict.UNEXPLAINED
-    assert found.causes == ()
-    assert {one.coefficient for one in found.unknown} == {"Cn"}

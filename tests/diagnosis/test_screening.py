@@ -28,6 +28,7 @@ from bayes_aero.diagnosis.screening import (
     ScreeningResult,
     autocorrelations_of,
     block_jackknife_covariance,
+    white_noise,
 )
 from bayes_aero.diagnosis.selection import Extension, absorbed, worth
 from bayes_aero.diagnosis.selection_state import Products, RegressionFit, SelectionState, inverse
@@ -90,6 +91,11 @@ def test_products_move_with_the_parameters_and_columns_of_zeros_change_nothing(p
     np.testing.assert_allclose(variance[0], alone.variance)
 
 
+def simulated(colour: Autocorrelation, count: int, folds, m: int, rng) -> np.ndarray:
+    """Noise records (count, m, c) of this colour."""
+    return colour.coloured(white_noise(count, folds, len(colour.sigma), rng), folds, m)
+
+
 def test_colour_has_its_covariance_and_reaches_no_further_than_its_fold():
     rng = np.random.default_rng(2)
     m, phi, sigma = 300, 0.7, 0.4
@@ -102,7 +108,7 @@ def test_colour_has_its_covariance_and_reaches_no_further_than_its_fold():
     # Filtering backwards leaves out what lies before the first sample: a correction of order one sample in m.
     np.testing.assert_allclose(colour.meat(S, variance, [slice(0, m)]), exact, rtol=0.03, atol=0.02 * np.trace(exact))
     colour = Autocorrelation(np.full((1, ORDER), 0.3), np.ones(1))
-    noise = colour.simulate(4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
+    noise = simulated(colour, 4000, [slice(0, 5), slice(5, 10)], 10, np.random.default_rng(3))[:, :, 0]
     within, across = np.corrcoef(noise[:, 3], noise[:, 4])[0, 1], np.corrcoef(noise[:, 4], noise[:, 5])[0, 1]
     assert within > 0.3
     assert abs(across) < 5 / np.sqrt(4000)
@@ -111,9 +117,8 @@ def test_colour_has_its_covariance_and_reaches_no_further_than_its_fold():
 def test_records_fitted_together_are_fitted_each_by_itself():
     """Least squares on the lags by linear algebra; the root of what grows is drawn inside."""
     folds = [slice(0, 200), slice(210, 400)]
-    slow = Autocorrelation(np.array([[0.6, 0.2, -0.1]]), np.array([0.7])).simulate(
-        2, folds, 400, np.random.default_rng(5)
-    )
+    slow = Autocorrelation(np.array([[0.6, 0.2, -0.1]]), np.array([0.7]))
+    slow = simulated(slow, 2, folds, 400, np.random.default_rng(5))
     growing = (1.02 ** np.arange(400.0) + 0.01 * np.random.default_rng(6).standard_normal(400)).reshape(1, 400, 1)
     found = autocorrelations_of(np.concatenate([slow, growing]), folds)
     for record, one in zip(slow, found, strict=False):
@@ -550,7 +555,7 @@ def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
     t = np.linspace(0.0, 1.0, n)
     period = rng.uniform(0.05, 0.4)
     S = np.stack([np.ones(n), t, np.sin(2.0 * np.pi * t / period), t**2, np.zeros(n)], axis=1)[:, None, :]
-    fit = Products.of(colour.simulate(1, folds, n, rng)[0], S, folds).fit(np.arange(2), np.zeros(5), np.zeros(5))
+    fit = Products.of(simulated(colour, 1, folds, n, rng)[0], S, folds).fit(np.arange(2), np.zeros(5), np.zeros(5))
     fit = replace(fit, variance=np.ones(1), normal=S[:, 0, :2].T @ S[:, 0, :2])
     projected = PartialledRegression(state_of(S, folds), fit, [np.array([2]), np.array([3])])
     sizes = [np.array([0.3]), np.array([2.0])]
@@ -559,7 +564,7 @@ def test_two_rivals_are_told_apart_by_the_noise_along_what_parts_them():
     d = projected.P[:, 0, :] @ np.array([-sizes[0][0], sizes[1][0]])
     covariance = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     assert apart[1] == pytest.approx(d @ covariance @ d / (d @ d), rel=0.05)  # but for the ends of the record
-    ratios = (0.5 * d @ d - colour.simulate(4000, folds, n, rng)[:, :, 0] @ d) / apart[1]
+    ratios = (0.5 * d @ d - simulated(colour, 4000, folds, n, rng)[:, :, 0] @ d) / apart[1]
     assert ratios.var() == pytest.approx(2.0 * ratios.mean(), rel=0.15)
 
 
