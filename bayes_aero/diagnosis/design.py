@@ -369,7 +369,12 @@ def standard(
     )
     moved = EXCITED_CHANNELS | (LATERAL_EXCITED_CHANNELS if rigid else {})
     unseen = {n: moved[n] for n in made if n in moved and moved[n] not in flights.recorded}
-    flown = {n: _recorded(flights, channels, dt) for n, channels in made.items() if n not in unseen}
+    flown = {}
+    for name, channels in ((n, channels) for n, channels in made.items() if n not in unseen):
+        n = len(channels["alpha"])  # a channel that the simulator does not make keeps its mean
+        full = {c: channels.get(c, np.full(n, float(jnp.mean(flights.channels[c])))) for c in flights.recorded}
+        own = {c: jnp.asarray(x) for c, x in full.items()} | marks(n, dt)
+        flown[name] = Flights(own, flights.aircraft, np.zeros(n, int), np.arange(n) * dt, (n,), ("standard",))
     excursions = {n: excursion(made[n]) for n in flown}
     refused |= {n: f"{channel} was not recorded" for n, channel in unseen.items()}
     return Standard(small, theta, flown, seconds, excursions, refused, **start, amplitude=amplitude)
@@ -391,17 +396,6 @@ def narrowed(state: SelectionState, chosen: Sequence[str]) -> Model:
     fixed = tuple((k, x) for k, x in state.full.model.fixed if k in names)
     parameters = tuple(p for p in state.full.model.parameters if p.name in names)
     return replace(state.full.model, effects=effects, parameters=parameters, fixed=fixed)
-
-
-def _recorded(like: Flights, channels: Mapping[str, np.ndarray], dt: float) -> Flights:
-    """One manoeuvre with the channels of a record; a channel that the simulator does not make keeps its mean."""
-    n = len(channels["alpha"])
-    own = {
-        name: jnp.asarray(channels[name]) if name in channels else jnp.full(n, jnp.mean(like.channels[name]))
-        for name in like.recorded
-    }
-    time = np.arange(n) * dt
-    return Flights(own | marks(n, dt), like.aircraft, np.zeros(n, int), time, (n,), ("standard",))
 
 
 @dataclass(frozen=True)

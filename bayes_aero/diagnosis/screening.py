@@ -396,22 +396,27 @@ def screen(
     drawn = noise_records(state, fit, colour, noise.correction)
     colour = unbiased(colour, autocorrelations_of(drawn, state.folds))
     estimates, covariances = projected.scores(residual, colour, state.responses.stretch)
-    gains = _gains(state, fit, [b[1] for b in blocks])
+    # The deviance that each block takes away, and its steps; short blocks are filled up with the column of zeros.
+    columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(block[1]) for block in blocks)
+    rows = [np.concatenate([columns, own, np.full(width - len(own), dummy)]) for _, own, _ in blocks]
+    steps, _, _, deviances = state.products.fit_many(np.array(rows, int), state.mean, state.precision)
+    gains, steps = fit.deviance - deviances, steps[:, len(columns) :]
     before = projected.deviance(residual)
-    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[0][j], default=None)
+    away = max((j for j, block in enumerate(blocks) if block[0] == without), key=lambda j: gains[j], default=None)
+    scanned = {scan.effect: state.theta[state.full.columns([scan.parameter])[0]] for scan in reversed(state.scans)}
     apart = None if away is None else projected.apart(residual, estimates, away, colour, state.responses.stretch)
     scores = []
     for j, (effect, own_columns, value) in enumerate(blocks):
         variance = np.maximum(np.diag(covariances[j]), 0.0)
         inflation = variance_inflation(variance, np.diag(projected.bread[j]))
-        step = gains[1][j][: len(own_columns)]
-        possible, prior = _possible(state, effect, value, step), state.precision[own_columns] / state.variance_inflation
+        step, prior = steps[j][: len(own_columns)], state.precision[own_columns] / state.variance_inflation
+        possible = value is None or bool(step[0] * (value - scanned[effect]) > 0.0)  # to the side on which it was tried
         scores.append(
             CandidateScore(
                 effect=effect,
                 columns=tuple(int(i) for i in own_columns),
                 value=value,
-                gain=float(gains[0][j]) if possible else 0.0,
+                gain=float(gains[j]) if possible else 0.0,
                 score=as_normal(equivalent(estimates[j], covariances[j]), state.responses.freedom) if possible else 0.0,
                 variance_inflation=float(np.max(inflation)),
                 log_bayes=log_bayes(estimates[j], covariances[j], state.mean[own_columns], prior),
@@ -423,14 +428,6 @@ def screen(
         )
     largest = null_scores(state, fit, projected, colour, noise) if nulls else np.zeros(0)
     return ScreeningResult(tuple(sorted(scores, key=lambda s: -s.gain)), colour, largest)
-
-
-def _possible(state: SelectionState, effect: str, value: float | None, step: Float[np.ndarray, " w"]) -> bool:
-    """Whether a candidate moves to the side of the present value on which it was tried, if it was."""
-    if value is None:
-        return True
-    parameter = next(s.parameter for s in state.scans if s.effect == effect)
-    return bool(step[0] * (value - state.theta[state.full.columns([parameter])[0]]) > 0.0)
 
 
 def null_scores(
@@ -477,13 +474,6 @@ def noise_records(
 def chance_of(score: float, nulls: Float[np.ndarray, " r"]) -> float:
     """p-value of a score among those of noise-only records."""
     return float((1 + np.sum(nulls >= score)) / (1 + len(nulls)))
-
-
-def _gains(state: SelectionState, fit: RegressionFit, blocks: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    columns, dummy, width = state.columns(), state.S.shape[2] - 1, max(len(own) for own in blocks)
-    rows = np.array([np.concatenate([columns, own, np.full(width - len(own), dummy)]) for own in blocks], int)
-    step, _, _, deviance = state.products.fit_many(rows, state.mean, state.precision)
-    return fit.deviance - deviance, step[:, len(columns) :]
 
 
 def log_bayes(estimate: np.ndarray, covariance: np.ndarray, mean: np.ndarray, precision: np.ndarray) -> float:

@@ -168,7 +168,14 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
     """Coefficients whose offsets between manoeuvres stand in for an addition."""
     # What differs between manoeuvres alone (a trim, a flap, the throttle) explains any offset that is left there. So an
     # addition must be identified within manoeuvres, with the same sign, and offsets must not be decisively better.
-    outputs = tuple(n for n in _with_constants(state, winner) if n not in state.apart)
+    if state.of_coefficients:
+        moved_ones = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
+        reached = [n for n, moves in zip(state.outputs, moved_ones, strict=True) if moves]
+    else:  # in flight all whose constant the card has; none along the flight path
+        card = {p for e in state.full.base for p in state.full.parameters_of(e)} & set(state.full.model.names)
+        coefficients = () if state.responses.kinematic else state.responses.model.coefficients
+        reached = [n for n in coefficients if constant_of(n) in card]
+    outputs = tuple(n for n in reached if n not in state.apart)
     count = len(state.responses.flights.lengths)
     if count == 1 or not outputs:
         return ()
@@ -180,17 +187,6 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
         return outputs
     better = nats(fit.deviance - there.deviance - winner.gain, winner.variance_inflation)
     return outputs if better - (count - 1) * len(outputs) > state.settings.decisive else ()
-
-
-def _with_constants(state: SelectionState, winner: CandidateScore) -> tuple[str, ...]:
-    """Coefficients that an addition changes: in flight all whose constant the card has; none along the flight path."""
-    if state.of_coefficients:
-        reached = np.any(state.S[:, :, np.array(winner.columns, int)] != 0.0, axis=(0, 2))
-        return tuple(n for n, moves in zip(state.outputs, reached, strict=True) if moves)
-    if state.responses.kinematic:
-        return ()
-    own = {p for effect in state.full.base for p in state.full.parameters_of(effect)} & set(state.full.model.names)
-    return tuple(n for n in state.responses.model.coefficients if constant_of(n) in own)
 
 
 def sized(extension: Extension) -> Extension:

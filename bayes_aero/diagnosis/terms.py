@@ -472,7 +472,11 @@ def contest(extension: Extension, left: Left = NOTHING) -> Forms:
     if best is start:
         return Forms((), (), idle=tuple(idle), rivals=rivals, functions=shown)
     gone = tuple(name for name in causes if name not in best.state.active)
-    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *_negligible(best))
+    # Offsets that are, beside the terms, smaller than what is worth modelling.
+    columns, step = list(best.state.columns()), best.fitted[0].step
+    places = {n: [columns.index(column) for column in constants_of(best.state, n)] for n in best.state.apart}
+    negligible = [name for name, at in places.items() if np.ptp(step[at]) < SWING[name]]
+    gone_apart = (*idle, *(name for name in state.apart if name not in best.state.apart), *negligible)
     terms, sizes = sized(best.state, best.terms), _sizes(best, [name for name in causes if name not in gone])
     return Forms(terms, gone, tuple(dict.fromkeys(gone_apart)), rivals, sizes, shown)
 
@@ -531,13 +535,6 @@ def _idle(model: _Model, curves: Sequence[Component]) -> dict[str, Component]:
         gain, best = max(gains, key=lambda pair: pair[0])
         explained |= {name: best} if gain > least else {}
     return explained
-
-
-def _negligible(model: _Model) -> list[str]:
-    """Coefficients whose offsets, beside the terms, are smaller than what is worth modelling."""
-    columns, step = list(model.state.columns()), model.fitted[0].step
-    places = {n: [columns.index(column) for column in constants_of(model.state, n)] for n in model.state.apart}
-    return [name for name, at in places.items() if np.ptp(step[at]) < SWING[name]]
 
 
 def _instead(model: _Model, item: str, functions: Sequence[Component]) -> _Model:
