@@ -125,7 +125,6 @@ class ParameterChange:
 
     @property
     def between(self) -> bool:
-        """Whether it differs from one manoeuvre to the next."""
         return self.at == 0.0
 
 
@@ -156,12 +155,10 @@ class Tested:
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """Outputs that the simulation misses by more than noise."""
         return tuple(name for name, miss in self.outputs.items() if miss.beyond)
 
     @property
     def within_noise(self) -> bool:
-        """Whether it was flown and misses nothing by more than noise."""
         return bool(self.outputs) and not self.beyond
 
 
@@ -272,12 +269,10 @@ class CheckReport:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """What is wrong with the records, in words."""
         return tuple(finding.sentence for finding in self.health)
 
     @property
     def usable(self) -> bool:
-        """Whether every record can be read and some command can work on all of them."""
         return not any(r.problems for r in self.records) and "" in self.uses.values()
 
 
@@ -431,24 +426,18 @@ class Trajectories:
         return tuple(e for e in self.asked.missed if e not in self.asked.kept)
 
     def path(self, manoeuvre: str, model: str, split: str) -> SimulatedManoeuvre | None:
-        """One of the paths."""
         return next((p for p in self.paths if (p.manoeuvre, p.model, p.split) == (manoeuvre, model, split)), None)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How trajectories are fitted: the settings in which published programs differ.
+    """How trajectories are fitted: the settings in which published programs differ."""
 
-    `outputs` are those that are compared (default: all that are recorded and simulated, but for `LEFT`). `initial`: the
-    state in which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are
-    fitted. Without `priors` the reported fit has none, of parameters and initial states alike. Inputs are linear
-    between samples, or `held`.
-    """
-
-    outputs: tuple[str, ...] | None = None
+    outputs: tuple[str, ...] | None = None  # that are compared; None: all that are recorded and simulated but `LEFT`
+    # In which every manoeuvre begins, SI, and where it names none the first sample; None: initial states are fitted.
     initial: Mapping[str, float] | None = None
-    priors: bool = True
-    held: bool = False
+    priors: bool = True  # of the reported fit, of parameters and initial states alike
+    held: bool = False  # inputs between samples; else they are linear
 
 
 @dataclass(frozen=True)
@@ -519,10 +508,8 @@ class TrajectoryFit:
 
     @property
     def worse(self) -> tuple[str, ...]:
-        """Outputs most of whose mean square error a fitted flight path has added to that of the record as it is.
-
-        Kinematics has no other errors than those of the sensors: the fit lacks one, and others stand for it.
-        """
+        """Outputs most of whose mean square error a fitted flight path has added to that of the record as it is."""
+        # Kinematics has no other errors than those of the sensors: the fit lacks one, and others stand for it.
         if not self.of_path:
             return ()
         errors = self.rms_errors
@@ -741,18 +728,15 @@ class View(DiagnosisView):
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Names of the coefficients."""
         return self.card.state.outputs
 
     @property
     def changed(self) -> bool:
-        """Whether anything was added to the card's model."""
         sensors = self.diagnosis.sensors
         return bool(self.extended.state.active or (sensors is not None and sensors.state.active))
 
     @property
     def seconds(self) -> float:
-        """Sampling time, s."""
         return float(np.median(np.diff(self.time[self.manoeuvre == 0])))
 
 
@@ -884,12 +868,10 @@ class ProductTerm:
 
     @property
     def cost(self) -> int:
-        """How long it is: of equally good terms the shortest is reported."""
         return sum(f.cost for f in self.factors)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels that it reads."""
         return tuple(dict.fromkeys(c for f in self.factors for c in f.channels))
 
     @property
