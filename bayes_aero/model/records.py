@@ -86,12 +86,31 @@ class Flights:
         """The same without names, so that records of any name share compiled programs."""
         return replace(self, names=())
 
-    def with_slopes(self, channels: Mapping[str, AnyArray]) -> dict[str, Any]:
-        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre; JAX's arrays alone."""
-        from bayes_aero.physics.coefficients import unsmoothed_joined  # here, because it imports JAX
+    def regression(self) -> Any:
+        """That of alpha-dot on the recorded channels; see `alpha_rate`."""
+        from bayes_aero.physics.coefficients import lift_regression  # here, because it imports JAX
 
-        dt, first, last = (self.channels[name] for name in ("dt", "first", "last"))
-        return unsmoothed_joined(channels, self.aircraft.accelerometer, dt, first, last, self.channels)
+        ends = (self.channels[name] for name in ("dt", "first", "last"))
+        return lift_regression(self.channels, self.aircraft.accelerometer, *ends)
+
+    def with_slopes(self, channels: Mapping[str, AnyArray], regression: Any = None) -> dict[str, Any]:
+        """Channels (corrected ones, too) and their derivatives, manoeuvre by manoeuvre; JAX's arrays alone."""
+        from bayes_aero.physics.coefficients import unsmoothed_joined
+
+        ends = (self.channels[name] for name in ("dt", "first", "last"))
+        return unsmoothed_joined(channels, self.aircraft.accelerometer, *ends, regression or self.regression())
+
+    @property
+    def padded(self) -> Flights:
+        """As one that stands still after its end, nameless: flights of like length share compiled programs."""
+        n = self.n
+        step = 1 << max(n.bit_length() - 4, 0)  # an eighth of the power of two below, so 12 % longer at most
+        more = -n % step
+        channels = {name: np.pad(np.asarray(x), (0, more), mode="edge") for name, x in self.channels.items()}
+        channels["start"][n : n + 1] = True
+        channels["first"][n:], channels["last"][n:] = n, n + more - 1
+        times = (np.pad(x, (0, more), mode="edge") for x in (self.manoeuvre, self.time))
+        return Flights(channels, self.aircraft, *times, (n + more,), (), self.held)
 
 
 def joined(

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bayes_aero.arrays import Samples, xp
+from bayes_aero.arrays import AnyArray, Samples, namespace, xp
 from bayes_aero.physics.aircraft import NAMES, Aircraft, Axis
 from bayes_aero.physics.filters import (
     LONG_REACH,
@@ -40,8 +41,8 @@ from bayes_aero.physics.kinematics import (
 SMOOTHED = ("alpha", "beta", "airspeed")
 
 Signals = dict[str, Float[Array, "*#n"]]
-Series = Float[Array, " n"]
-Index = Int[Array, " n"]
+Series = Float[AnyArray, " n"]
+Index = Int[AnyArray, " n"]
 Filter = Callable[[Series], Series]
 
 
@@ -77,22 +78,17 @@ def unsmoothed_joined(
     dt: Series,
     first: Index,
     last: Index,
-    recorded: Mapping[str, Array] | None = None,
+    regression: LiftRegression | None = None,
 ) -> dict[str, Array]:
     """Unsmoothed channels, manoeuvres laid end to end, and the derivatives of `condition_joined`. The difference of
     measured and modelled coefficients is smoothed later, so that the filter acts on both sides alike, also on
     non-linear terms. The published method compares a smoothed pitch acceleration with an unsmoothed elevator, and the
     lift of a smoothed angle of attack with unsmoothed lift, so that fast effects are underestimated. Only alpha-dot is
-    formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `recorded` are the
-    uncorrected channels, on which the regression of alpha-dot is based."""
-
-    def with_slopes(given: Mapping[str, Array]) -> dict[str, Array]:
-        rates = [given[name] for name in RATES]
-        return dict(given) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
-
-    signals = with_slopes(channels)
-    reference = signals if recorded is None else with_slopes(recorded)
-    regression = lift_regression(reference, accelerometer, dt, first, last)
+    formed in another way, because its noise would bias non-linear models: see `alpha_rate`. `regression` of alpha-dot
+    is that of the uncorrected channels; without it, it is that of these."""
+    rates = [channels[name] for name in RATES]
+    signals = dict(channels) | _slopes(rates, lambda x: differentiate_joined(x, dt, first, last), RATES)
+    regression = regression or lift_regression(channels, accelerometer, dt, first, last)
     return signals | {"alpha_dot": alpha_rate(signals, regression, dt, first, last)}
 
 
@@ -238,12 +234,12 @@ Operator = Callable[[Series], Series]
 class LiftRegression(NamedTuple):
     """Regression of the part of alpha-dot due to specific force on the variables on which lift depends."""
 
-    share: Float[Array, " c"]  # coefficients of the regressors (see `_causes`)
-    knots: Float[Array, " j"]  # rad
+    share: Float[AnyArray, " c"]  # coefficients of the regressors (see `_causes`)
+    knots: Float[AnyArray, " j"]  # rad
     before: Series  # part of alpha-dot due to specific force, rad/s, of which the hysteresis was computed
 
 
-def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
+def alpha_rate(s: Mapping[str, AnyArray], regression: LiftRegression, dt: Series, first: Index, last: Index) -> Series:
     """alpha-dot, rad/s, of manoeuvres laid end to end: slow part from the vane, fast part from gyro and lift.
 
     The differentiated noise of a vane is several times that of gyro and accelerometer, and a one-sided hysteresis turns
@@ -265,36 +261,45 @@ def alpha_rate(s: Mapping[str, Array], regression: LiftRegression, dt: Series, f
 
 
 def lift_regression(
-    s: Mapping[str, Array], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
+    s: Mapping[str, AnyArray], accelerometer: tuple[Any, Any, Any], dt: Series, first: Index, last: Index
 ) -> LiftRegression:
     """Regression of the fast part of alpha-dot due to specific force on the causes of lift; arguments as `alpha_rate`.
     `accelerometer` is its position from the CG, m."""
+    lib = namespace(*s.values())
     smooth, fast, base = _parts(s, dt, first, last)
     names = [name for name in ("alpha", "q", "airspeed", "density", "elevator") if name in s]
-    smoothed = dict(zip(names, jax.vmap(smooth)(jnp.stack([s[name] for name in names])), strict=True))
-    rotation = Rotation(*(s[name] for name in (*RATES, *(f"{name}_dot" for name in RATES))))
+    smoothed = dict(zip(names, _each(smooth, [s[name] for name in names]), strict=True))
+    turning = [s[name] for name in RATES]
+    rotation = Rotation(*turning, *_each(lambda x: differentiate_joined(x, dt, first, last), turning))
     arm_x, _, arm_z = lever_arm(rotation, accelerometer)
-    at_cg = (s["az"] - arm_z) * jnp.cos(s["alpha"]) - (s["ax"] - arm_x) * jnp.sin(s["alpha"])
+    at_cg = (s["az"] - arm_z) * lib.cos(s["alpha"]) - (s["ax"] - arm_x) * lib.sin(s["alpha"])
     known = smooth(at_cg / s["airspeed"])  # the part of alpha-dot due to specific force at the CG
     response = fast(known, known)
-    knots = jnp.quantile(smoothed["alpha"], jnp.asarray(KNOTS))
-    before = part = jnp.zeros_like(base)
-    share = jnp.zeros(0)
+    knots = lib.quantile(smoothed["alpha"], np.array(KNOTS))
+    before = part = lib.zeros_like(base)
+    share = lib.zeros(0)
     for _ in range(ITERATIONS):
         causes = _causes(smoothed, smooth(base + part), knots)
-        even = jax.vmap(fast)(causes, causes)
-        size = jnp.sqrt(jnp.mean(even**2, axis=1) + 1e-30)
-        gram = even @ even.T / jnp.outer(size, size) / even.shape[1]
+        even = _each(lambda x: fast(x, x), causes)
+        size = lib.sqrt(lib.mean(even**2, axis=1) + 1e-30)
+        gram = even @ even.T / lib.outer(size, size) / even.shape[1]
         right = even @ response / size / even.shape[1]
-        share = jnp.linalg.solve(gram + RIDGE * jnp.eye(len(size)), right) / size
+        share = lib.linalg.solve(gram + RIDGE * np.eye(len(size)), right) / size
         raw = share @ _causes(s, base + part, knots)
         before, part = part, fast(raw, smooth(raw))
     return LiftRegression(share, knots, before)
 
 
+def _each(work: Filter, rows: Sequence[AnyArray] | AnyArray) -> AnyArray:
+    """`work` on every row: by JAX in one program, which compiles several times faster than one for each."""
+    if namespace(*rows) is np:
+        return np.stack([work(row) for row in rows])
+    return jax.vmap(work)(jnp.stack(list(rows)))
+
+
 def _parts(
-    s: Mapping[str, Array], dt: Series, first: Index, last: Index
-) -> tuple[Operator, Callable[[Array, Array], Array], Series]:
+    s: Mapping[str, AnyArray], dt: Series, first: Index, last: Index
+) -> tuple[Operator, Callable[[AnyArray, AnyArray], AnyArray], Series]:
     """The smoothing filter, the high-pass filter, and alpha-dot without the part due to specific force."""
 
     def smooth(x):
@@ -305,23 +310,23 @@ def _parts(
     inside = inside_joined(vane.shape[0], first, last) >= LONG_REACH
 
     def fast(x, smoothed):
-        return jnp.where(inside, x - smooth_long(smoothed), 0.0)
+        return xp.where(inside, x - smooth_long(smoothed), 0.0)
 
     turning = s["q"]
     if "beta" in s:
-        turning = turning - (s["p"] * jnp.cos(s["alpha"]) + s["r"] * jnp.sin(s["alpha"])) * jnp.tan(s["beta"])
-    return smooth, fast, jnp.where(inside, long, alone) + fast(turning, smooth(turning))
+        turning = turning - (s["p"] * xp.cos(s["alpha"]) + s["r"] * xp.sin(s["alpha"])) * xp.tan(s["beta"])
+    return smooth, fast, xp.where(inside, long, alone) + fast(turning, smooth(turning))
 
 
-def _causes(s: Mapping[str, Array], rate: Series, knots: Float[Array, " j"]) -> Float[Array, "c n"]:
+def _causes(s: Mapping[str, AnyArray], rate: Series, knots: Float[AnyArray, " j"]) -> Float[AnyArray, "c n"]:
     """Regressors of lift over mass and airspeed, as rows."""
     weight = s["density"] * s["airspeed"]
-    pieces = jnp.maximum(s["alpha"] - knots[:, None], 0.0)
-    falling = jnp.minimum(rate, 0.0)
+    pieces = xp.maximum(s["alpha"] - knots[:, None], 0.0)
+    falling = xp.minimum(rate, 0.0)
     rows = [s["alpha"][None], pieces, falling[None], falling * pieces, s["q"][None]]
     if "elevator" in s:
         rows.append(s["elevator"][None])
-    return weight * jnp.concatenate(rows)
+    return weight * namespace(*rows).concatenate(rows)
 
 
 # --- Equations of motion at one instant: from the flow's coefficients to the motion of the aircraft.

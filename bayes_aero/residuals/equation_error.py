@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ import numpy as np
 from jax.scipy.linalg import expm
 from jaxtyping import Array, Float, Int
 
+from bayes_aero.arrays import AnyArray
 from bayes_aero.dynamics.linear import LinearDynamics, LinearSystem
 from bayes_aero.errors import InputError
 from bayes_aero.flight.card_tables import ONE
@@ -26,8 +27,8 @@ from bayes_aero.model.model import Model
 from bayes_aero.model.observations import response_scales
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import Axis
-from bayes_aero.physics.coefficients import stacked_coefficients
-from bayes_aero.physics.filters import differentiate_joined, smooth_joined
+from bayes_aero.physics.coefficients import LiftRegression, stacked_coefficients
+from bayes_aero.physics.filters import FILTER_STEP, differentiate_joined, smooth_joined
 from bayes_aero.physics.kinematics import LATERAL, PATH
 from bayes_aero.residuals.base import (
     AddedSeries,
@@ -77,11 +78,25 @@ class EquationError(Blockwise, eqx.Module):
     def evaluate(
         self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]
     ) -> tuple[Float[Array, "m c"], dict[str, Array]]:
-        return _evaluate(self.nameless, theta)
+        residual, details = _evaluate(self._padded, theta)
+        n, m = self.flights.n, len(self.manoeuvre)
+        return np.asarray(residual)[:m], {name: np.asarray(x)[:n] for name, x in details.items()}
 
     def traced(self, theta: Float[Array, " k"]) -> tuple[Float[Array, "m c"], dict[str, Array]]:
         """`evaluate` as part of a larger compiled program."""
-        return _residuals(self, theta)
+        return _residuals(_Padded(self, self.flights.regression(), None), theta)
+
+    @cached_property
+    def _padded(self) -> _Padded:
+        f = self.flights
+        recorded = replace(f, channels={name: np.asarray(x) for name, x in f.channels.items()})
+        regression, padded = recorded.regression(), f.padded
+        regression = regression._replace(before=np.pad(regression.before, (0, padded.n - f.n)))
+        samples = np.full((padded.n // FILTER_STEP, FILTER_STEP), padded.n - 1)
+        parts = zip(np.cumsum([0, *f.lengths[:-1]]), f.lengths, strict=True)
+        first = np.concatenate([b + np.arange(0, k - k % FILTER_STEP, FILTER_STEP) for b, k in parts])
+        samples[: len(first)] = first[:, None] + np.arange(FILTER_STEP)
+        return _Padded(replace(self, flights=padded), regression, samples)
 
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
         return _AddedToEquations(self, theta)
@@ -92,8 +107,9 @@ class EquationError(Blockwise, eqx.Module):
         measuring = np.any(directions[:, list(self.measuring)])
         nothing = np.zeros_like(directions)
         both = (directions, nothing) if measuring else (nothing, directions)
-        residual, slope = _linearise(self.nameless, jnp.asarray(theta), *map(jnp.asarray, both))
-        return np.asarray(residual), np.asarray(slope)
+        residual, slope = _linearise(self._padded, jnp.asarray(theta), *map(jnp.asarray, both))
+        m = len(self.manoeuvre)
+        return np.asarray(residual)[:m], np.asarray(slope)[:, :m]
 
     def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
         """Parameters that change the measured coefficients cost four times those that change only the modelled ones."""
@@ -101,13 +117,25 @@ class EquationError(Blockwise, eqx.Module):
         return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
 
 
+class _Padded(NamedTuple):
+    """Residuals of padded flights, the regression of alpha-dot, and the samples of each block where they are padded."""
+
+    responses: EquationError
+    regression: LiftRegression
+    samples: Int[AnyArray, "m s"] | None
+
+    def block(self, x: Float[AnyArray, "n ..."]) -> Float[AnyArray, "m ..."]:
+        return self.responses.block(x) if self.samples is None else x[self.samples].mean(axis=1)
+
+
 class _Signals:
     """Corrected signals of all flights, the aircraft with its corrected constants, and scales of the response."""
 
-    def __init__(self, responses: EquationError, values: Mapping[str, Any]) -> None:
+    def __init__(self, padded: _Padded, values: Mapping[str, Any]) -> None:
+        responses = padded.responses
         f, model = responses.flights, responses.model
         self.responses = responses
-        self.signals = f.with_slopes(model.corrected(values, f.channels, f.aircraft))
+        self.signals = f.with_slopes(model.corrected(values, f.channels, f.aircraft), padded.regression)
         self.aircraft = model.actual_aircraft(values, f.aircraft)
         response = dict.fromkeys((*RESPONSE, *(LATERAL_RESPONSE if Axis.LATERAL in model.axes else ())))
         self.scales = response_scales(model, values, f.channels, f.aircraft, tuple(response))
@@ -168,10 +196,11 @@ def _smoothed(flights: Flights, rows: Float[Array, "n c"]) -> Float[Array, "n c"
     return jax.vmap(lambda x: smooth_joined(x, *ends), in_axes=1, out_axes=1)(rows)
 
 
-def _residuals(responses: EquationError, theta):
+def _residuals(padded: _Padded, theta):
+    responses = padded.responses
     f, model = responses.flights, responses.model
     values = model.values(theta)
-    own = _Signals(responses, values)
+    own = _Signals(padded, values)
     measured = stacked_coefficients(own.signals, own.aircraft, model.coefficients)
     modelled, X = own.modelled(values)
     columns = [(measured - modelled) * own.factors]
@@ -181,23 +210,23 @@ def _residuals(responses: EquationError, theta):
     both = _smoothed(f, jnp.concatenate([measured, modelled], axis=1))
     c = len(model.coefficients)
     details = {"X": X, "measured": both[:, :c], "modelled": both[:, c:], "residual": residual}
-    return responses.block(residual), {**own.signals, **details}
+    return padded.block(residual), {**own.signals, **details}
 
 
 _evaluate = eqx.filter_jit(_residuals)
 
 
 @eqx.filter_jit
-def _linearise(responses: EquationError, theta, measuring, flowing):
+def _linearise(padded: _Padded, theta, measuring, flowing):
     """Slopes in directions that change the measured coefficients, plus those in directions that do not."""
     # One program for both: most of it is the same, and directions of zeros cost nothing.
-    residual, slope = jax.linearize(lambda t: _residuals(responses, t)[0], theta)
+    residual, slope = jax.linearize(lambda t: _residuals(padded, t)[0], theta)
     whole = _along(lambda d: -slope(d), measuring)
-    f, model = responses.flights, responses.model
-    own = _Signals(responses, model.values(theta))
+    f, model = padded.responses.flights, padded.responses.model
+    own = _Signals(padded, model.values(theta))
     factors = own.factors
     _, change = jax.linearize(lambda t: own.modelled(model.values(t))[0] * factors, theta)
-    coefficients = _along(lambda d: responses.block(_smoothed(f, change(d))), flowing)
+    coefficients = _along(lambda d: padded.block(_smoothed(f, change(d))), flowing)
     others = residual.shape[1] - len(model.coefficients)
     return residual, whole + jnp.pad(coefficients, ((0, 0), (0, 0), (0, others)))
 
@@ -302,6 +331,10 @@ class FrequencyError(InBand, EquationError):
         """`flights` under `model`, in `band` (Hz)."""
         whole = EquationError.of(flights, model)
         return cls(flights, model, whole.measuring, (), _rows(flights, band))
+
+    @cached_property
+    def _padded(self) -> _Padded:  # not at all: its rows are as long as the manoeuvres
+        return _Padded(self.nameless, self.flights.regression(), None)
 
 
 _residual = eqx.filter_jit(lambda responses, theta: responses.residual(theta))
