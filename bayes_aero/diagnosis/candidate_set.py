@@ -161,7 +161,7 @@ class CandidateModel:
         return mean - theta[np.asarray(index, int)], deviation**-2.0
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
-        return np.array([self.model.names.index(name) for name in names], int)
+        return np.array([self.model.places[name] for name in names], int)
 
     def own_columns(self, *effects: str) -> np.ndarray:
         """Index of each parameter that these effects own."""

@@ -122,7 +122,7 @@ class Model:
         parameters = tuple(present.get(p.name, per_length(p, self.lengths)) for p in wider.parameters)
         return replace(wider, parameters=parameters, lengths=self.lengths)
 
-    @property
+    @cached_property
     def free(self) -> tuple[Parameter, ...]:
         """The free parameters, in the order of every parameter vector."""
         fixed = dict(self.fixed)
@@ -133,10 +133,15 @@ class Model:
         """Names of the coefficients that it has: CL, CD, Cm of the longitudinal axis, CY, Cl, Cn of the lateral one."""
         return coefficients_of(self.axes)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return tuple(p.name for p in self.free)
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Index of each free parameter in a parameter vector."""
+        return {name: index for index, name in enumerate(self.names)}
 
     @cached_property
     def acting(self) -> tuple[Effect, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -100,17 +101,21 @@ class Flights:
         ends = (self.channels[name] for name in ("dt", "first", "last"))
         return unsmoothed_joined(channels, self.aircraft.accelerometer, *ends, regression or self.regression())
 
-    @property
-    def padded(self) -> Flights:
-        """As one that stands still after its end, nameless: flights of like length share compiled programs."""
+    @cached_property
+    def padded(self) -> tuple[Flights, Any]:
+        """As one that stands still after its end, nameless, with the `regression` of what was recorded (NumPy's)."""
+        # Flights of like length share compiled programs so.
         n = self.n
         step = 1 << max(n.bit_length() - 4, 0)  # an eighth of the power of two below, so 12 % longer at most
         more = -n % step
-        channels = {name: np.pad(np.asarray(x), (0, more), mode="edge") for name, x in self.channels.items()}
+        recorded = replace(self, channels={name: np.asarray(x) for name, x in self.channels.items()})
+        channels = {name: np.concatenate([x, np.repeat(x[-1:], more)]) for name, x in recorded.channels.items()}
         channels["start"][n : n + 1] = True
         channels["first"][n:], channels["last"][n:] = n, n + more - 1
-        times = (np.pad(x, (0, more), mode="edge") for x in (self.manoeuvre, self.time))
-        return Flights(channels, self.aircraft, *times, (n + more,), (), self.held)
+        times = (np.concatenate([x, np.repeat(x[-1:], more)]) for x in (self.manoeuvre, self.time))
+        regression = recorded.regression()
+        regression = regression._replace(before=np.concatenate([regression.before, np.zeros(more)]))
+        return Flights(channels, self.aircraft, *times, (n + more,), (), self.held), regression
 
 
 def joined(

@@ -89,9 +89,7 @@ class EquationError(Blockwise, eqx.Module):
     @cached_property
     def _padded(self) -> _Padded:
         f = self.flights
-        recorded = replace(f, channels={name: np.asarray(x) for name, x in f.channels.items()})
-        regression, padded = recorded.regression(), f.padded
-        regression = regression._replace(before=np.pad(regression.before, (0, padded.n - f.n)))
+        padded, regression = f.padded
         samples = np.full((padded.n // FILTER_STEP, FILTER_STEP), padded.n - 1)
         parts = zip(np.cumsum([0, *f.lengths[:-1]]), f.lengths, strict=True)
         first = np.concatenate([b + np.arange(0, k - k % FILTER_STEP, FILTER_STEP) for b, k in parts])
