@@ -321,7 +321,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
         estimates |= {n: replace(estimates[n], sd=max(estimates[n].sd, float(x))) for n, x in wide if n in estimates}
-    last = screen(state, fit, seed=0, nulls=False)  # the last election is held anew
+    last = screen(state, fit)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
