@@ -272,8 +272,7 @@ class Blocks:
         return x - (sums / count)[self._own]
 
     def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
-        """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
-        they disagree; None where the effect moves nothing here."""
+        """What stretches add to an effect's parameters, and its covariance by their scatter; None without effect."""
         state = self.state
         own = state.full.own_columns(effect)
         others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
@@ -375,8 +374,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 def _information_of_errors(
     state: SelectionState, fit: RegressionFit
 ) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Effects of one parameter without break point that move the flight path; their columns, the information on them
-    where integrals begin being free, and the right side of what is left."""
+    """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
     effects = [
         e
         for e in state.full.candidates

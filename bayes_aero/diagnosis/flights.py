@@ -343,8 +343,7 @@ def with_lag(
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
 ) -> tuple[CandidateFit, LagTest]:
-    """`model`, the extended one with the lag, fitted to all. Hysteresis that is left at none is held: the lag stands in
-    for it."""
+    """The extended model with the lag, fitted to all; hysteresis left at none is held: the lag stands for it."""
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
     # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.

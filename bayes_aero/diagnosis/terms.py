@@ -154,8 +154,7 @@ def leader(
 
 
 def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
-    """Terms that gain at least half of what the best one does, the best first; by how many nats each explains less; and
-    the variance inflation of the best."""
+    """Terms that gain half of what the best does, by how many nats less each, and the best's variance inflation."""
     projected = PartialledRegression(trial, fit, trial.component_columns)
     place = np.array([p[0] for p in projected.place])
     bread, right = np.array([b[0, 0] for b in projected.bread]), projected.right(trial.left(fit))[place]

@@ -434,8 +434,7 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient not among the `idle` ones, which terms explain, whose constant differs between manoeuvres beyond
-    chance, and additions that explain it as well."""
+    """Each coefficient, not `idle`, whose constant differs between manoeuvres, and what explains that as well."""
     state, structures = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
