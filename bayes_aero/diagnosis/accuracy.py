@@ -90,8 +90,8 @@ def noise_effect(state: SelectionState, fit: RegressionFit) -> tuple[Float[np.nd
         channels = flights.channels | {name: flights.channels[name] + sign * e for name, e in extra.items()}
         there = replace(state, responses=state.responses.with_channels(channels))
         # Variances held: grown by the noise they would let the prior pull more, which is no bias of the regressors.
-        found = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
-        return found.step[: len(at)]
+        fitted = local_fit(there, state.theta, at, range(len(state.folds)), fit.variance)[0]
+        return fitted.step[: len(at)]
 
     even, odd = [], []
     for _ in range(PAIRS):

@@ -272,8 +272,7 @@ class Blocks:
         return x - (sums / count)[self._own]
 
     def judge(self, effect: str) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]] | None:
-        """What the stretches add to an effect's parameters, the other additions free, and its covariance from how far
-        they disagree; None where the effect moves nothing here."""
+        """What stretches add to an effect's parameters, and its covariance by their scatter; None without effect."""
         state = self.state
         own = state.full.own_columns(effect)
         others = np.setdiff1d(state.columns([e for e in state.active if e != effect]), [*own, *state.offsets])
@@ -321,7 +320,7 @@ def widened(extension: Extension, state: SelectionState, fit: RegressionFit) -> 
         names = state.full.parameters_of(effect)
         wide = zip(names, judged.deviations(effect, len(names)), strict=True)
         estimates |= {n: replace(estimates[n], sd=max(estimates[n].sd, float(x))) for n, x in wide if n in estimates}
-    last = screen(state, fit, seed=0, nulls=False)  # the last election is held anew
+    last = screen(state, fit)  # the last election is held anew
     scores = tuple(
         s if s.value is not None else replace(s, sd=tuple(np.maximum(s.sd, judged.deviations(s.effect, len(s.sd)))))
         for s in last.candidate_scores
@@ -375,8 +374,7 @@ def open_errors(extension: Extension) -> tuple[OpenError, ...]:
 def _information_of_errors(
     state: SelectionState, fit: RegressionFit
 ) -> tuple[list[Effect], Int[np.ndarray, " k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Effects of one parameter without break point that move the flight path; their columns, the information on them
-    where integrals begin being free, and the right side of what is left."""
+    """Errors of one parameter that move the flight path, their columns, information, and what is left for them."""
     effects = [
         e
         for e in state.full.candidates

@@ -142,7 +142,7 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
         """Whether hold-out data are predicted worse with a cause: all together, or one of the outputs."""
         return bool(gain.degraded) or result.full.settings.degrades(gain.elpd, gain.elpd_se)
 
-    def asked() -> tuple[list[Cause], Kept]:
+    def tested() -> tuple[list[Cause], Kept]:
         confirmations = {stage: confirmation(one.state) for stage, one in result.stages.items()}
         while True:
             causes = causes_of(result, confirmations, progress)
@@ -152,7 +152,7 @@ def _confirmed(result: SearchResult, progress: Progress | None) -> tuple[list[Ca
             last, one = losing[-1], confirmations[losing[-1].stage]
             confirmations[last.stage] = replace(one, kept=tuple(name for name in one.kept if name != last.name))
 
-    causes, failures = attempted("No cause was tested on hold-out data", asked, None)
+    causes, failures = attempted("No cause was tested on hold-out data", tested, None)
     if causes is not None:
         return (*causes, failures)
     untested = [replace(cause, confirmed=False) for cause in causes_of(result, {}, None)]
@@ -279,7 +279,7 @@ def rivals_of(
     # Left out is what predicts hold-out data `worse`, only hides noise, or must be larger than aircraft have.
     state, effects = extension.state, {e.name: e for e in extension.state.full.candidates}
     out = {*worse, *(n for larger in extension.larger for n in larger.implausible)}
-    ranking = screen(state, extension.fit, seed=0, nulls=False, without=name).candidate_scores
+    ranking = screen(state, extension.fit, without=name).candidate_scores
     best: dict[str, CandidateScore] = {}
     for standing in ranking:
         able = standing.score > state.settings.least_rival_score and not mixes_noise(state, standing)
@@ -300,8 +300,8 @@ def sensors_not_missed(diagnosis: Diagnosis, flights: Confirmation) -> Confirmat
     """Errors of sensors that coefficients confirm and held-out flights do not miss."""
     # Coefficients are a regression on recorded channels, whose noise bends it as an error of a sensor may. A simulated
     # flight has no regressors.
-    asked = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
-    return replace(flights, missed={n: x for n, x in flights.missed.items() if n in asked - {*flights.kept}})
+    measured = {c.name for c in diagnosis.causes if c.kind == Kind.MEASUREMENT and c.stage == COEFFICIENTS}
+    return replace(flights, missed={n: x for n, x in flights.missed.items() if n in measured - {*flights.kept}})
 
 
 def judged_on_held_out_flights(
@@ -368,7 +368,7 @@ def rival_gains(
     extension: Extension, cause: str, rivals: Sequence[str], kept: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Hold-out log density of each rival in place of a confirmed cause beyond it; minus infinity if too large."""
-    ranking = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause)
+    ranking = screen(extension.state, extension.fit, without=cause)
     reference, gains = LeftOut.refitted(refitted(truncated(extension.state, kept))[0]), {}
     for rival in rivals:
         standing = ranking.of(rival)
@@ -428,7 +428,7 @@ def _output(extension: Extension, name: str, step: CandidateScore | None = None)
 
 def as_structure(cause: Cause, extension: Extension, effect: Effect) -> UnexplainedStructure:
     """What a cause that is none explained: the output of which it takes most, through which channel."""
-    standing = screen(extension.state, extension.fit, seed=0, nulls=False, without=cause.name).of(cause.name)
+    standing = screen(extension.state, extension.fit, without=cause.name).of(cause.name)
     share = 0.0 if standing is None else explained(extension.state, standing)
     channel = effect.channels[0] if effect.channels else effect.kind.value
     output = _output(extension, cause.name, standing)

@@ -126,8 +126,8 @@ def _probabilities(
 
     with ThreadPoolExecutor(cores()) as pool:
         sizes = np.stack(list(pool.map(largest, draws)))
-    asked = [(c, name) for c, name in enumerate(alone.outputs) if name in tolerances]
-    return {name: float(np.mean(sizes[:, c] <= tolerances[name])) for c, name in asked}
+    toleranced = [(c, name) for c, name in enumerate(alone.outputs) if name in tolerances]
+    return {name: float(np.mean(sizes[:, c] <= tolerances[name])) for c, name in toleranced}
 
 
 def fly_given(
@@ -151,34 +151,36 @@ def with_process_noise(
 ) -> tuple[ProcessNoise, Callable[[int, Progress | None, str], dict[str, Posterior]]]:
     """Fit again in gusts and with noise of every state that is compared; also what samples its posterior."""
     fit = flown.fit
-    gusty, found = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
+    gusty, filtered = fit_disturbed(fit.flown, fit.estimate, fit.R, priors=flown.setting.priors)
 
     def sample(seed: int, progress: Progress | None, engine: str) -> dict[str, Posterior]:
         with blas_threads(0):
-            return sample_innovations(gusty, found, fit.R, seed=seed, engines=(engine,), progress=progress)
+            return sample_innovations(gusty, filtered, fit.R, seed=seed, engines=(engine,), progress=progress)
 
     inside = fit.flown.inside
     of_noise = int(inside.sum()) * float(np.sum(np.log(2.0 * np.pi * fit.R) + 1.0))
     still = -0.5 * of_noise - float(np.log(fit.flown.noise_growth[inside]).sum())
-    estimates = {n: (float(x), float(s)) for n, x, s in zip(found.names, found.estimate, found.sd, strict=True)}
+    estimates = {
+        n: (float(x), float(s)) for n, x, s in zip(filtered.names, filtered.estimate, filtered.sd, strict=True)
+    }
     own = set(fit.flown.dynamics.names) - gusty.dynamics.disturbance_parameters
-    converged, predicted = found.status is PredictionErrorStatus.CONVERGED, None
+    converged, predicted = filtered.status is PredictionErrorStatus.CONVERGED, None
     if converged:
-        errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(found.estimate), found.found))
-        predicted = one_step(found.found, errors, found.outputs)
-    theirs = [i for i, name in enumerate(found.names) if name in own]
+        errors = np.asarray(prediction_errors(gusty.nameless, jnp.asarray(filtered.estimate), filtered.found))
+        predicted = one_step(filtered.found, errors, filtered.outputs)
+    theirs = [i for i, name in enumerate(filtered.names) if name in own]
     noise = ProcessNoise(
-        found.status.value,
+        filtered.status.value,
         converged,
-        found.log_likelihood - still,
+        filtered.log_likelihood - still,
         {name: value for name, value in estimates.items() if name in own},
-        {n: float(x) for n, x in zip(found.states, found.F, strict=True) if n in fit.flown.dynamics.start},
-        dict(zip(found.outputs, map(float, np.sqrt(found.R)), strict=True)),
-        dict(zip(found.outputs, map(float, neighbour_correlation(found.found)), strict=True)),
+        {n: float(x) for n, x in zip(filtered.states, filtered.F, strict=True) if n in fit.flown.dynamics.start},
+        dict(zip(filtered.outputs, map(float, np.sqrt(filtered.R)), strict=True)),
+        dict(zip(filtered.outputs, map(float, neighbour_correlation(filtered.found)), strict=True)),
         {name: value for name, value in estimates.items() if name not in own},
-        _histories(gusty, found),
+        _histories(gusty, filtered),
         predicted,
-        found.covariance[np.ix_(theirs, theirs)],
+        filtered.covariance[np.ix_(theirs, theirs)],
     )
     return noise, sample
 
@@ -186,15 +188,15 @@ def with_process_noise(
 _smoothed = eqx.filter_jit(jax.vmap(smooth))
 
 
-def _histories(gusty: SegmentTrajectories, found: PredictionErrorResult) -> tuple[GustHistory, ...]:
+def _histories(gusty: SegmentTrajectories, filtered: PredictionErrorResult) -> tuple[GustHistory, ...]:
     """By manoeuvre, by the smoother; only gusts that have an intensity."""
-    dynamics, values = gusty.dynamics, dict(zip(found.names, found.estimate, strict=True))
+    dynamics, values = gusty.dynamics, dict(zip(filtered.names, filtered.estimate, strict=True))
     model = getattr(dynamics, "model", None)  # of linear cards none
     processes = () if model is None else model.disturbances
     met = {d.state: dynamics.states.index(d.state) for d in processes if values.get(d.intensity, 0.0) > 0.0}
     if not met:
         return ()
-    x, P = (np.asarray(y) for y in _smoothed(found.found))
+    x, P = (np.asarray(y) for y in _smoothed(filtered.found))
     flights, histories = gusty.flights, []
     for number in np.unique(gusty.manoeuvre):
         parts = [(k, gusty.inside[k]) for k in np.flatnonzero(gusty.manoeuvre == number)]
@@ -341,8 +343,7 @@ def with_lag(
     flights: Flights,
     settings: DiagnosisSettings = DEFAULT,
 ) -> tuple[CandidateFit, LagTest]:
-    """`model`, the extended one with the lag, fitted to all. Hysteresis that is left at none is held: the lag stands in
-    for it."""
+    """The extended model with the lag, fitted to all; hysteresis left at none is held: the lag stands for it."""
     hysteresis = [e for e in model.effects if e.stage is Stage.INCIDENCE and "incidence" in e.example.increments]
     neutral = {name: x for e in hysteresis for name, x in e.neutral_values.items()}
     # Hysteresis not below none: beside a lag it would be a lead that cancels it, and mean nothing.
@@ -357,8 +358,8 @@ def with_lag(
     whole = replace(extended.fit.flown, dynamics=dynamics, substeps=dynamics.substeps(start, flights))
     inflation = noise.variance_inflation
     fit = fit_output_error(whole, start=start, prior_weight=inflation)
-    found = dict(zip(fit.names, fit.estimate, strict=True))
-    none = {n: x for n, x in neutral.items() if n in fit.at_bound and found[n] == x}
+    values = dict(zip(fit.names, fit.estimate, strict=True))
+    none = {n: x for n, x in neutral.items() if n in fit.at_bound and values[n] == x}
     if none:
         again = {"start": fit.estimate, "departure": fit.departure, "held": none}
         fit = fit_output_error(whole, **again, prior_weight=inflation)

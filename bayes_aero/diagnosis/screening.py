@@ -376,8 +376,8 @@ def screen(
     state: SelectionState,
     fit: RegressionFit,
     *,
-    seed: int,
-    nulls: bool = True,
+    seed: int = 0,
+    nulls: bool = False,
     without: str | None = None,
     noise: SharedNoise | None = None,
 ) -> ScreeningResult:

@@ -354,7 +354,7 @@ def _denied(sensors: Extension, aerodynamics: Extension) -> str | None:
 
 def _path_gain(sensors: Extension, name: str) -> float:
     """What the flight path gains by an error of a sensor, nats, its colour counted."""
-    own = screen(sensors.state, sensors.fit, seed=0, nulls=False, without=name).of(name)
+    own = screen(sensors.state, sensors.fit, without=name).of(name)
     return math.inf if own is None else nats(max(own.gain, 0.0), own.variance_inflation)
 
 

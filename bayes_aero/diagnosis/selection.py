@@ -129,7 +129,7 @@ def selected(
     """Add at most `most` effects (default: the settings') that are not `barred`; p-values are family-wise."""
     most = state.settings.max_effects if most is None else most
     state, fit = refitted(state)
-    inflations = [s.variance_inflation for s in screen(state, fit, seed=0, nulls=False).candidate_scores]
+    inflations = [s.variance_inflation for s in screen(state, fit).candidate_scores]
     noise_growth, inflation = noise_growth_of(state, fit), median_inflation(np.array(inflations))
     state, fit = refitted(moved(replace(state, noise_growth=noise_growth, variance_inflation=inflation), state.theta))
     first, first_fit = state, fit
@@ -181,7 +181,7 @@ def _offsets_instead(state: SelectionState, fit: RegressionFit, winner: Candidat
         return ()
     wider = moved(state, state.theta, apart=(*state.apart, *outputs))
     there = wider.fit()
-    within = screen(wider, there, seed=0, nulls=False).of(winner.effect)
+    within = screen(wider, there).of(winner.effect)
     identified = within is not None and within.score >= state.settings.least_score and within.log_bayes > 0.0
     if within is None or not identified or float(np.dot(within.step, winner.step)) <= 0.0:
         return outputs
@@ -306,7 +306,7 @@ def _reconsidered(
     """Look at each earlier addition again: drop it if it is superfluous by now, exchange it if it was a proxy."""
     least = state.least_share(state.settings.least_share)
     for effect in state.active[:-1]:
-        ranking = screen(state, fit, seed=0, nulls=False, without=effect)
+        ranking = screen(state, fit, without=effect)
         own = ranking.of(effect)
         able = (s for s in ranking.candidate_scores if s.effect not in barred and not mixes_noise(state, s))
         best = next(able, ranking.candidate_scores[0])

@@ -154,8 +154,7 @@ def leader(
 
 
 def _ranked(trial: SelectionState, fit: RegressionFit) -> tuple[list[int], Float[np.ndarray, " j"], float]:
-    """Terms that gain at least half of what the best one does, the best first; by how many nats each explains less; and
-    the variance inflation of the best."""
+    """Terms that gain half of what the best does, by how many nats less each, and the best's variance inflation."""
     projected = PartialledRegression(trial, fit, trial.component_columns)
     place = np.array([p[0] for p in projected.place])
     bread, right = np.array([b[0, 0] for b in projected.bread]), projected.right(trial.left(fit))[place]
@@ -239,7 +238,7 @@ def _next(
     for columns in library:
         left = [c for c in columns if c not in chosen]
         trial = state.with_components([c.component for c in left], components_of(terms))
-        screened.append(_Screened(left, trial, screen(trial, trial.fit(), seed=0, nulls=False, noise=noise)))
+        screened.append(_Screened(left, trial, screen(trial, trial.fit(), noise=noise)))
     tried, among = state.settings.candidates_tried, sum(len(part.columns) for part in screened)
     leaders = [(part, standing) for part in screened for standing in part.screening.candidate_scores[:tried]]
     for part, standing in sorted(leaders, key=lambda leader: -leader[1].score):
@@ -289,7 +288,7 @@ def _weighed(
     (column, weight), component = rivals[0], rivals[0][0].component
     own = [rival for rival in rivals if rival[0].component.coefficient == component.coefficient]
     one = Trial(state, component, chosen)
-    standing = screen(one.state, one.state.fit(), seed=0, nulls=False).candidate_scores[0]
+    standing = screen(one.state, one.state.fit()).candidate_scores[0]
     others = tuple((rival.term, x) for rival, x in own[1:])
     elsewhere = tuple(c.component.label for c, _ in rivals if c.component.coefficient != component.coefficient)
     return SelectedTerm(column, one.gain, one.share, standing.variance_inflation, weight, others, p, 1, elsewhere)
@@ -378,8 +377,8 @@ def forms_of(extension: Extension, left: Left, *, seed: int) -> Forms:
             functions.setdefault(function.coefficient, []).append(function)
 
     def sought(state: SelectionState) -> list[SelectedTerm]:
-        found = [terms_of_coefficient(state, name, own, seed=seed) for name, own in functions.items()]
-        return [one for terms in found for one in terms]
+        each = [terms_of_coefficient(state, name, own, seed=seed) for name, own in functions.items()]
+        return [term for terms_of_one in each for term in terms_of_one]
 
     instead = contest(extension, left)
     if instead.terms or instead.replaced:

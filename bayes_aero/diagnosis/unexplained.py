@@ -328,16 +328,16 @@ NEAREST = 200  # moments that are compared with the best one, those that explain
 
 
 def reported_change(
-    state: SelectionState, found: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
+    state: SelectionState, change: FoundChange, chosen: Sequence[Component], election: ScreeningResult | None
 ) -> ParameterChange:
     """A change with its sizes beside all that is in the state and `chosen`; `election` is that which added nothing."""
-    span = found.span
+    span = change.span
     begin = int(np.argmax(state.responses.manoeuvre == span.manoeuvre))
-    before, after, size = _sizes(state, found, chosen)
-    nearest, rivals, inflation = _as_good(state, found)
-    seconds, parameter = state.responses.seconds, state.full.model.free[found.column]  # a block is as fine as it gets
-    known = [] if election is None else election.candidate_scores
-    effects = [s.effect for s in known if nats(found.gain - s.gain, inflation) < state.settings.ambiguous]
+    before, after, size = _sizes(state, change, chosen)
+    nearest, rivals, inflation = _as_good(state, change)
+    seconds, parameter = state.responses.seconds, state.full.model.free[change.column]  # a block is as fine as it gets
+    scores = [] if election is None else election.candidate_scores
+    effects = [s.effect for s in scores if nats(change.gain - s.gain, inflation) < state.settings.ambiguous]
     return ParameterChange(
         parameter=parameter.name,
         unit=parameter.unit,
@@ -348,9 +348,9 @@ def reported_change(
         before=before,
         after=after,
         size=size,
-        share=found.share,
-        p_value=found.p_value,
-        gain=nats(found.gained, inflation),
+        share=change.share,
+        p_value=change.p_value,
+        gain=nats(change.gained, inflation),
         ambiguous_with=tuple(dict.fromkeys([*rivals, *effects])),
     )
 
@@ -434,13 +434,12 @@ def unexplained(extension: Extension, *, seed: int) -> Left:
 
 
 def offsets_found(extension: Extension, idle: Sequence[str] = ()) -> tuple[UnexplainedStructure, ...]:
-    """Each coefficient not among the `idle` ones, which terms explain, whose constant differs between manoeuvres beyond
-    chance, and additions that explain it as well."""
+    """Each coefficient, not `idle`, whose constant differs between manoeuvres, and what explains that as well."""
     state, structures = extension.state, []
     for name in (n for n in state.apart if n not in idle):
         fewer = moved(state, state.theta, apart=tuple(n for n in state.apart if n != name))
         less, fit = fewer.fit(), state.fit()
-        ranking = screen(fewer, less, seed=0, nulls=False).candidate_scores
+        ranking = screen(fewer, less).candidate_scores
         gain = less.deviance - fit.deviance
         rivals = [s.effect for s in ranking if nats(gain - s.gain, state.variance_inflation) < state.settings.ambiguous]
         at = fit.places(constants_of(state, name))
