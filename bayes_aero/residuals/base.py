@@ -112,11 +112,11 @@ class ResidualModel(ABC):
     def offsets(self, theta: Float[np.ndarray, " k"], outputs: Sequence[str]) -> Float[np.ndarray, "m c o"]:
         """Sensitivities to quantities that are free in every fit and no parameters: initial values of integrals."""
 
-    @abstractmethod
     def slopes(
         self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
         """Residuals and minus their derivatives in `DIRECTIONS_PER_CALL` directions."""
+        raise NotImplementedError  # of those that linearise by all columns at once
 
     def slopes_at(self, theta: Float[np.ndarray, " k"]) -> Callable[[Float[np.ndarray, "d k"]], tuple]:
         """`slopes` at these parameters as a function of the directions."""
@@ -126,10 +126,6 @@ class ResidualModel(ABC):
         """Residuals under series that are added to the coefficients, at fixed parameters."""
         raise NotImplementedError  # of the flight path, which has no coefficients
 
-    def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
-        """Indices of `columns` in sets of equal cost, each of which is computed by itself."""
-        return [np.arange(len(columns))]
-
     def linearise(
         self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
     ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
@@ -137,7 +133,7 @@ class ResidualModel(ABC):
         indices = np.arange(len(theta)) if columns is None else np.asarray(columns)
         residual, S, slopes = None, None, self.slopes_at(theta)
         size = DIRECTIONS_PER_CALL
-        places = [part[i : i + size] for part in self.separate_sets(indices) for i in range(0, len(part), size)]
+        places = [np.arange(i, min(i + size, len(indices))) for i in range(0, len(indices), size)]
         for place in places or [np.arange(0)]:
             directions = np.zeros((size, len(theta)))
             directions[np.arange(len(place)), indices[place]] = 1.0

@@ -99,20 +99,22 @@ class EquationError(Blockwise, eqx.Module):
     def added(self, theta: Float[np.ndarray, " k"]) -> AddedSeries:
         return _AddedToEquations(self, theta)
 
-    def slopes(
-        self, theta: Float[np.ndarray, " k"], directions: Float[np.ndarray, "d k"]
-    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "d m c"]]:
-        measuring = np.any(directions[:, list(self.measuring)])
-        nothing = np.zeros_like(directions)
-        both = (directions, nothing) if measuring else (nothing, directions)
-        residual, slope = _linearise(self._padded, jnp.asarray(theta), *map(jnp.asarray, both))
-        m = len(self.manoeuvre)
-        return np.asarray(residual)[:m], np.asarray(slope)[:, :m]
-
-    def separate_sets(self, columns: Int[np.ndarray, " j"]) -> list[Int[np.ndarray, " i"]]:
-        """Parameters that change the measured coefficients cost four times those that change only the modelled ones."""
-        measuring = np.isin(columns, self.measuring)
-        return [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
+    def linearise(
+        self, theta: Float[np.ndarray, " k"], columns: Int[np.ndarray, " j"] | None = None
+    ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c j"]]:
+        k, m = len(theta), len(self.manoeuvre)
+        indices = np.arange(k) if columns is None else np.asarray(columns)
+        # Parameters that change the measured coefficients cost four times those that change only the modelled ones.
+        measuring = np.isin(indices, self.measuring)
+        sets = [np.flatnonzero(measuring), np.flatnonzero(~measuring)]
+        directions = np.zeros((2, -(-k // DIRECTIONS_AT_ONCE) * DIRECTIONS_AT_ONCE, k))
+        for kind, places in enumerate(sets):
+            directions[kind, np.arange(len(places)), indices[places]] = 1.0
+        residual, *slopes = map(np.asarray, _linearise(self._padded, jnp.asarray(theta), *map(jnp.asarray, directions)))
+        S = np.zeros((m, residual.shape[1], len(indices)))
+        for places, slope in zip(sets, slopes, strict=True):
+            S[:, : slope.shape[2], places] = np.moveaxis(slope[: len(places), :m], 0, 2)
+        return residual[:m], S
 
 
 class _Padded(NamedTuple):
@@ -216,7 +218,7 @@ _evaluate = eqx.filter_jit(_residuals)
 
 @eqx.filter_jit
 def _linearise(padded: _Padded, theta, measuring, flowing):
-    """Slopes in directions that change the measured coefficients, plus those in directions that do not."""
+    """Residuals, slopes in directions that change the measured coefficients, and those of coefficients in others."""
     # One program for both: most of it is the same, and directions of zeros cost nothing.
     residual, slope = jax.linearize(lambda t: _residuals(padded, t)[0], theta)
     whole = _along(lambda d: -slope(d), measuring)
@@ -225,8 +227,7 @@ def _linearise(padded: _Padded, theta, measuring, flowing):
     factors = own.factors
     _, change = jax.linearize(lambda t: own.modelled(model.values(t))[0] * factors, theta)
     coefficients = _along(lambda d: padded.block(_smoothed(f, change(d))), flowing)
-    others = residual.shape[1] - len(model.coefficients)
-    return residual, whole + jnp.pad(coefficients, ((0, 0), (0, 0), (0, others)))
+    return residual, whole, coefficients
 
 
 def _along(slope: Callable[[Array], Array], directions: Float[Array, "d k"]) -> Float[Array, "d m c"]:
