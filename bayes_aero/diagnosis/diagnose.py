@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -76,8 +77,7 @@ def diagnose(
     """Find what the card's model gets wrong on `records`; `settings` hold every threshold.
 
     The model is compared with coefficients, or with trajectories where no accelerometer gives those; with
-    `process_noise` it is compared with innovations, in gusts (None: if the records are in gusts). `gains_wanted` False
-    leaves out the refits on left-out data (for studies of naming alone).
+    innovations by `process_noise` (None: in gusts). Without `gains_wanted` nothing is fitted again to left-out data.
     """
     card, left_out = on_recorded_axes(card, records) if model is None else (card, ())
     gusts = in_gusts(records, card, seed) if process_noise is None else {}
@@ -87,11 +87,8 @@ def diagnose(
     if gains_wanted and result.testable_now:
         candidates, kept_of, failed = _confirmed(result, progress)
     else:
-        candidates, kept_of, failed = (
-            causes_of(result, {}, None),
-            {n: x.state.active for n, x in result.stages.items()},
-            (),
-        )
+        candidates, failed = causes_of(result, {}, None), ()
+        kept_of = {stage: extension.state.active for stage, extension in result.stages.items()}
     compared = result.model.state.responses.stage
     # Offsets between manoeuvres are in the model beside the causes.
     hardly = stand_ins(candidates, result.stages, [one for one in result.unknown if not one.offsets])
@@ -101,15 +98,15 @@ def diagnose(
     causes, beyond = without_conditional(causes, beyond)
     minor = (*(result.sensors.minor if result.sensors else ()), *result.model.minor, *(c.name for c in unnamed))
     tested = None if result.testable_now else Tested({})
-    taken_up = absorbed(result.model)
+    taken_up, verdict = absorbed(result.model), verdict_of(causes, (*unknown, *result.changes), tested)
+    names = {stage: [c.name for c in causes if c.stage == stage] for stage in result.stages}
+    pairs = [cancelling(extension, names[stage]) for stage, extension in result.stages.items()]
+    same: dict[str, Any] = {n: getattr(result, n) for n in ("noise", "not_testable", "sensors", "changes", "terms")}
     return Diagnosis(
-        verdict=as_absorbed(as_white(verdict_of(causes, (*unknown, *result.changes), tested), result.noise), taken_up),
+        verdict=as_absorbed(as_white(verdict, result.noise), taken_up),
         causes=causes,
         minor=minor,
         unknown=unknown,
-        noise=result.noise,
-        not_testable=result.not_testable,
-        sensors=result.sensors,
         aerodynamics=result.model,
         theta=result.model.state.theta,
         split=split_name(result.model.state),
@@ -117,18 +114,13 @@ def diagnose(
         kept=kept,
         failures=(*result.failures, *failed),
         notes=(*left_out, *result.notes),
-        together=tuple(
-            pair
-            for stage, extension in result.stages.items()
-            for pair in cancelling(extension, [c.name for c in causes if c.stage == stage])
-        ),
+        together=tuple(pair for of_stage in pairs for pair in of_stage),
         beyond=beyond,
         tested=tested,
         compared=compared,
         gusts=gusts,
-        changes=result.changes,
-        terms=result.terms,
         absorbed=taken_up,
+        **same,
     )
 
 

@@ -235,12 +235,12 @@ def fit_trajectories(
             progress(text, share)
 
     by_effects = isinstance(unbiased(dynamics), AircraftDynamics)
-    left = LEFT if by_effects else ()
     dynamics = biased_dynamics(dynamics, flights, biases or {})
     first = np.array([p.start for p in dynamics.free])
     starts = [np.append(s, first[len(s) :]) for s in starts]
     shown = tuple(name for name in dynamics.outputs if name in flights.channels)
-    compared = tuple(n for n in shown if n not in left) if setting.outputs is None else setting.outputs
+    compared = tuple(n for n in shown if not (by_effects and n in LEFT))
+    compared = compared if setting.outputs is None else setting.outputs
     options = {"outputs": compared, "substeps": dynamics.substeps(first, flights), "held": setting.held}
     short = segments(flights, dynamics, window=window, **options)
     whole = segments(flights, dynamics, fixed=setting.initial, **options)
@@ -255,11 +255,8 @@ def fit_trajectories(
     if math.isfinite(fit.cost) and fit.status is not OutputErrorStatus.LEFT_ENVELOPE:
         tell("autocorrelation of the residuals", 0.7)
         noise = FlightNoise.of(fit)
-        inflation, noise_growth, whole = (
-            noise.variance_inflation,
-            noise.growth_by_output(whole.outputs),
-            noise.on(whole),
-        )
+        inflation, noise_growth = noise.variance_inflation, noise.growth_by_output(whole.outputs)
+        whole = noise.on(whole)
         weight = inflation if setting.priors else 0.0
         fit = fit_output_error(whole, start=fit.estimate, departure=fit.departure, prior_weight=weight)
     tell("errors of the trajectories", 0.9)
