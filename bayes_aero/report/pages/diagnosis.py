@@ -113,7 +113,7 @@ def _sections(
             return (*stall_table(stalls, INTERVALS), *gallery("stall_models", "separation_models"))
 
         def residuals() -> tuple[Block, ...]:
-            pictures = gallery.folded("residual_profiles", "residual_colour")
+            pictures = gallery("residual_profiles", "residual_colour")
             title = "Residuals: size, composition, autocorrelation, calibration"
             return (Fold(title, (*map(page_table, diagnosis_tables.residual_tables(view)), *pictures)),)
 
@@ -152,7 +152,7 @@ def _causes(d: Diagnosis, rankings: Sequence[Ranking], gallery: Gallery) -> tupl
     leaders = [replace(ranking, candidate_scores=ranking.leaders) for ranking in rankings]
     listed = [page_table(diagnosis_tables.screen_table([ranking], d)) for ranking in leaders]
     title = "Every candidate's score before anything was added"
-    return (*blocks, html.terms("glossary"), Fold(title, (*listed, *gallery.folded("ranking"))))
+    return (*blocks, html.terms("glossary"), Fold(title, (*listed, *gallery("ranking"))))
 
 
 def _gain(view: View, gallery: Gallery) -> tuple[Block, ...]:

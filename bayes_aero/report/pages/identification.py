@@ -157,16 +157,16 @@ def _validation(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     return (
         page_table(run_tables.validation_table(run, each_fold=False)),
         *gallery("gpr_fit", "fig2_gpr_fit"),
-        Fold("Measured against predicted", gallery.folded(*CORRELATIONS.values())),
+        Fold("Measured against predicted", gallery(*CORRELATIONS.values())),
     )
 
 
 def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     mle, calibration = run.mle, run_tables.coverage_table(run)
     calibrated = [] if calibration is None else [page_table(calibration)]
-    bars = Gallery(gallery.paths, {"pit": pit_words(run)}).folded("pit") if "pit" in gallery.paths else ()
+    bars = Gallery(gallery.paths, {"pit": pit_words(run)})("pit") if "pit" in gallery.paths else ()
     chains: list[Block] = [page_table(run_tables.sampler_table(run, key)) for key in run.posteriors]
-    chains += gallery.folded("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if chains else ()
+    chains += gallery("rank_emcee", "rank_nuts", "trace_emcee", "trace_nuts") if chains else ()
     eigen = np.asarray(mle.eigenvalues)
     rank = (
         f"Maximum likelihood: {mle.status.value}, {mle.iterations} iterations. Information matrix of rank "
@@ -177,7 +177,7 @@ def _diagnostics(run: Identification, gallery: Gallery) -> tuple[Block, ...]:
     folds: dict[str, Sequence[Block]] = {
         "Calibration of the posterior's predictions": [*calibrated, *bars],
         "Convergence of the samplers: R-hat, effective sample size, rank plots": chains,
-        "Prior and posterior": gallery.folded("prior_posterior", "pair", "gp_prior_posterior"),
+        "Prior and posterior": gallery("prior_posterior", "pair", "gp_prior_posterior"),
         "Identifiability: information matrix, correlated parameters": [
             Text(rank),
             *(strong or (Text("No two parameters are correlated beyond 0.9."),)),

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bayes_aero.report.colours import COLOURS
 from bayes_aero.report.html import page as html
-from bayes_aero.report.html.page import Block, Picture, Report, Text, bullets, page_table, section
+from bayes_aero.report.html.page import Block, Report, Text, bullets, page_table, section
 from bayes_aero.report.style import NotDrawn, grid_of, housed, save
 from bayes_aero.report.tables.table import Table, columns_of
 from bayes_aero.report.text.phrases import WORDS, bracket, for_people, plain_unit, several
@@ -126,10 +126,9 @@ def _lead(found: list[AcrossUnits], folder: Path) -> tuple[Block, ...]:
     groups = [group[0] for _, group in panels_of(found) if group]
     means = several(f"{e.label} {number(float(np.mean(e.value)))} {plain_unit(e.si)}" for e in groups[:MOST_PANELS])
     more = f" The first {MOST_PANELS} of {len(groups)} parameters." if len(groups) > MOST_PANELS else ""
-    source, (width, height), natural = html.embedded(path)
     bars = "with its 95 % interval" if max(e.unit.max() for e in found) <= MOST_BARS else "without its interval"
     caption = f"Every unit's estimate {bars}, by the unit's number in the table below.{more}"
-    return (Picture(source, f"Estimates of all units. Means: {means}.", caption, width, height, natural),)
+    return (html.picture(path, caption, f"Estimates of all units. Means: {means}."),)
 
 
 def _across(found: list[AcrossUnits]) -> tuple[Block, ...]:
