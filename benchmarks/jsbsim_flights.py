@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_aero.dynamics.system import System, integrate
 from bayes_aero.export.identified import Identified
-from bayes_aero.export.jsbsim import jsbsim_files
+from bayes_aero.export.simulators import jsbsim_files
 from bayes_aero.physics.aircraft import air
 
 FOOT, POUND = 0.3048, 0.45359237 * 9.80665  # m, N: international foot, standard pound-force

@@ -24,8 +24,7 @@ from pathlib import Path
 import psutil
 
 from bayes_aero.flight.card import read_card
-from bayes_aero.jobs.catalogue import known_effects
-from bayes_aero.jobs.simulate import simulate_file
+from bayes_aero.jobs.catalogue import known_effects, simulate_file
 from bayes_aero.simulate.demo import Request
 
 STUDY = """

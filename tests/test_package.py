@@ -32,8 +32,8 @@ from bayes_aero.errors import InputError
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.finding import Consistency
 from bayes_aero.inference.results import Posterior, PosteriorStatus
+from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.jobs.steps.record_checks import RecordChecks
 from bayes_aero.model.noise import DEFAULT, Colour
 from bayes_aero.physics.filters import smooth
 from bayes_aero.report.tables.comparison import ordered

@@ -29,12 +29,10 @@ from bayes_aero.errors import InputError, attempted
 from bayes_aero.flight.card import Card
 from bayes_aero.flight.health.finding import only_following
 from bayes_aero.flight.record import FlightRecord
-from bayes_aero.jobs.io.diagnosis_json import Hidden, Outcome, diagnosis_results
-from bayes_aero.jobs.io.result_file import writable
-from bayes_aero.jobs.io.time_histories import diagnosed, flights, put_histories
+from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.io.results import Hidden, Outcome, diagnosed, diagnosis_results, flights, put_histories
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance import picked, provenance, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.jobs.store import picked, provenance, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes

@@ -31,12 +31,10 @@ from bayes_aero.inference.frequency import linear_in_band
 from bayes_aero.inference.mle import fit_mle, without_noise_bias
 from bayes_aero.inference.nuts import ENGINES
 from bayes_aero.inference.results import MleResult, Posterior
-from bayes_aero.jobs.io.fly_json import RESULTS, Flight, fly_results
-from bayes_aero.jobs.io.result_file import safe_name, writable
-from bayes_aero.jobs.io.time_histories import flights, put_histories
+from bayes_aero.jobs.check import record_checks, repaired, spike_notes, usable_for
+from bayes_aero.jobs.io.results import RESULTS, Flight, flights, fly_results, put_histories
 from bayes_aero.jobs.options import FREE, HELD, FlyOptions, PathOptions, keywords
-from bayes_aero.jobs.provenance import provenance, sha256_of, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks, repaired, spike_notes, usable_for
+from bayes_aero.jobs.store import provenance, safe_name, sha256_of, writable, write_json
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.model.records import Flights, on_recorded_axes

@@ -24,11 +24,10 @@ from bayes_aero.inference.nuts import sample_nuts
 from bayes_aero.inference.pooled import check_manoeuvres, next_flight
 from bayes_aero.inference.results import Identification, NextFlight, Posterior
 from bayes_aero.inference.validation import Training, filter_mismatch_notes, validate
-from bayes_aero.jobs.io.identification_json import IdentificationFiles
-from bayes_aero.jobs.io.time_histories import identified, put_histories
+from bayes_aero.jobs.check import record_checks, repaired
+from bayes_aero.jobs.io.results import IdentificationFiles, identified, put_histories
 from bayes_aero.jobs.options import IdentifyOptions
-from bayes_aero.jobs.provenance import provenance
-from bayes_aero.jobs.steps.record_checks import record_checks, repaired
+from bayes_aero.jobs.store import provenance
 from bayes_aero.model.model import Model
 from bayes_aero.model.noise import Colour, Density, Noise
 from bayes_aero.model.observations import Forming, despiked, join, observe

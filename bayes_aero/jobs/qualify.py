@@ -22,7 +22,8 @@ from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import TOLERANCES, FlightRecord
 from bayes_aero.inference.mle import MAX_SEPARATE_FITS
 from bayes_aero.inference.output_error import fit_output_error
-from bayes_aero.jobs.fitted import (
+from bayes_aero.jobs.check import record_checks
+from bayes_aero.jobs.finished import (
     Finished,
     IdentifiedLinear,
     card_of,
@@ -32,10 +33,8 @@ from bayes_aero.jobs.fitted import (
     with_process_noise,
 )
 from bayes_aero.jobs.io.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
-from bayes_aero.jobs.io.result_file import result_file, writable
 from bayes_aero.jobs.options import QualifyOptions
-from bayes_aero.jobs.provenance import provenance, write_json
-from bayes_aero.jobs.steps.record_checks import record_checks
+from bayes_aero.jobs.store import provenance, result_file, writable, write_json
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import Flights
 from bayes_aero.physics.aircraft import FLIGHT
@@ -231,7 +230,6 @@ def limits_of(card: Card, bands: Mapping[str, float], region: Region) -> list[st
 
 # --- qualification.json.
 
-SCHEMA = "bayes_aero/qualification/2"
 RESULTS = "qualification.json"
 
 
@@ -245,7 +243,6 @@ def qualification_results(
         tests.append(TestPart.of(one, **chance))
     return QualificationDocument.of(
         found,
-        schema=SCHEMA,
         card=card,
         verdict=found.whole,
         thresholds={"passes_from": PASSES_FROM, "fails_to": FAILS_TO},

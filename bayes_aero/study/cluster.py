@@ -32,11 +32,10 @@ from jax.experimental.compilation_cache import compilation_cache
 from bayes_aero import processes
 from bayes_aero.atomic_write import beside, host, sweep
 from bayes_aero.errors import InputError
-from bayes_aero.jobs.provenance import PACKAGES, environment
+from bayes_aero.jobs.store import PACKAGES, environment
 from bayes_aero.processes import VARIABLE as CORES
-from bayes_aero.study.case import fail_unit, run_unit
 from bayes_aero.study.jit_cache import FOLDER, cache_folder, ignore_cache_errors
-from bayes_aero.study.run import StoppedError, UnitRunner
+from bayes_aero.study.run import StoppedError, UnitRunner, fail_unit, run_unit
 
 Report = Callable[[int, int, str], None]
 """Called with the number of finished units, of all units, and a text on the progress."""

@@ -18,14 +18,13 @@ from calling import answer, called, holds, refused, succeeded, validated
 from linear_cards import SHORT_PERIOD, SHORT_PERIOD_TRUTH, first_order_hold, record_of, short_period_flight
 
 from bayes_aero.errors import InputError
-from bayes_aero.explore.opened import Choice, export_chosen, open_result
-from bayes_aero.explore.simulator import Simulator
+from bayes_aero.explore.opened import Choice, Simulator, export_chosen, open_result
 from bayes_aero.flight.card import read_card, shipped_cards
 from bayes_aero.flight.reading import read_records
 from bayes_aero.flight.record import FlightRecord, write_record
-from bayes_aero.jobs.fitted import card_of, fitted_records
+from bayes_aero.jobs.finished import card_of, fitted_records
 from bayes_aero.jobs.options import FlyOptions
-from bayes_aero.jobs.provenance import as_json, provenance
+from bayes_aero.jobs.store import as_json, provenance
 
 FEW = ("--draws", "100")
 

@@ -18,6 +18,7 @@ from bayes_aero.diagnosis.flights import fly_given
 from bayes_aero.errors import InputError
 from bayes_aero.explore.opened import (
     Choice,
+    Simulator,
     addable,
     chosen_model,
     export_chosen,
@@ -26,13 +27,11 @@ from bayes_aero.explore.opened import (
     open_result,
     shown_effects,
 )
-from bayes_aero.explore.page import Asked, gain, read_asked, scores
-from bayes_aero.explore.server import PageServer
-from bayes_aero.explore.simulator import Simulator
+from bayes_aero.explore.page import Asked, PageServer, gain, read_asked, scores
 from bayes_aero.export.identified import python_source
 from bayes_aero.flight.reading import read_record
 from bayes_aero.inference.mle import fit_mle
-from bayes_aero.jobs.export import FORMS
+from bayes_aero.jobs.finished import FORMS
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join, observe
 from bayes_aero.physics.aircraft import FLIGHT

@@ -12,8 +12,7 @@ from fmpy.validation import validate_fmu
 from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 
 from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
-from bayes_aero.export.fmu import write_fmu
-from bayes_aero.export.jsbsim import PROPERTIES
+from bayes_aero.export.simulators import PROPERTIES, write_fmu
 from bayes_aero.physics.aircraft import air
 from bayes_aero.simulate.demo import simulate_stall
 

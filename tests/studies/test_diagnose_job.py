@@ -22,10 +22,10 @@ from bayes_aero.flight.record import FlightRecord
 from bayes_aero.inference.scores import score
 from bayes_aero.jobs import diagnose as job
 from bayes_aero.jobs.diagnose import diagnose_records, hide_one
-from bayes_aero.jobs.io import time_histories as histories
-from bayes_aero.jobs.io.diagnosis_json import Outcome, diagnosis_results
+from bayes_aero.jobs.io import results as histories
+from bayes_aero.jobs.io.results import Outcome, diagnosis_results
 from bayes_aero.jobs.options import DiagnoseOptions
-from bayes_aero.jobs.provenance import provenance, write_json
+from bayes_aero.jobs.store import provenance, write_json
 from bayes_aero.report.figures import diagnosis
 from bayes_aero.simulate.injection import hidden_records
 

@@ -60,6 +60,8 @@ class Part(Struct, forbid_unknown_fields=True):
             more = dict(zip(cls.__struct_fields__, found, strict=True))
         values = {}
         for f in _fields(cls):
+            if get_origin(f.type) is Literal and len(get_args(f.type)) == 1:  # says the same in every document
+                more = {f.name: get_args(f.type)[0], **more}
             value = more[f.name] if f.name in more else getattr(found, f.name, *(() if f.required else (f.default,)))
             values[f.name] = _formed(f.type, value)
         return cls(**values)
