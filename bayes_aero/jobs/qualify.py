@@ -32,7 +32,7 @@ from bayes_aero.jobs.finished import (
     read_finished,
     with_process_noise,
 )
-from bayes_aero.jobs.io.documents import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
+from bayes_aero.jobs.io.parts import ConsistencyPart, JudgedTolerance, QualificationDocument, TestPart
 from bayes_aero.jobs.options import QualifyOptions
 from bayes_aero.jobs.store import provenance, result_file, writable, write_json
 from bayes_aero.model.observations import despiked, join

@@ -39,7 +39,7 @@ from bayes_aero.inference.results import (
     NextFlight,
     Posterior,
 )
-from bayes_aero.jobs.io import documents as parts
+from bayes_aero.jobs.io import documents, parts
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
 from bayes_aero.jobs.store import picked, writable, write_json
 from bayes_aero.model.records import with_sums
@@ -84,13 +84,13 @@ class Outcome:
 
 def diagnosis_results(
     outcome: Outcome, card: Card, records: Sequence[FlightRecord], provenance: Mapping[str, Any]
-) -> parts.DiagnosisDocument:
+) -> documents.DiagnosisDocument:
     """Everything found, as plain numbers and text; `hidden` is the truth where the records are simulated."""
     view, d = outcome.view, outcome.diagnosis
     seen = view if isinstance(view, View) else None  # coefficients; else only trajectories were compared
     named = {(c.stage, c.name) for c in d.causes}
     models = {} if seen is None else {"before": seen.card, "after": seen.extended}
-    return parts.DiagnosisDocument.of(
+    return documents.DiagnosisDocument.of(
         d,
         card=card,
         records=record_parts(records, card),
@@ -102,12 +102,12 @@ def diagnosis_results(
         terms=[term_part(one) for one in d.terms],
         cancelling=d.together,
         screening=[
-            parts.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
+            documents.ScreenedPart.of(s, stage=r.stage, threshold=r.threshold, cause=(r.stage, s.effect) in named)
             for r in view.rankings
             for s in r.candidate_scores
         ],  # every candidate in the first election of each stage, the highest score first
         base_parameters=view.moves,
-        covariance=view.covariance and parts.CovariancePart.of(view.covariance, residuals="coloured"),
+        covariance=view.covariance and documents.CovariancePart.of(view.covariance, residuals="coloured"),
         residuals={when: model.composition for when, model in models.items()},
         trajectories=trajectories_part(view.trajectories, card),
         stall={} if seen is None else {name: stall.numbers() for name, stall in seen.stalls.items()},
@@ -117,22 +117,22 @@ def diagnosis_results(
         notes=(*d.notes, *outcome.notes),
         failures=outcome.failures,
         provenance=provenance,
-        hidden=UNSET if outcome.hidden is None else parts.HiddenPart.of((outcome.hidden, outcome.named)),
+        hidden=UNSET if outcome.hidden is None else documents.HiddenPart.of((outcome.hidden, outcome.named)),
     )
 
 
-def term_part(found: FoundTerm) -> parts.TermPart:
+def term_part(found: FoundTerm) -> documents.TermPart:
     """A form of unexplained structure."""
     term, others = found.term, {term.name: weight for term, weight in found.others}
-    return parts.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
+    return documents.TermPart.of(found, term=term.name, code=term.code, unit=term.unit, ambiguous_with=others)
 
 
-def tested_part(tested: Tested | None, compared: str) -> parts.TestedPart:
+def tested_part(tested: Tested | None, compared: str) -> documents.TestedPart:
     """What a diagnosis by trajectories alone has tested; of one by coefficients, that it sought structure, too."""
     if tested is None:
-        return parts.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
-    outputs = {n: parts.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
-    return parts.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
+        return documents.TestedPart.of((compared, compared == COEFFICIENTS, None, {}))
+    outputs = {n: documents.TestedOutput.of(one, unit=STANDARD_CHANNELS[n].unit) for n, one in tested.outputs.items()}
+    return documents.TestedPart("trajectories", False, tested.within_noise if outputs else None, outputs)
 
 
 def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.RecordPart]:
@@ -147,7 +147,7 @@ def record_parts(records: Sequence[FlightRecord], card: Card) -> list[parts.Reco
     return told
 
 
-def cause_part(cause: Cause) -> parts.CausePart:
+def cause_part(cause: Cause) -> documents.CausePart:
     """One named cause, and what it gains on data that were not fitted."""
     gain, when = cause.gain, {"before": cause.gain.before, "after": cause.gain.after}
     scores = [(key, word, by) for key in ("r2", "rmse", "r", "theil") for word, by in when.items()]
@@ -156,26 +156,26 @@ def cause_part(cause: Cause) -> parts.CausePart:
         for name in gain.before
         if name in gain.after
     }
-    return parts.CausePart.of(cause, gain=parts.GainPart.of(gain, by_coefficient=by_coefficient))
+    return documents.CausePart.of(cause, gain=documents.GainPart.of(gain, by_coefficient=by_coefficient))
 
 
 # --- Simulated trajectories.
 
 
-def trajectories_part(flown: Trajectories | None, card: Card) -> parts.TrajectoriesPart:
+def trajectories_part(flown: Trajectories | None, card: Card) -> documents.TrajectoriesPart:
     """Errors by manoeuvre, model and split; parameters; tolerances with their sources. SI throughout."""
     if flown is None:
-        return parts.TrajectoriesPart()
+        return documents.TrajectoriesPart()
     before, after, asked = flown.card, flown.extended, flown.asked
-    return parts.TrajectoriesPart.of(
+    return documents.TrajectoriesPart.of(
         flown,
         status={"card": before.status.name, "extended": after.status.name},
         at_bound={"card": before.at_bound, "extended": after.at_bound},
-        causes={name: parts.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
+        causes={name: documents.KeptPart(*missed, name in asked.kept) for name, missed in asked.missed.items()},
         tolerances=stated_tolerances(card, {name: STANDARD_CHANNELS[name].unit for name in flown.outputs}),
         paths=[path_part(parts.ComparedPath, path) for path in flown.paths],
         parameters={
-            name: parts.FlownEstimate(
+            name: documents.FlownEstimate(
                 before.values.get(name),
                 value,
                 flown.deviation[name],
@@ -407,11 +407,11 @@ class Flight:
 
 def fly_results(
     found: Flight, card: Card, records: Sequence[FlightRecord], source: dict[str, Any]
-) -> parts.TrajectoriesDocument:
+) -> documents.TrajectoriesDocument:
     """trajectories.json: plain numbers and text, SI and radians."""
     flown, fit = found.flown, found.flown.fit
     setting, beliefs = flown.setting, flown.departure_sd
-    return parts.TrajectoriesDocument.of(
+    return documents.TrajectoriesDocument.of(
         flown,
         card=card,
         records=record_parts(records, card),
@@ -428,13 +428,15 @@ def fly_results(
         inseparable=inseparable_parts(fit.inseparable),
         disagreement=found.apart,
         process_noise=UNSET if found.process_noise is None else found.process_noise,
-        posterior=parts.FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
+        posterior=documents.FlownPosterior.of(**dict.fromkeys(SAMPLERS, UNSET) | posterior_parts(found.posteriors))
         if found.posteriors
         else UNSET,
         frequency=[frequency_part(fit) for fit in flown.frequency] or UNSET,
         motion=UNSET if found.motion is None else motion_part(found.motion),
         initial_states={
-            manoeuvre: {n: parts.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()}
+            manoeuvre: {
+                n: documents.InitialState(*x, flown.units.get(n, "1"), beliefs.get(n)) for n, x in states.items()
+            }
             for manoeuvre, states in flown.initial.items()
         },
         residual_sd=dict(zip(fit.flown.outputs, np.sqrt(fit.R), strict=True)),
@@ -445,13 +447,13 @@ def fly_results(
     )
 
 
-def motion_part(found: Motion) -> parts.MotionPart:
+def motion_part(found: Motion) -> documents.MotionPart:
     """Modes of motion, SI and radians."""
     modes = [
-        parts.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
+        documents.ModePart.of(mode, eigenvalue=(mode.eigenvalue.real, mode.eigenvalue.imag), **mode.quantities)
         for mode in found.modes
     ]
-    return parts.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
+    return documents.MotionPart.of(found, estimates="process noise" if found.filtered else "output error", modes=modes)
 
 
 # --- histories.nc: the time histories behind the numbers of a run, to be laid over those of another tool. SI, radians.
