@@ -503,9 +503,9 @@ def unit_runner(
         ) from None
     speak = time.monotonic() + SILENCE
 
-    def tell(done: int, of: int, what: str) -> None:
+    def tell(done: int, of: int, what: str, waiting: bool) -> None:
         nonlocal speak
-        if what.startswith("waiting") and time.monotonic() > speak:
+        if waiting and time.monotonic() > speak:
             speak = float("inf")  # once; a terminal shows it all the time
             print(f"{what}; Ctrl-C stops", file=sys.stderr)
         show(f"{done}/{of} done, {what}", done / max(of, 1))

@@ -267,6 +267,7 @@ def test_what_is_not_as_the_classes_say_is_refused(flown, place, value):
         jsonschema.validate(results, document_schema("results"))
 
 
+@pytest.mark.verify
 def test_same_seed_same_numbers(flown):
     folder, paths, _ = flown
     with patch.object(job, "put_page", lambda *_: ()):  # of which results.json has nothing

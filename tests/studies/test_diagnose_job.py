@@ -172,9 +172,10 @@ def test_late_stages_that_fail_cost_nothing_that_was_found(repeated, card, tmp_p
     assert [c["name"] for c in content["causes"]] == [c.name for c in found.diagnosis.causes]
     assert "Test points that would decide" in page_of(tmp_path)
     assert "no such luck" in (tmp_path / "error.txt").read_text()
-    found = run(repeated.records, card, out=tmp_path, figures=False)
-    assert found.failures == ()
-    assert not (tmp_path / "error.txt").exists()
+    if points is bad:  # an error of an earlier run does not stay
+        found = run(repeated.records, card, out=tmp_path, figures=False)
+        assert found.failures == ()
+        assert not (tmp_path / "error.txt").exists()
 
 
 def test_a_state_that_cannot_be_trimmed_has_no_test_points(diagnosed, monkeypatch):
