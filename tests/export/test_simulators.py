@@ -7,9 +7,9 @@ import fmpy
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from export_round_trip import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 from exported_models import BOTH, everything, modelled, six, stall
 from fmpy.validation import validate_fmu
-from jsbsim_flights import CONTROLS, FOOT, POUND, SLUG, STATES, flown, loaded, simulated, started
 
 from bayes_aero.dynamics.aircraft import Longitudinal, RigidBody
 from bayes_aero.export.simulators import PROPERTIES, write_fmu
