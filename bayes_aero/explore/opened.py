@@ -261,8 +261,8 @@ LIMITS = (
 
 def linear_groups(found: IdentifiedLinear, errors: Mapping[str, float]) -> tuple[SliderGroup, ...]:
     """The parameters of each row, every parameter once, with the row that the card writes first; `errors` in SI."""
-    rows, free = found.rows, {p.name: p for p in found.free}
-    many = {name: found.names_of(name) for name in rows.by_manoeuvre}
+    rows, free = found.rows, {p.name: p for p in found.fitted.free}
+    many = {name: found.fitted.names_of(name) for name in rows.by_manoeuvre}
     titles = [f"rate of {name}" for name in rows.states] + [f"output {name}" for name in rows.outputs]
     parts = [[term.parameter for term in row] for _, row in rows.rows]
     titles, parts = [*titles, "delays"], [*parts, [parameter for _, parameter in rows.delays]]

@@ -8,19 +8,21 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from threading import RLock
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
 import bayes_aero
 from bayes_aero.atomic_write import write_whole
-from bayes_aero.errors import ERROR, InputError
+from bayes_aero.errors import ERROR, InputError, attempted
 from bayes_aero.flight.card import Card, shipped_cards
 from bayes_aero.flight.card_tables import is_file
 from bayes_aero.flight.record import FlightRecord
@@ -100,6 +102,52 @@ def picked(found: Any, *names: str) -> dict[str, Any]:
     """What `found` has under these names, as a part of a JSON document; a rename is written "key=name"."""
     rows = {key: getattr(found, name or key) for key, _, name in (name.partition("=") for name in names)}
     return {key: list(value) if isinstance(value, tuple) else value for key, value in rows.items()}
+
+
+# --- A result that grows, and its files with it.
+
+Result = TypeVar("Result")
+
+
+class Growing(Generic[Result]):
+    """A result with `notes` and `failures`, written whenever there is more of it, whichever thread found it.
+
+    Without a folder `out` nothing is written; `source` is its provenance.
+    """
+
+    found: Result
+
+    def __init__(self, card: Card, records: Sequence[FlightRecord], out: Path | None, source: dict[str, Any]) -> None:
+        self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
+
+    def write(self, out: Path) -> None:
+        """Its numbers, into the folder."""
+        raise NotImplementedError
+
+    def keep(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
+        """Put more into the result, and on disk."""
+        with self.lock:
+            before: Any = self.found
+            more = {"notes": (*before.notes, *notes), "failures": (*before.failures, *failures)}
+            self.found = replace(before, **changes, **more)
+            if self.out is not None:
+                self.write(self.out)
+
+    def attempt(self, what: str, do: Callable[[], Any], otherwise: Any = None, *, bad: str = "") -> Any:
+        """What `do` returns or, if it fails unexpectedly, `otherwise`, and the reason is kept.
+
+        So it is for bad input where there is a form `bad` of the note on it.
+        """
+        try:
+            found, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
+        except InputError as error:
+            if not bad:
+                raise
+            self.keep([bad.format(what, error)])
+            return otherwise
+        if failed:
+            self.keep((), failed)
+        return found
 
 
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.

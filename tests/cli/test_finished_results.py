@@ -121,7 +121,8 @@ def test_a_copy_of_a_fitted_record_is_no_new_one(here):
 def test_faults_of_a_new_record_are_told(here, folder, found):
     """In knots no flight can be simulated."""
     table = pd.read_csv("other.csv")
-    table.assign(VTASCG=table["VTASCG"] * 3600.0 / 1852.0).to_csv("knots.csv", index=False)
+    table = table.assign(HQNH=table["HQNH"] * 0.3048, VTASCG=table["VTASCG"] * 3600.0 / 1852.0)
+    table.to_csv("knots.csv", index=False)
     refused(here("qualify", "results", "knots.csv", *FEW), "knots: airspeed is in kt", "leave this record out")
     assert ("altitude", "unit") in {(f["channel"], f["fault"]) for f in found["health"] if f["grave"]}
     assert "altitude is in ft" in (folder / "qualification" / "qualification.html").read_text()

@@ -41,7 +41,7 @@ from bayes_aero.inference.results import (
 )
 from bayes_aero.jobs.io import documents, parts
 from bayes_aero.jobs.options import FIXED, FREE, HELD, LINEAR
-from bayes_aero.jobs.store import picked, writable, write_json
+from bayes_aero.jobs.store import picked
 from bayes_aero.model.records import with_sums
 from bayes_aero.physics.filters import differentiate, smooth
 from bayes_aero.report.figures.every_figure import FIGURES
@@ -50,7 +50,6 @@ from bayes_aero.report.tables.fly import parameter_rows
 from bayes_aero.report.tables.run_tables import PooledScores, next_flight_table, parameter_table, validation_table
 from bayes_aero.report.tables.table import write_csv
 from bayes_aero.report.text.diagnosis import sentences
-from bayes_aero.report.text.identification import verdict
 
 FLOWN = (0.001, 0.999)  # quantiles that bound the flown range of a channel
 
@@ -315,59 +314,36 @@ def processes_part(report: GPReport) -> parts.ProcessesPart:
     return parts.ProcessesPart.of(sampled_split=report.chosen, **splits)
 
 
-# --- What an identification writes: a file for each finished stage, and results.json with all of them.
+# --- What an identification writes beside results.json.
 
 
-class IdentificationFiles:
-    """Writes what a run has found so far; without a folder it writes nothing."""
-
-    def __init__(self, out: Path | None, source: dict[str, Any]) -> None:
-        self.out, self.source = out, source
-        self.flown: tuple[SimulatedManoeuvre, ...] = ()
-        if out is not None:
-            writable(out)
-
-    def stage(self, run: Identification, posterior_name: str | None = None, gp_done: bool = False) -> None:
-        """Write what `run` holds; a posterior and the Gaussian processes when they are new."""
-        if self.out is None:
-            return
-        if posterior_name is not None:
-            run.posteriors[posterior_name].save(self.out / f"posterior_{posterior_name}.nc")
-        if run.gp is not None and gp_done:
-            save_gp(run, self.out / "gpr.nc")
-        write_csv(parameter_table(run), self.out / "parameters.csv")
-        if run.next_flight is not None:
-            write_csv(next_flight_table(run), self.out / "next_flight.csv")
-            run.next_flight.save(self.out / "next_flight.nc")
-        if run.gp is not None:
-            write_csv(validation_table(run), self.out / "validation.csv")
-        write_json(results(run, verdict(run), self.source, self.flown), self.out / "results.json")
-
-    def remove_older(self, run: Identification, *, page: bool, figures: bool) -> None:
-        """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
-        if self.out is None:
-            return
-        older = {self.out / f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
-        if run.gp is None:
-            older |= {self.out / name for name in ("gpr.nc", "validation.csv")}
-        if run.next_flight is None:
-            older |= {self.out / name for name in ("next_flight.csv", "next_flight.nc")}
-        if not page:
-            older.add(self.out / "report.html")
-        if not figures:
-            older |= {self.out / "figures" / f"{stem}.png" for stem in FIGURES}
-        for path in older:
-            path.unlink(missing_ok=True)
+def write_identification(run: Identification, out: Path) -> None:
+    """Its tables."""
+    write_csv(parameter_table(run), out / "parameters.csv")
+    if run.next_flight is not None:
+        write_csv(next_flight_table(run), out / "next_flight.csv")
+    if run.gp is not None:
+        write_csv(validation_table(run), out / "validation.csv")
 
 
-def save_gp(run: Identification, path: Path) -> None:
+def remove_older(run: Identification, out: Path, *, page: bool, figures: bool) -> None:
+    """Take away what an earlier run has left in the folder and this one, now complete, has no successor for."""
+    older = {f"posterior_{key}.nc" for key in ("emcee", "nuts", "white") if key not in run.posteriors}
+    older |= {"gpr.nc", "validation.csv"} if run.gp is None else set()
+    older |= {"next_flight.csv", "next_flight.nc"} if run.next_flight is None else set()
+    older |= set() if page else {"report.html"}
+    older |= set() if figures else {f"figures/{stem}.png" for stem in FIGURES}
+    for name in older:
+        (out / name).unlink(missing_ok=True)
+
+
+def save_gp(report: GPReport, path: Path) -> None:
     """gpr.nc: a group per coefficient with its hyperparameters' posterior, and the validation of every split."""
-    assert run.gp is not None
     tree = xr.DataTree(name="gpr")
-    for name, fit in run.gp.fits.items():
+    for name, fit in report.fits.items():
         if fit.posterior is not None:
             tree[name] = fit.posterior.copy()
-    for split, folds in run.gp.splits.items():
+    for split, folds in report.splits.items():
         for number, fold in enumerate(folds):
             for name, v in fold.items():
                 columns = {k: ("test", getattr(v, k)) for k in ("measured", "gp", "gp_low", "gp_high", "mle")}
