@@ -24,6 +24,7 @@ from typechecker import check_once
 
 import bayes_aero as ba
 import bayes_aero.effects as effects
+import bayes_aero.flight.readers as readers
 from bayes_aero.cli.fits import identify as command
 from bayes_aero.diagnosis.candidate_set import DiagnosisSettings
 from bayes_aero.diagnosis.diagnose import diagnose
@@ -31,6 +32,7 @@ from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.flight.health import channel_health
 from bayes_aero.flight.health.finding import Consistency
+from bayes_aero.flight.readers import READERS
 from bayes_aero.inference.results import Posterior, PosteriorStatus
 from bayes_aero.jobs.check import RecordChecks
 from bayes_aero.jobs.options import IdentifyOptions
@@ -146,7 +148,7 @@ def test_whatever_reads_records_makes_the_same_checks():
 ENTRY = '''
 """Drag of the elevator, squared."""
 from bayes_aero.effects.longitudinal import ELEVATOR_DRAG
-from dataclasses import replace
+from dataclasses import dataclass, replace
 ELEVATOR_DRAG_AGAIN = replace(ELEVATOR_DRAG, name="elevator_drag_again")
 '''
 
@@ -165,6 +167,14 @@ def test_an_effect_is_one_entry_and_a_second_of_its_name_is_refused(tmp_path, mo
     beside("drag_twice", ENTRY.replace("elevator_drag_again", "elevator_drag"))
     with pytest.raises(InputError, match="second effect elevator_drag"):
         effects._discover()
+
+
+def test_a_file_format_is_one_module(tmp_path, monkeypatch):
+    (tmp_path / "more_files.py").write_text("READS = {'.flights': lambda raw: raw.decode()}\n")
+    monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(tmp_path)])
+    found = readers._discover()
+    assert found.keys() - READERS.keys() == {".flights"}
+    assert found[".flights"](b"of another recorder") == "of another recorder"
 
 
 BELOW = ("diagnosis", "inference", "residuals", "dynamics", "model")
