@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from bayes_aero.atomic_write import write_whole
 from bayes_aero.errors import DefectError, InputError
-from bayes_aero.export.identified import Identified, about, meaning, python_source, unit
+from bayes_aero.export.identified import Identified, about, meaning, unit
 from bayes_aero.export.program import Operand, Program
 from bayes_aero.physics.aircraft import GRAVITY, LATERAL, NAMES, Axis
 
@@ -333,21 +333,53 @@ def jsbsim_files(found: Identified) -> Mapping[str, str]:
     }
 
 
-# --- The model as an FMU 2.0 for co-simulation: the Python function in the wrapper of pythonfmu.
+# --- The model as an FMU 2.0 for co-simulation: its steps in the wrapper of pythonfmu.
 
 MOST_SECONDS = 300
 SLAVE = '''"""Co-simulation of an identified aerodynamic model."""
 
 import math
+import operator
 from xml.etree.ElementTree import SubElement
 
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
-import {module} as model
-
 INPUTS = {inputs!r}
 POINTS = {points!r}
 OUTPUTS = {outputs!r}
+PARAMETERS = {parameters!r}
+CONSTANTS = {constants!r}
+STEPS = {steps!r}
+RESULTS = {results!r}
+
+SAME = ("add", "sub", "mul", "neg", "lt", "le", "gt", "ge", "eq", "ne")
+OPERATIONS = {{name: getattr(operator, name) for name in SAME}}
+OPERATIONS |= {{
+    name: getattr(math, name)
+    for name in (
+        "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+        "cosh", "tanh", "floor", "ceil", "pow",
+    )
+}}
+OPERATIONS |= {{
+    "div": operator.truediv, "min": min, "max": max, "abs": abs, "not": operator.not_,
+    "and": lambda x, y: x and y, "or": lambda x, y: x or y, "select": lambda where, x, y: x if where else y,
+    "sign": lambda x: float(x > 0.0) - float(x < 0.0),
+    "logistic": lambda x: 1.0 / (1.0 + math.exp(-x)) if x >= 0.0 else math.exp(x) / (1.0 + math.exp(x)),
+}}
+
+
+def aerodynamics(signals, states, parameters=PARAMETERS):
+    """Coefficients and separation points."""
+    values = dict(CONSTANTS)
+    for kind, given in (("signal", signals), ("state", states), ("parameter", parameters)):
+        values.update((f"{{kind}}.{{name}}", x) for name, x in given.items())
+    for name, operation, arguments in STEPS:
+        try:
+            values[name] = OPERATIONS[operation](*(values[x] if isinstance(x, str) else x for x in arguments))
+        except (ArithmeticError, ValueError):  # of a branch that `select` may not take
+            values[name] = math.nan
+    return {{name: values[x] if isinstance(x, str) else x for name, x in RESULTS.items()}}
 
 
 class {name}(Fmi2Slave):
@@ -357,7 +389,7 @@ class {name}(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self.inputs = dict.fromkeys(INPUTS, 0.0) | {start!r}
-        self.parameters = dict(model.PARAMETERS)
+        self.parameters = dict(PARAMETERS)
         self.states = dict.fromkeys(POINTS, 1.0)
         self.outputs = dict.fromkeys(OUTPUTS, 0.0)
         for name, text in INPUTS.items():
@@ -386,7 +418,7 @@ class {name}(Fmi2Slave):
         return root
 
     def _evaluate(self):
-        found = model.aerodynamics(**self.inputs, **self.states, parameters=self.parameters)
+        found = aerodynamics(self.inputs, self.states, self.parameters)
         self.outputs.update((name, found[name]) for name in OUTPUTS)
         return found
 
@@ -415,10 +447,9 @@ def write_fmu(found: Identified, folder: Path) -> Path:
     name = re.sub(r"\W", "_", f"{found.name}_aerodynamics")
     name = name if name.isidentifier() else f"_{name}"
     with tempfile.TemporaryDirectory() as there:
-        function, slave = Path(there) / f"{name}_function.py", Path(there) / f"{name}_slave.py"
-        function.write_text(python_source(found), encoding="utf-8")
-        slave.write_text(slave_source(found, name, function.stem), encoding="utf-8")
-        words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there, str(function)]
+        slave = Path(there) / f"{name}_slave.py"
+        slave.write_text(slave_source(found, name), encoding="utf-8")
+        words = [sys.executable, "-m", "pythonfmu", "build", "-f", str(slave), "-d", there]
         # a process of its own: pythonfmu imports the slave by its name, and keeps that module
         done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
         made = Path(there) / f"{name}.fmu"
@@ -428,19 +459,25 @@ def write_fmu(found: Identified, folder: Path) -> Path:
         return write_whole(made.read_bytes(), folder / made.name)
 
 
-def slave_source(found: Identified, name: str, module: str) -> str:
-    """The text of the FMU's Python class, which evaluates the function of `module`."""
-    program = found.program
+def slave_source(found: Identified, name: str) -> str:
+    """The text of the FMU's Python class, which carries out the steps of the program."""
+    program, read = found.program, found.program.inputs_of("parameter")
     signals, points = program.inputs_of("signal"), program.inputs_of("state")
+    for channel in signals:
+        if not channel.isidentifier():
+            raise InputError(f"channel {channel} cannot be a variable of an FMU; give it another name on the card")
     outputs = {n: "separation point" for n in program.outputs if n != "lag"}
     outputs |= {n: f"{text} without lag" for n, text in outputs.items() if n.endswith("_static")}
     outputs |= dict.fromkeys(found.exported.coefficients, "coefficient")
     return SLAVE.format(
-        module=module,
         name=name,
         inputs={n: f"{meaning(n)}, {unit(n) or 'SI'}" for n in signals},
         points=points,
         outputs=outputs,
+        parameters={p.name: found.values[p.name] for p in found.exported.parameters if p.name in read},
+        constants={f"aircraft.{n}": found.inputs[f"aircraft.{n}"] for n in program.inputs_of("aircraft")},
+        steps=[(step.name, step.operation, step.arguments) for step in program.steps],
+        results=dict(program.outputs),
         start={n: x for n, x in START.items() if n in signals},
         description=" ".join(about(found)),
     )
