@@ -20,21 +20,10 @@ from bayes_aero.effect import Effect, Stage
 from bayes_aero.effects import CATALOGUE
 from bayes_aero.errors import InputError
 from bayes_aero.export.identified import Identified
-from bayes_aero.flight.card import Card
 from bayes_aero.flight.record import FlightRecord
 from bayes_aero.jobs.check import RecordChecks, record_checks
-from bayes_aero.jobs.finished import (
-    Finished,
-    IdentifiedLinear,
-    card_of,
-    drawn,
-    fitted_records,
-    read_finished,
-    with_process_noise,
-    write_export,
-)
+from bayes_aero.jobs.finished import FinishedResult, IdentifiedLinear, as_written, drawn, read_finished, write_export
 from bayes_aero.jobs.options import FIXED, HELD
-from bayes_aero.jobs.store import read_result, result_file
 from bayes_aero.model.model import Model
 from bayes_aero.model.observations import despiked, join
 from bayes_aero.model.records import on_recorded_axes
@@ -46,15 +35,10 @@ from bayes_aero.residuals.equation_error import EquationError
 
 
 @dataclass(frozen=True)
-class OpenedResult:
-    """A result of identify, fly or diagnose. SI and radians."""
+class OpenedResult(FinishedResult):
+    """A result with its flights. SI and radians."""
 
-    folder: Path
-    command: str  # identify, fly or diagnose
-    identified: Finished
-    card: Card  # with which the result was made
-    records: Sequence[FlightRecord]
-    told: Mapping[str, Any]  # what the result says
+    flown: Sequence[FlightRecord]
     errors: Mapping[str, float]  # standard errors by parameter, where the result has them
     departures: Mapping[str, Mapping[str, float]]
     """By manoeuvre and state, what was fitted to its measured value at the first sample; empty: the initial states are
@@ -74,15 +58,10 @@ class OpenedResult:
         return f"{self.command}: {self.folder}"
 
     @property
-    def linear(self) -> bool:
-        """Whether the model is a linear system."""
-        return isinstance(self.identified, IdentifiedLinear)
-
-    @property
     def limits(self) -> tuple[str, ...]:
         """Doubts about the records, and a sentence on each thing that the model or the fit has and the page has not."""
-        said = [*self.doubts, *([LIMITS] if self.linear else [])]
-        if self.command == "fly" and with_process_noise(self.told):
+        said = [*self.doubts, *([LIMITS] if self.linear is not None else [])]
+        if self.command == "fly" and self.filtered:
             said.append(
                 "The values are those of the fit with process noise. Its gusts and the noise of its states "
                 "are not flown here, as the result has no history of that noise: errors are those in still air."
@@ -102,39 +81,25 @@ class OpenedResult:
         return () if isinstance(found, IdentifiedLinear) else addable(found.model, channels)
 
 
-COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
-
-
 def open_result(given: str, card: str | None = None, folders: Sequence[Path] = ()) -> OpenedResult:
     """Read the result in a folder or file, its card and its records, which may lie in `folders`."""
-    file = result_file(given)
-    if file is None:
-        raise InputError(f"{given} is a card; give the folder of a result of identify, fly or diagnose")
-    told = read_result(file)
-    identified, folder, told = read_finished(given, card)
-    assert folder is not None
-    whose = card_of(told["provenance"], file, card)
-    command = COMMANDS[told["schema"].split("/")[1]]
-    try:
-        remedy = "give its folder with --records"
-        records = fitted_records(told["provenance"], file, whose, remedy=remedy, folders=folders)
-        known = _fitted_numbers(told, command)
-    except (KeyError, TypeError, AttributeError, ValueError) as reason:
-        if isinstance(reason, InputError):
-            raise
-        raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
-    checks = record_checks(records, whose, seed=0, seek=False)
-    return OpenedResult(folder, command, identified, whose, records, told, *known, checks)
+    result = read_finished(given, card)
+    records = result.records("give its folder with --records", folders=folders)
+    with as_written(result.file):
+        numbers = _fitted_numbers(result)
+    return OpenedResult(
+        **vars(result), flown=records, **numbers, checks=record_checks(records, result.card, 0, seek=False)
+    )
 
 
-def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def _fitted_numbers(result: FinishedResult) -> dict[str, Any]:
     """Standard errors, the residuals' autocorrelation counted, and departures of the initial states of output error."""
-    departures: dict[str, dict[str, float]] = {}
-    if command == "identify":
+    told, departures = result.told, {}
+    if result.command == "identify":
         found = {name: p["crb_corrected"] for name, p in told["mle"]["parameters"].items()}
-    elif command == "fly":
+    elif result.command == "fly":
         found = {name: p["sd_corrected"] for name, p in told["parameters"].items()}
-        if with_process_noise(told):  # whose fit has no initial states
+        if result.filtered:  # whose fit has no initial states
             found |= {name: sd for name, (_, sd) in told["process_noise"]["estimates"].items()}
         else:
             for manoeuvre, states in told["initial_states"].items():
@@ -142,7 +107,8 @@ def _fitted_numbers(told: Mapping[str, Any], command: str) -> tuple[dict[str, fl
     else:
         found = {name: move["sd_after"] for name, move in told["base_parameters"].items()}
         found |= {name: p["sd"] for cause in told["causes"] for name, p in cause["parameters"].items()}
-    return {name: float(x) for name, x in found.items() if x is not None and x > 0.0}, departures
+    errors = {name: float(x) for name, x in found.items() if x is not None and x > 0.0}
+    return {"errors": errors, "departures": departures}
 
 
 # --- What is chosen on the page: values, effects that are off, effects that are added, and the model of it.
@@ -372,10 +338,10 @@ class Simulator:
     def __init__(self, opened: OpenedResult) -> None:
         """Join the records."""
         self.opened = opened
-        self.card, _ = on_recorded_axes(opened.card, opened.records, OF_AXIS, DERIVED)
+        self.card, _ = on_recorded_axes(opened.card, opened.flown, OF_AXIS, DERIVED)
         found = opened.identified
         required = found.rows.inputs if isinstance(found, IdentifiedLinear) else FLIGHT
-        self.flights, _ = despiked(join(opened.records, self.card, required))
+        self.flights, _ = despiked(join(opened.flown, self.card, required))
         setting = opened.told.get("setting", {})
         self.held = setting.get("inputs") == HELD
         self.fixed = self.card.fly.initial_state if setting.get("initial_state") == FIXED else None
@@ -426,7 +392,7 @@ class Simulator:
     def fan(self, manoeuvre: int, count: int = DRAWS, seed: int = 0) -> tuple[str, dict[str, np.ndarray]]:
         """Outputs and coefficients (m, n) of draws of the result's parameters, and where the draws come from."""
         opened, values = self.opened, self._values(Choice())
-        draws = drawn(opened.identified, opened.folder, opened.told, opened.identified.names, count, seed)
+        draws = drawn(opened, opened.identified.names, count, seed)
         theta = np.tile(list(values.values()), (count, 1))
         for k, name in enumerate(draws.names):
             if name in values:
@@ -479,7 +445,7 @@ class Simulator:
             residuals = None
             if own.model is not None:
                 try:
-                    record, _ = despiked(join([self.opened.records[manoeuvre]], self.card))
+                    record, _ = despiked(join([self.opened.flown[manoeuvre]], self.card))
                     flights = replace(record.nameless, channels=dict(record.channels))
                     residuals = EquationError(flights, own.model, (), ())
                 except InputError as reason:

@@ -83,7 +83,7 @@ class ExplorePage:
             "manoeuvres": simulator.manoeuvres,
             "addable": [(e.name, e.claim) for e in self.opened.addable(tuple(simulator.flights.channels))],
             "limits": self.opened.limits,
-            "linear": self.opened.linear,
+            "linear": self.opened.linear is not None,
             "forms": tuple(FORMS),
             "legend": [(key, COLOURS[key], words) for key, words in WORDS.items()],
             "sources": self.opened.identified.sources,

@@ -6,8 +6,8 @@ import csv
 import io
 import re
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -98,34 +98,87 @@ def unchanged_record(one: Mapping[str, Any], card: Card, there: Sequence[Path]) 
 USABLE = ("converged", "at_bound")
 
 
-def read_identified(given: str, card: str | None = None) -> tuple[Identified, Path | None, Mapping[str, Any]]:
-    """The model of effects of a folder of results, of a result file, or of a card; see `read_finished`."""
-    found, folder, told = read_finished(given, card)
-    if isinstance(found, IdentifiedLinear):
-        raise InputError(
-            f"card {found.name} states a linear system, which has no coefficients to export; use a result of a card "
-            "with [model]"
-        )
-    return found, folder, told
+@dataclass(frozen=True)
+class FinishedResult:
+    """A result of identify, fly or diagnose: its file and what that says, its card, and the model with its values."""
+
+    file: Path
+    told: Mapping[str, Any]
+    card: Card
+    identified: Finished
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self.file.parent
+
+    @property
+    def command(self) -> str:
+        """That made it: identify, fly or diagnose."""
+        return COMMANDS[self.told["schema"].split("/")[1]]
+
+    @property
+    def linear(self) -> IdentifiedLinear | None:
+        """The model, where it is a linear system."""
+        return self.identified if isinstance(self.identified, IdentifiedLinear) else None
+
+    @property
+    def filtered(self) -> bool:
+        """Whether a fit with process noise describes the record better than output error does."""
+        return with_process_noise(self.told)
+
+    def records(self, remedy: str, files: Sequence[Path] = (), folders: Sequence[Path] = ()) -> list[FlightRecord]:
+        """Its records; see `fitted_records`."""
+        with as_written(self.file):
+            return fitted_records(
+                self.told["provenance"], self.file, self.card, remedy=remedy, files=files, folders=folders
+            )
 
 
-def read_finished(given: str, card: str | None = None) -> tuple[Finished, Path | None, Mapping[str, Any]]:
-    """The model of a folder of results, of a result file, or of a card; that of a result may be a linear system.
+COMMANDS = {"results": "identify", "trajectories": "fly", "diagnosis": "diagnose"}
 
-    `card`: that of the result, where it is not found by itself. Returns the model with its values, the folder of the
-    result (None: a card) and the result itself; `InputError` where the fit did not converge or has no value of all.
-    """
-    file = result_file(given)
-    if file is None:
-        return model_of_card(read_card(given)), None, {}
-    told = read_result(file)
+
+@contextmanager
+def as_written(file: Path) -> Iterator[None]:
+    """What a result lacks is reported by its file."""
     try:
-        found = model_of_result(told, file, card_of(told["provenance"], file, card))
+        yield
     except (KeyError, TypeError, AttributeError, ValueError) as reason:
         if isinstance(reason, InputError):
             raise
         raise InputError(f"{file} is not as bayes-aero wrote it ({reason!r}); run the command again") from None
-    return found, file.parent, told
+
+
+def read_finished(
+    given: str,
+    card: str | None = None,
+    no_card: str = "; give the folder of a result of identify, fly or diagnose",
+) -> FinishedResult:
+    """The result in a folder or file; its model may be a linear system. A card is refused with `no_card`.
+
+    `card`: that of the result, where it is not found by itself. `InputError` where the fit did not converge or has no
+    value of all.
+    """
+    file = result_file(given)
+    if file is None:
+        raise InputError(f"{given} is a card{no_card}")
+    told = read_result(file)
+    with as_written(file):
+        made_with = card_of(told["provenance"], file, card)
+        return FinishedResult(file, told, made_with, model_of_result(told, file, made_with))
+
+
+def read_identified(given: str, card: str | None = None) -> tuple[Identified, FinishedResult | None]:
+    """The model of effects of a folder of results, of a result file, or (without a result) of a card."""
+    if result_file(given) is None:
+        return model_of_card(read_card(given)), None
+    result = read_finished(given, card)
+    if isinstance(result.identified, IdentifiedLinear):
+        raise InputError(
+            f"card {result.identified.name} states a linear system, which has no coefficients to export; use a result "
+            "of a card with [model]"
+        )
+    return result.identified, result
 
 
 def model_of_card(card: Card) -> Identified:
@@ -241,9 +294,15 @@ def exported(found: Identified) -> tuple[str, ...]:
     return tuple(p.name for p in found.exported.free if p.name in found.program.inputs_of("parameter"))
 
 
-def drawn(
-    found: Finished, folder: Path | None, told: Mapping[str, Any], wanted: Sequence[str], count: int, seed: int
-) -> Draws:
+def no_draws(name: str) -> InputError:
+    """What is reported where there is nothing to draw from."""
+    return InputError(
+        f"{name}: there is neither a posterior that converged nor a covariance to draw from; run the command of the "
+        "result again with this version, or do without draws"
+    )
+
+
+def drawn(result: FinishedResult, wanted: Sequence[str], count: int, seed: int) -> Draws:
     """`count` draws of the parameters `wanted` that were fitted.
 
     A posterior that converged comes first; else estimates and covariance, corrected for coloured residuals, give a
@@ -251,11 +310,11 @@ def drawn(
     """
     if not 1 <= count <= MOST_DRAWS:
         raise InputError(f"--draws is {count}; give a number from 1 to {MOST_DRAWS}")
-    rng = np.random.default_rng(seed)
+    rng, told, found = np.random.default_rng(seed), result.told, result.identified
     for sampler in SAMPLERS:
         status = told.get("posterior", {}).get("status", {}).get(sampler)
-        file = None if folder is None else folder / f"posterior_{sampler}.nc"
-        if status is None or status["status"] != "converged" or file is None or not file.is_file():
+        file = result.folder / f"posterior_{sampler}.nc"
+        if status is None or status["status"] != "converged" or not file.is_file():
             continue
         with xr.open_datatree(file, engine="h5netcdf") as tree:
             posterior = tree["posterior"].to_dataset()
@@ -265,18 +324,14 @@ def drawn(
             raise InputError(f"{file} has {len(values)} draws; give --draws {len(values)} or less")
         origin = f"posterior by {sampler} under {status['noise']} noise"
         return Draws(names, values[rng.choice(len(values), count, replace=False)], origin)
-    filtered = with_process_noise(told)
     if "causes" in told:  # a diagnosis
         stored = told.get("covariance") or {}
         rows, matrix = stored.get("parameters", ()), stored.get("matrix")
     else:
-        part = told["process_noise"] if filtered else told.get("mle", told)
-        rows, matrix = part["estimates" if filtered else "parameters"], part.get("covariance")
+        part = told["process_noise"] if result.filtered else told.get("mle", told)
+        rows, matrix = part["estimates" if result.filtered else "parameters"], part.get("covariance")
     if matrix is None:
-        raise InputError(
-            f"{found.name}: there is neither a posterior that converged nor a covariance to draw from; run the command "
-            "of the result again with this version, or do without draws"
-        )
+        raise no_draws(found.name)
     # About the estimates, within the bounds; what the covariance does not know is left out.
     covariance = np.array(matrix, dtype=float)
     known = [name in wanted and bool(np.all(np.isfinite(covariance[i]))) for i, name in enumerate(rows)]
@@ -295,7 +350,7 @@ def drawn(
         )
     held = [name for name in wanted if name not in names]
     origin = "normal distribution of the estimates, " + (
-        "covariance of the fit with process noise" if filtered else "covariance corrected for coloured residuals"
+        "covariance of the fit with process noise" if result.filtered else "covariance corrected for coloured residuals"
     )
     return Draws(names, draws, origin + (f"; {', '.join(held)} held at the estimate" if held else ""))
 
@@ -405,10 +460,12 @@ def export(
     """
     if form not in FORMS:
         raise InputError(f"there is no form {form!r} to export to; give one of {', '.join(FORMS)}")
-    found, folder, told = read_identified(given, card)
+    found, result = read_identified(given, card)
     found = _renamed(found)
     if draws:
-        found = replace(found, draws=drawn(found, folder, told, exported(found), draws, seed))
+        if result is None:
+            raise no_draws(found.name)
+        found = replace(found, draws=drawn(result, exported(found), draws, seed))
     target = out or Path(f"{found.name}_{form}")
     return target, write_export(found, form, target)
 

@@ -197,7 +197,7 @@ def test_axes_that_were_not_recorded_are_not_exported():
     card = {"name": "six", "sha256": hashlib.sha256(six.read_bytes()).hexdigest()}
     change(Path("results/results.json"), provenance__card=card)
     shutil.copy(six, "results/six.toml")
-    found, _, _ = read_identified("results")
+    found, _ = read_identified("results")
     assert found.model.coefficients == ("CL", "CD", "Cm")
     assert all("Clbe" not in text for text in jsbsim_files(found).values())
 
