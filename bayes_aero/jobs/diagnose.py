@@ -108,17 +108,17 @@ def diagnose_records(
     failed = (*checks.failures, *found.failures)
     outcome = Outcome(view, hidden, named, (), checks.health, checks.consistency, failed)
     kept = ResultStore(card, records, out, source)
-    kept.found = outcome
+    kept.result = outcome
     kept.keep(left_out, view={"diagnosis": view.diagnosis, "trajectories": view.trajectories})
     follow_up(kept, records, card, options, progress)
-    return kept.found
+    return kept.result
 
 
 def follow_up(
     kept: ResultStore, records: Sequence[FlightRecord], card: Card, options: DiagnoseOptions, progress: Progress | None
 ) -> None:
     """What follows the search for causes, the trajectories beside all the rest; then the page."""
-    diagnosis, attempt = kept.found.diagnosis, partial(kept.attempt, bad="{}: {}")
+    diagnosis, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     shown = DIAGNOSIS_FIGURES if options.figures else {}
     early, late = ({n: draw for n, draw in shown.items() if (n in AFTER_TRAJECTORIES) == x} for x in (False, True))
     with (
@@ -132,13 +132,13 @@ def follow_up(
             attempt("Trajectories were not simulated", lambda: kept.keep(view={"trajectories": fly()}))
         if diagnosis.compared == TRAJECTORIES:
             # By trajectories alone hold-out flights and the sensors' noise judge the causes.
-            if (flown := kept.found.view.trajectories) is not None:
+            if (flown := kept.result.view.trajectories) is not None:
                 held = {name for names in flown.held.values() for name in names}
                 diagnosis = judged_on_held_out_flights(diagnosis, flown.asked, held)
             kept.keep(view={"diagnosis": with_tested(diagnosis, flown, records, card)})
             if not options.trajectories and diagnosis.causes:
                 kept.keep(["Without trajectories no cause was tested on hold-out flights."])
-        elif (flown := kept.found.view.trajectories) and (
+        elif (flown := kept.result.view.trajectories) and (
             doubtful := sensors_not_missed(diagnosis, flown.asked)
         ).missed:
             kept.keep(view={"diagnosis": judged_on_held_out_flights(diagnosis, doubtful)})
@@ -168,7 +168,7 @@ class ResultStore(Growing[Outcome]):
 
     def write(self, out: Path) -> None:
         """diagnosis.json."""
-        write_json(diagnosis_results(self.found, self.card, self.records, self.source), out / "diagnosis.json")
+        write_json(diagnosis_results(self.result, self.card, self.records, self.source), out / "diagnosis.json")
 
     def keep(
         self,
@@ -179,7 +179,7 @@ class ResultStore(Growing[Outcome]):
     ) -> None:
         """Put more into the outcome and on disk: `notes` on what was left out, parts of its view, other parts."""
         with self.lock:
-            seen = replace(self.found.view, **view) if view else self.found.view
+            seen = replace(self.result.view, **view) if view else self.result.view
             super().keep(notes, failures, view=seen, **changes)
         if self.out is None:
             return
@@ -202,7 +202,7 @@ class ResultStore(Growing[Outcome]):
 
     def put_page(self, drawn: Mapping[str, Path]) -> None:
         """report.html with the figures `drawn`; a note says why if there is none."""
-        o = self.found
+        o = self.result
         names = ("test_points", "in_band", "notes", "consistency", "failures", "health")
         about: dict[str, Any] = {name: getattr(o, name) for name in names}
         about["revealed"] = revealed(o.hidden, o.named) if o.hidden else ()
@@ -220,14 +220,14 @@ def follow(
 
     Returns the figures drawn, by name.
     """
-    found, attempt = kept.found.diagnosis, partial(kept.attempt, bad="{}: {}")
+    found, attempt = kept.result.diagnosis, partial(kept.attempt, bad="{}: {}")
     if test_points:
         what = "Test points that would decide what is open were not chosen"
         attempt(what, lambda: kept.keep(test_points=proposed_points(found, envelope)))
         attempt("Causes were not fitted in a band of frequencies", lambda: kept.keep(in_band=causes_in_band(found)))
     if kept.out is None:
         return {}
-    view = kept.found.view
+    view = kept.result.view
     if isinstance(view, View):
         tell("stall", 0.0)
         attempt("Stall left out", lambda: kept.keep(view={"stalls": with_stalls(view).stalls}))
@@ -238,7 +238,7 @@ def follow(
 
 def drawings(kept: ResultStore, figures: ViewFigures, tell: Progress | None) -> dict[str, Path]:
     """Draw `figures` of what was found so far: paths by name; a note for each that failed."""
-    view = kept.found.view
+    view = kept.result.view
     if not figures or kept.out is None or not isinstance(view, View):
         return {}
     written, failed = draw_all(figures, view, kept.out / "figures", tell)

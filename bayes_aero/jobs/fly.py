@@ -120,7 +120,7 @@ def fly(
     if sample is not None:
         kept.sample(sample)
     kept.show(figures=options.figures, progress=progress)
-    return kept.found
+    return kept.result
 
 
 def findings(
@@ -143,7 +143,7 @@ class FlightStore(Growing[Flight]):
 
     def write(self, out: Path) -> None:
         """All numbers but the draws."""
-        found = self.found
+        found = self.result
         write_csv(parameter_table(found.flown), out / "parameters.csv")
         if found.process_noise is not None and found.process_noise.histories:
             write_csv(gust_table(found.process_noise), out / "gusts.csv")
@@ -153,7 +153,7 @@ class FlightStore(Growing[Flight]):
 
     def begin(self, found: Flight) -> None:
         """The numbers so far; posteriors of an earlier run go."""
-        self.found = found
+        self.result = found
         for name in ("posterior_nuts.nc", "posterior_emcee.nc", "posterior.csv"):
             if self.out is not None:
                 (self.out / name).unlink(missing_ok=True)
@@ -161,7 +161,7 @@ class FlightStore(Growing[Flight]):
 
     def sample(self, sample: Sampling) -> None:
         """The posterior by each sampler, which takes minutes, and what is said of its chains."""
-        begun, posteriors = self.found, {}
+        begun, posteriors = self.result, {}
         for engine in ENGINES:
             new = self.attempt("The posterior was not sampled", partial(sample, engine), {})
             posteriors |= new
@@ -173,7 +173,7 @@ class FlightStore(Growing[Flight]):
 
     def show(self, *, figures: bool, progress: Progress | None) -> None:
         """Histories, figures and page, and what could not be made of them."""
-        found, out = self.found, self.out
+        found, out = self.result, self.out
         if out is None:
             return
         together = [replace(path, split=FITTED) for path in found.flown.paths]  # first values and fit side by side
@@ -191,7 +191,7 @@ class FlightStore(Growing[Flight]):
         if progress:
             progress("report", 0.95)
         names = ("sentences", "notes", "consistency", "failures", "health", "process_noise", "posteriors", "motion")
-        told: dict[str, Any] = {name: getattr(self.found, name) for name in names}
+        told: dict[str, Any] = {name: getattr(self.result, name) for name in names}
         pictures = {path.stem: path for path in drawn}
         context = FlyContext(self.card, self.records, self.source, figures=pictures, **told)
         if failed := put_page(lambda: fly_page(found.flown, context), out):

@@ -68,10 +68,10 @@ def identify(
     if options.gp:
         job.train_gp()
     # CLmax and its angle from the first posterior that converged.
-    job.keep(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.found)))
+    job.keep(stall=job.stage("stall", "Stall left out", lambda: stall_of_run(job.result)))
     if out is not None:
         job.show(out)
-    return job.found
+    return job.result
 
 
 class _Job(Growing[Identification]):
@@ -103,8 +103,8 @@ class _Job(Growing[Identification]):
 
     def write(self, out: Path) -> None:
         """The tables, and results.json."""
-        write_identification(self.found, out)
-        write_json(results(self.found, verdict(self.found), self.source, self.flown), out / "results.json")
+        write_identification(self.result, out)
+        write_json(results(self.result, verdict(self.result), self.source, self.flown), out / "results.json")
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -136,7 +136,7 @@ class _Job(Growing[Identification]):
             said.append(f"Figures with a panel for each manoeuvre are drawn for up to {MOST_MANOEUVRES} of them.")
         with self.timed("mle"):
             raw = fit_mle(model, observations, seed=seed)
-            self.found = Identification(
+            self.result = Identification(
                 self.card,
                 model,
                 tuple(self.records),
@@ -157,7 +157,7 @@ class _Job(Growing[Identification]):
                 what = "The bias from sensor noise was not subtracted from the estimates"
                 correct = partial(without_noise_bias, raw, self.repaired, self.card, model, seed=seed)
                 mle = self.attempt(what, correct, raw)
-                self.found = replace(self.found, mle=mle)
+                self.result = replace(self.result, mle=mle)
             each = partial(fit_each_manoeuvre, model, observations, seed=seed)
             alone = self.attempt("Manoeuvres were not fitted alone", each, {})
             preparation = () if matched else filter_mismatch_notes(self.repaired, self.card, model, raw)
@@ -167,12 +167,12 @@ class _Job(Growing[Identification]):
         """The same parameters in the frequency domain."""
         with self.timed("frequency domain"):
             seed = self.options.seed
-            found = coefficients_in_band(self.repaired, self.card, self.model, self.found.mle, band, seed=seed)
+            found = coefficients_in_band(self.repaired, self.card, self.model, self.result.mle, band, seed=seed)
         self.keep(frequency_sentences(found), frequency=found)
 
     def pool(self) -> None:
         """Partial pooling of the manoeuvres, and the next flight."""
-        do = partial(pooled_manoeuvres, self.found, self.repaired, seed=self.options.seed, progress=self.progress)
+        do = partial(pooled_manoeuvres, self.result, self.repaired, seed=self.options.seed, progress=self.progress)
         found = self.stage("next flight", "The next flight was left out", do, bad="{}: {}.")
         if found is not None and self.out is not None:
             found.save(self.out / "next_flight.nc")
@@ -180,14 +180,14 @@ class _Job(Growing[Identification]):
 
     def fly(self, out: Path) -> None:
         """Simulate the fitted model from measured initial states with the recorded inputs, where there are all."""
-        values = dict(zip(self.found.mle.names, map(float, self.found.mle.estimate), strict=True))
+        values = dict(zip(self.result.mle.names, map(float, self.result.mle.estimate), strict=True))
         bands = {name: tolerance.value for name, tolerance in self.card.tolerances.items()}
 
         def flown() -> tuple[SimulatedManoeuvre, ...]:
             return fly_given(despiked(join(self.records, self.card, FLIGHT))[0], self.model, values, bands)
 
         self.flown = self.stage("flights", "The identified model was not flown", flown, bad="{}: {}") or ()
-        self.keep((), put_histories(lambda: identified(self.found), out))
+        self.keep((), put_histories(lambda: identified(self.result), out))
 
     def sample(self) -> None:
         """The posteriors, one after the other."""
@@ -197,11 +197,11 @@ class _Job(Growing[Identification]):
             if found is not None:
                 if self.out is not None:
                     found[0].save(self.out / f"posterior_{key}.nc")
-                self.keep(found[1], posteriors=self.found.posteriors | {key: found[0]})
+                self.keep(found[1], posteriors=self.result.posteriors | {key: found[0]})
 
     def posterior(self, key: str, colour: Colour, engine: Any) -> tuple[Posterior, tuple[str, ...]]:
         """A posterior, with what is said of its other modes and of the priors that it leans on."""
-        run, seed = self.found, self.options.seed
+        run, seed = self.result, self.options.seed
         density = Density.of(run.observations, run.model, Noise(colour), run.mle.bias)
         mode = search_modes(density, density_start(density, run.mle), run.observations.n, seed=seed)
         found = engine(density, mode, seed=seed, progress=self.progress)
@@ -213,7 +213,7 @@ class _Job(Growing[Identification]):
     def train_gp(self) -> None:
         """Gaussian processes beside maximum likelihood; too many samples for the exact process are a note."""
         training = Training(self.options.split, self.options.seed)
-        asked = (self.model, self.observations, self.found.mle, self.card.gp_inputs, training, self.progress)
+        asked = (self.model, self.observations, self.result.mle, self.card.gp_inputs, training, self.progress)
         report = self.stage("gp", "Gaussian process left out", partial(validate, *asked), bad="{}: {}")
         if report is not None and self.out is not None:
             save_gp(report, self.out / "gpr.nc")
@@ -225,16 +225,16 @@ class _Job(Growing[Identification]):
         if options.figures:
             with self.timed("figures"):
                 left_out = "The probability integral transform was left out"
-                self.keep(pit=self.attempt(left_out, partial(pit_of, self.found)))
-                drawn, failed = draw_all(FIGURES, self.found, out / "figures", self.progress)
+                self.keep(pit=self.attempt(left_out, partial(pit_of, self.result)))
+                drawn, failed = draw_all(FIGURES, self.result, out / "figures", self.progress)
             self.keep((), failed)
         if options.page:
             shown = (self.source, {p.stem: p for p in drawn}, self.flown)
             with self.timed("report"):
-                failed = put_page(lambda: identification_page(self.found, *shown), out)
+                failed = put_page(lambda: identification_page(self.result, *shown), out)
             if failed:
                 self.keep((), failed)
-        remove_older(self.found, out, page=options.page, figures=options.figures)
+        remove_older(self.result, out, page=options.page, figures=options.figures)
 
 
 def posterior_plan(noise: Colour) -> list[tuple[str, Colour, Any]]:

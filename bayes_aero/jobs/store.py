@@ -115,7 +115,7 @@ class Growing(Generic[Result]):
     Without a folder `out` nothing is written; `source` is its provenance.
     """
 
-    found: Result
+    result: Result
 
     def __init__(self, card: Card, records: Sequence[FlightRecord], out: Path | None, source: dict[str, Any]) -> None:
         self.card, self.records, self.out, self.source, self.lock = card, records, out, source, RLock()
@@ -127,9 +127,9 @@ class Growing(Generic[Result]):
     def keep(self, notes: Sequence[str] = (), failures: Sequence[str] = (), **changes: Any) -> None:
         """Put more into the result, and on disk."""
         with self.lock:
-            before: Any = self.found
+            before: Any = self.result
             more = {"notes": (*before.notes, *notes), "failures": (*before.failures, *failures)}
-            self.found = replace(before, **changes, **more)
+            self.result = replace(before, **changes, **more)
             if self.out is not None:
                 self.write(self.out)
 
@@ -139,7 +139,7 @@ class Growing(Generic[Result]):
         So it is for bad input where there is a form `bad` of the note on it.
         """
         try:
-            found, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
+            value, failed = attempted(what, do, otherwise, self.out, own=bool(self.card.effect_files))
         except InputError as error:
             if not bad:
                 raise
@@ -147,7 +147,7 @@ class Growing(Generic[Result]):
             return otherwise
         if failed:
             self.keep((), failed)
-        return found
+        return value
 
 
 # --- The exact environment of a run, so that it can be restored: every installed version, Python, platform.

@@ -14,7 +14,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import verify
 from calibration import (
     DRAWS,
     Replicate,
@@ -220,16 +219,6 @@ def test_a_claim_is_refuted_exactly_where_the_binomial_test_rejects_its_rate(sid
     assert verdicts == {True, False}
 
 
-def test_an_equality_is_refuted_on_both_sides():
-    """Each tail has half of the level: binomial tails of 0.005 around 190 of 200."""
-    claim = replace(CLAIM, side=Side.EQUAL)
-    for hits in range(201):
-        below, above = (binomtest(hits, 200, 0.95, alternative=tail).pvalue for tail in ("less", "greater"))
-        assert claim.holds(hits, 200) == (min(below, above) >= 0.005), hits
-    assert not claim.holds(200, 200)
-    assert not claim.holds(180, 200)
-
-
 def test_no_trials_refute_nothing_and_the_documentation_lists_every_claim_with_its_rate():
     assert all(claim.limits(0, 0) == (0.0, 1.0) and claim.holds(0, 0) for claim in CLAIMS)
     assert len({claim.key for claim in CLAIMS}) == len(CLAIMS)
@@ -281,25 +270,6 @@ def test_a_false_claim_and_a_crash_are_in_the_verdict():
     assert (line["verdict"], line["refused"], line["flights"]) == ("refuted: false_alarms", "1", "21")
     rows.append({"kind": "one", "seed": 4, "trials": {}, "crashed": "ValueError"})
     assert line_of(run, rows)["verdict"] == "refuted: false_alarms, 1 crashed"
-
-
-def test_a_changed_file_is_told_beside_the_commit_but_not_the_ledger(tmp_path):
-    def git(*words):
-        verify.subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b.c", *words], cwd=tmp_path, check=True)
-
-    assert verify.commit_of(tmp_path) == "unknown"
-    git("init", "-q")
-    (tmp_path / "benchmarks").mkdir()
-    for name in ("code.py", "benchmarks/ledger.csv"):
-        (tmp_path / name).write_text("1\n")
-    git("add", ".")
-    git("commit", "-qm", "begin")
-    plain = verify.commit_of(tmp_path)
-    assert len(plain) == 10
-    (tmp_path / "benchmarks" / "ledger.csv").write_text("2\n")
-    assert verify.commit_of(tmp_path) == plain
-    (tmp_path / "code.py").write_text("2\n")
-    assert verify.commit_of(tmp_path) == f"{plain}+changes"
 
 
 def test_rows_that_are_there_are_not_run_again(tmp_path, capsys):
